@@ -1,0 +1,185 @@
+"""README and its pages as programs: what a page shows is run from top to bottom, in one folder.
+
+A block below a paragraph that ends with "as `name.toml`:" is that file. Any other block of Python
+runs, and a block of text directly below it is what it prints. The commands of a console block run
+in order, each with its output below it; a command that fails says so: ``# exit code 1``.
+
+``python -m tests.pages [PAGE ...]`` writes the output that is shown anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+from cosim.cli import main
+from cosim.report.tables import console
+
+ROOT = Path(__file__).parent.parent
+PATHS = {path.stem: path for path in [ROOT / "README.md", *sorted((ROOT / ".readme").glob("*.md"))]}
+WIDTH = 100  # of a terminal
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE = re.compile(r"\bas\s+`([\w-]+\.\w+)`[^`]*:\s*$")
+EXIT_CODE = re.compile(r"# exit code (\d+)$")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page.
+
+    Attributes
+    ----------
+    language : str
+    text : str
+    start, end : int
+        Where its text stands in the page.
+    file : str or None
+        The file that the paragraph above says it is.
+    """
+
+    language: str
+    text: str
+    start: int
+    end: int
+    file: str | None
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page shows beside what was printed.
+
+    Attributes
+    ----------
+    source : str
+        The command, or the first line of the Python block.
+    shown, printed : str
+    code : int or None
+        The exit code of a command that is not the one that the page says.
+    """
+
+    source: str
+    shown: str
+    printed: str
+    code: int | None = None
+
+    @property
+    def right(self) -> bool:
+        """Return whether the page says the truth; a command may show nothing."""
+        same = not self.shown or comparable(self.shown) == comparable(self.printed)
+        return same and self.code is None
+
+
+def blocks(text: str) -> list[Block]:
+    """Return the fenced blocks of a page in their order."""
+    found = []
+    for match in BLOCK.finditer(text):
+        file = FILE.search(text[: match.start()].rstrip())
+        language, content = match.groups()
+        name = None if file is None else file.group(1)
+        found.append(Block(language, content, match.start(2), match.end(2), name))
+    return found
+
+
+def commands(block: Block) -> Iterator[tuple[str, str]]:
+    """Yield the commands of a console block, each with the output below it."""
+    for part in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
+        command, _, output = part.partition("\n")
+        yield command, output
+
+
+def comparable(text: str) -> list[str]:
+    """Return the lines without what differs between machines: wall times, trailing blanks."""
+    lines = [line.rstrip() for line in text.splitlines()]
+    return [line for line in lines if line and not line.startswith("wall time")]
+
+
+def run_command(command: str) -> tuple[int, str]:
+    """Run a command as a shell would; return its exit code and what it prints."""
+    words = shlex.split(command, comments=True)
+    target = None
+    if ">" in words:
+        *words, _, target = words
+    if words[0] == "python":
+        return 0, run_python(Path(words[1]).read_text(encoding="utf-8"))
+    assert words[0] == "cosim", command
+    printed = io.StringIO()
+    errors = io.StringIO()
+    code: object = 0
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(errors):
+        try:
+            main(words[1:])
+        except SystemExit as left:
+            code = left.code or 0
+    if target is not None:
+        Path(target).write_text(printed.getvalue(), encoding="utf-8")
+        printed = io.StringIO()
+    assert isinstance(code, int)
+    return code, printed.getvalue() + errors.getvalue()
+
+
+def run_python(text: str) -> str:
+    """Run a block of Python; return what it prints."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(text, "page", "exec"), {"__name__": "page"})
+    return printed.getvalue()
+
+
+def run_page(text: str) -> Iterator[tuple[Shown, Block]]:
+    """Run a page in the working directory; yield what it shows beside what is printed."""
+    found = blocks(text)
+    for block, following in zip(found, [*found[1:], None], strict=True):
+        if block.file is not None:
+            Path(block.file).write_text(block.text, encoding="utf-8")
+        elif block.language == "python":
+            printed = run_python(block.text)
+            first = block.text.partition("\n")[0]
+            adjacent = following is not None and not text[block.end + 4 : following.start - 8].strip()
+            if following is not None and following.language == "text" and adjacent:
+                yield Shown(first, following.text, printed), following
+        elif block.language == "console":
+            for command, output in commands(block):
+                code, printed = run_command(command)
+                stated = EXIT_CODE.search(command)
+                expected = int(stated.group(1)) if stated else 0
+                yield Shown(command, output, printed, None if code == expected else code), block
+
+
+def rewritten(text: str) -> str:
+    """Return a page with the output that its commands and its Python have now."""
+    for shown, block in reversed(list(run_page(text))):
+        if not shown.shown:
+            continue
+        if block.language == "text":
+            text = text[: block.start] + shown.printed + text[block.end :]
+        else:
+            lines = [line.rstrip() for line in shown.printed.splitlines()]
+            output = "\n".join(line for line in lines if line)
+            place = text.index(f"$ {shown.source}\n{shown.shown}", block.start)
+            start = place + len(f"$ {shown.source}\n")
+            text = text[:start] + f"{output}\n" + text[start + len(shown.shown) :]
+        if shown.code is not None:
+            sys.stderr.write(f"exit code {shown.code}: {shown.source}\n")
+    return text
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or PATHS:
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            contextlib.chdir(folder),
+            mock.patch.object(console, "terminal_width", lambda: WIDTH),
+        ):
+            text = rewritten(PATHS[name].read_text(encoding="utf-8"))
+        PATHS[name].write_text(text, encoding="utf-8")
+        sys.stderr.write(f"{name}: {len(text.encode())} bytes\n")
