@@ -14,6 +14,7 @@ import io
 import os
 import re
 import shlex
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -29,7 +30,7 @@ PATHS = {path.stem: path for path in [ROOT / "README.md", *sorted((ROOT / ".read
 WIDTH = 100  # of a terminal
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"\bas\s+`([\w-]+\.\w+)`[^`]*:\s*$")
-EXIT_CODE = re.compile(r"# exit code (\d+)$")
+EXIT_CODE = re.compile(r"\s+# exit code (\d+)$")
 
 
 @dataclass(frozen=True)
@@ -102,28 +103,57 @@ def comparable(text: str) -> list[str]:
     return [line for line in lines if line and not line.startswith("wall time")]
 
 
-def run_command(command: str) -> tuple[int, str]:
-    """Run a command as a shell would; return its exit code and what it prints."""
-    words = shlex.split(command, comments=True)
-    target = None
-    if ">" in words:
-        *words, _, target = words
+def run_command(command: str, *, alone: bool = False) -> tuple[int, str]:
+    """Run a command as a shell would, perhaps in a process of its own.
+
+    Returns
+    -------
+    code : int
+    printed : str
+    """
+    words = shlex.split(EXIT_CODE.sub("", command))
     if words[0] == "python":
         return 0, run_python(Path(words[1]).read_text(encoding="utf-8"))
     assert words[0] == "cosim", command
-    printed = io.StringIO()
+    target = words[-1] if ">" in words else None
+    if target is not None:
+        words = words[:-2]
+    run = run_alone if alone else run_here
+    code, printed, errors = run(words[1:])
+    if target is None:
+        return code, printed + errors
+    Path(target).write_text(printed, encoding="utf-8")
+    return code, errors
+
+
+def run_here(words: list[str]) -> tuple[int, str, str]:
+    """Run a command in this process; return its exit code, stdout and stderr."""
+    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     errors = io.StringIO()
     code: object = 0
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(errors):
+    with (
+        contextlib.redirect_stdout(printed),
+        contextlib.redirect_stderr(errors),
+        mock.patch.object(console, "terminal_width", return_value=WIDTH),
+    ):
         try:
-            main(words[1:])
+            main(words)
         except SystemExit as left:
             code = left.code or 0
-    if target is not None:
-        Path(target).write_text(printed.getvalue(), encoding="utf-8")
-        printed = io.StringIO()
     assert isinstance(code, int)
-    return code, printed.getvalue() + errors.getvalue()
+    return code, printed.buffer.getvalue().decode(), errors.getvalue()
+
+
+def run_alone(words: list[str]) -> tuple[int, str, str]:
+    """Run a command in a process of its own, for the times that it shows."""
+    result = subprocess.run(
+        [sys.executable, "-m", "cosim", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, console.COMMAND_VARIABLE: str(WIDTH)},
+    )
+    return result.returncode, result.stdout, result.stderr
 
 
 def run_python(text: str) -> str:
@@ -134,7 +164,7 @@ def run_python(text: str) -> str:
     return printed.getvalue()
 
 
-def run_page(text: str) -> Iterator[tuple[Shown, Block]]:
+def run_page(text: str, *, alone: bool = False) -> Iterator[tuple[Shown, Block]]:
     """Run a page in the working directory; yield what it shows beside what is printed."""
     found = blocks(text)
     for block, following in zip(found, [*found[1:], None], strict=True):
@@ -143,12 +173,14 @@ def run_page(text: str) -> Iterator[tuple[Shown, Block]]:
         elif block.language == "python":
             printed = run_python(block.text)
             first = block.text.partition("\n")[0]
-            adjacent = following is not None and not text[block.end + 4 : following.start - 8].strip()
+            adjacent = (
+                following is not None and not text[block.end + 4 : following.start - 8].strip()
+            )
             if following is not None and following.language == "text" and adjacent:
                 yield Shown(first, following.text, printed), following
         elif block.language == "console":
             for command, output in commands(block):
-                code, printed = run_command(command)
+                code, printed = run_command(command, alone=alone)
                 stated = EXIT_CODE.search(command)
                 expected = int(stated.group(1)) if stated else 0
                 yield Shown(command, output, printed, None if code == expected else code), block
@@ -156,7 +188,7 @@ def run_page(text: str) -> Iterator[tuple[Shown, Block]]:
 
 def rewritten(text: str) -> str:
     """Return a page with the output that its commands and its Python have now."""
-    for shown, block in reversed(list(run_page(text))):
+    for shown, block in reversed(list(run_page(text, alone=True))):
         if not shown.shown:
             continue
         if block.language == "text":
@@ -175,11 +207,7 @@ def rewritten(text: str) -> str:
 if __name__ == "__main__":
     for name in sys.argv[1:] or PATHS:
         os.environ["OPENBLAS_NUM_THREADS"] = "1"
-        with (
-            tempfile.TemporaryDirectory() as folder,
-            contextlib.chdir(folder),
-            mock.patch.object(console, "terminal_width", lambda: WIDTH),
-        ):
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
             text = rewritten(PATHS[name].read_text(encoding="utf-8"))
         PATHS[name].write_text(text, encoding="utf-8")
         sys.stderr.write(f"{name}: {len(text.encode())} bytes\n")
