@@ -113,21 +113,23 @@ def run_command(command: str, *, alone: bool = False) -> tuple[int, str]:
     """
     words = shlex.split(EXIT_CODE.sub("", command))
     if words[0] == "python":
-        return 0, run_python(Path(words[1]).read_text(encoding="utf-8"))
+        return run_process(words[1:])
     assert words[0] == "cosim", command
     target = words[-1] if ">" in words else None
     if target is not None:
         words = words[:-2]
-    run = run_alone if alone else run_here
-    code, printed, errors = run(words[1:])
+    if alone:
+        code, printed = run_process(["-m", "cosim", *words[1:]])
+    else:
+        code, printed = run_here(words[1:])
     if target is None:
-        return code, printed + errors
+        return code, printed
     Path(target).write_text(printed, encoding="utf-8")
-    return code, errors
+    return code, ""
 
 
-def run_here(words: list[str]) -> tuple[int, str, str]:
-    """Run a command in this process; return its exit code, stdout and stderr."""
+def run_here(words: list[str]) -> tuple[int, str]:
+    """Run a command in this process; return its exit code and what it prints."""
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     errors = io.StringIO()
     code: object = 0
@@ -141,19 +143,16 @@ def run_here(words: list[str]) -> tuple[int, str, str]:
         except SystemExit as left:
             code = left.code or 0
     assert isinstance(code, int)
-    return code, printed.buffer.getvalue().decode(), errors.getvalue()
+    return code, printed.buffer.getvalue().decode() + errors.getvalue()
 
 
-def run_alone(words: list[str]) -> tuple[int, str, str]:
-    """Run a command in a process of its own, for the times that it shows."""
+def run_process(words: list[str]) -> tuple[int, str]:
+    """Run Python in a process of its own; return its exit code and what it prints."""
+    environment = {**os.environ, console.COMMAND_VARIABLE: str(WIDTH)}
     result = subprocess.run(
-        [sys.executable, "-m", "cosim", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, console.COMMAND_VARIABLE: str(WIDTH)},
+        [sys.executable, *words], capture_output=True, text=True, check=False, env=environment
     )
-    return result.returncode, result.stdout, result.stderr
+    return result.returncode, result.stdout + result.stderr
 
 
 def run_python(text: str) -> str:

@@ -25,11 +25,7 @@ def python_block(page, text):
 
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(page, marks=() if page == "README" else pytest.mark.slow)
-        for page in TEXTS
-        if page != "clusters"  # its commands need other machines
-    ],
+    [pytest.param(page, marks=() if page == "README" else pytest.mark.slow) for page in TEXTS],
 )
 def test_a_page_shows_what_its_commands_print(page, tmp_path, monkeypatch):
     """From top to bottom, in one fresh folder; the numbers of several lines are laws below."""
