@@ -49,7 +49,7 @@ def declare_units(interface: Interface, units: Mapping[str, str]) -> Interface:
     names = [signal.name for signal in interface.signals]
     for port in units:
         if port not in names:
-            raise GraphError(f"unit: there is no port {port!r}; {nearest(port, names)}")
+            raise GraphError(f"unit: unknown port {port!r}; {nearest(port, names)}")
     inputs = tuple(_declared(signal, units) for signal in interface.inputs)
     outputs = tuple(_declared(signal, units) for signal in interface.outputs)
     return replace(interface, inputs=inputs, outputs=outputs)
@@ -61,8 +61,8 @@ def _declared(signal: Signal, units: Mapping[str, str]) -> Signal:
         return signal
     if signal.measure.si is not None:
         raise GraphError(
-            f"unit of {signal.name!r}: found {unit!r}, but the component itself declares "
-            f"{signal.unit!r}; leave it out, connections convert the unit"
+            f"unit of {signal.name!r}: got {unit!r}, but the component itself declares "
+            f"{signal.unit!r}; omit it, as connections convert units"
         )
     measure = Unit(unit)
     return replace(signal, unit=measure.name, base=measure.base)

@@ -97,7 +97,7 @@ def layout_of(
 def unknown_component(port: Port, known: Iterable[str]) -> GraphError:
     """Return the error of a port whose component is not there."""
     name = port.component
-    return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
+    return GraphError(f"'{port}': unknown component {name!r}; {nearest(name, known)}")
 
 
 def unknown_port(port: Port, interface: Interface, causality: Causality) -> GraphError:
@@ -108,8 +108,8 @@ def unknown_port(port: Port, interface: Interface, causality: Causality) -> Grap
     if port.name in own_names or port.signal in own_names:
         other = "input" if causality == "output" else "output"
         return GraphError(
-            f"'{port}' is an {other} of {port.component!r}; needed an {causality}; "
-            f"there is: {', '.join(names) or 'none'}"
+            f"'{port}': expected an {causality} of {port.component!r}, got an {other}; available: "
+            f"{', '.join(names) or 'none'}"
         )
     suggestion = nearest(port.signal, names)
     if "[" in port.signal:
