@@ -49,7 +49,7 @@ def declare_units(interface: Interface, units: Mapping[str, str]) -> Interface:
     names = [signal.name for signal in interface.signals]
     for port in units:
         if port not in names:
-            raise GraphError(f"unit: unknown port {port!r}; {nearest(port, names)}")
+            raise GraphError(f"unit: there is no port {port!r}; {nearest(port, names)}")
     inputs = tuple(_declared(signal, units) for signal in interface.inputs)
     outputs = tuple(_declared(signal, units) for signal in interface.outputs)
     return replace(interface, inputs=inputs, outputs=outputs)

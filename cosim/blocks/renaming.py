@@ -277,7 +277,7 @@ class _Resolver:
                 if column in driven:
                     first = driven[column]
                     name = f"{port.component}.{element.name}"
-                    self._drop(port, f"{name!r} is mapped twice, to '{first}' and '{port}'")
+                    self._drop(port, f"{name!r} is given twice, for '{first}' and '{port}'")
                 driven[column] = port
         missing: dict[str, list[str]] = {}
         for port, shown in inputs.items():

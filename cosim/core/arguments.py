@@ -143,7 +143,7 @@ def checked_periods(
     for name, period in periods.items():
         if name not in components:
             suggestion = nearest(str(name), components)
-            raise GraphError(f"periods: unknown component {name!r}; {suggestion}")
+            raise GraphError(f"periods: there is no component {name!r}; {suggestion}")
         if type(period) is not int or period < 1:
             found = kind_of(period)
             raise GraphError(f"periods: expected at least 1 step for {name!r}, got {found}")
@@ -176,7 +176,7 @@ def check_recorded_designs(
     for name, design in designs.items():
         if name not in components:
             suggestion = nearest(str(name), components)
-            raise GraphError(f"recorded: unknown component {name!r}; {suggestion}")
+            raise GraphError(f"recorded: there is no component {name!r}; {suggestion}")
         check_type(f"recorded design of {name!r}", design, Mapping, GraphError)
         for key, array in design.items():
             label = f"recorded design of {name!r}, {key!r}"

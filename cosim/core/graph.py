@@ -234,7 +234,9 @@ class Graph:
         others = {}
         for name, component in checked_components(components).items():
             if name not in self.components:
-                raise GraphError(f"unknown component {name!r}; {nearest(name, self.components)}")
+                raise GraphError(
+                    f"there is no component {name!r}; {nearest(name, self.components)}"
+                )
             if component is not self.components[name]:
                 others[name] = component
                 self._members[name].component.check_exchange(component)

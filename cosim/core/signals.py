@@ -292,7 +292,7 @@ class Interface:
         for output, names in declared.items():
             if output not in outputs:
                 suggestion = nearest(str(output), sorted(outputs))
-                raise GraphError(f"{key}: unknown output {output!r}; {suggestion}")
+                raise GraphError(f"{key}: there is no output {output!r}; {suggestion}")
             label = f"{key} of {output!r}"
             checked[output] = None if names is None else self._input_names(label, names)
         return checked
@@ -305,7 +305,7 @@ class Interface:
         for name in checked:
             if name not in self.input_names:
                 suggestion = nearest(str(name), sorted(self.input_names))
-                raise GraphError(f"{label}: unknown input {name!r}; {suggestion}")
+                raise GraphError(f"{label}: there is no input {name!r}; {suggestion}")
         return checked
 
     @cached_property

@@ -57,7 +57,7 @@ def faults_of(end: ConnectionEnd, kind: FaultKind, parameters: Sequence[float]) 
     """
     names = PARAMETERS.get(kind)
     if names is None:
-        raise GraphError(f"unknown fault {kind!r}; {nearest(kind, PARAMETERS)}")
+        raise GraphError(f"there is no fault {kind!r}; {nearest(kind, PARAMETERS)}")
     each = len(names)
     if len(parameters) != each * end.size:
         needed = ", ".join(names) or "none"

@@ -113,7 +113,7 @@ def _checked(
     for to, given in connections.items():
         port = to if isinstance(to, Port) else Port.parse(to)
         if port in parsed:
-            raise GraphError(f"'{port}' is connected twice; {ONE_SOURCE}")
+            raise GraphError(f"'{port}' is given twice; {ONE_SOURCE}")
         parsed[port] = given if isinstance(given, Connection) else Connection(given)
     problems = check_connections(ports, parsed)
     if problems:

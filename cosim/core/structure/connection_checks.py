@@ -83,10 +83,10 @@ def _problems_of_input(
 
 def _undriven_text(port: Port, signal: Signal, undriven: Sequence[Port]) -> str:
     if undriven[0] == port:
-        return f"'{port}' is not connected; add a source in [connections]"
+        return f"'{port}' is not connected; give it a source in [connections]"
     names = ", ".join(f"'{part}'" for part in undriven)
     is_one = len(undriven) == 1 and isinstance(undriven[0].element, int)
-    problem = "is not connected; add" if is_one else "are not connected; add"
+    problem = "is not connected; give it" if is_one else "are not connected; give them"
     origin = f" (of the FMU: {signal.origin})" if signal.origin else ""
     return (
         f"{names} {problem} a source in [connections]; '{port}' has {signal.size} elements, "
@@ -97,7 +97,7 @@ def _undriven_text(port: Port, signal: Signal, undriven: Sequence[Port]) -> str:
 def _overlap_text(to: Port, others: Sequence[Port], port: Port) -> str:
     names = ", ".join(f"'{other}'" for other in others)
     if names == f"'{to}'":
-        return f"'{to}' is connected twice; {ONE_SOURCE}"
+        return f"'{to}' is given twice; {ONE_SOURCE}"
     return (
         f"'{to}' overlaps {names}: an element has one source (add signals with a 'sum'); connect "
         f"'{port}' as a whole, or each element once"

@@ -97,7 +97,7 @@ def layout_of(
 def unknown_component(port: Port, known: Iterable[str]) -> GraphError:
     """Return the error of a port whose component is not there."""
     name = port.component
-    return GraphError(f"'{port}': unknown component {name!r}; {nearest(name, known)}")
+    return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
 
 
 def unknown_port(port: Port, interface: Interface, causality: Causality) -> GraphError:
