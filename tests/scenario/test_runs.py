@@ -634,7 +634,7 @@ def test_a_recorder_of_ones_own_is_left_where_a_component_cannot_be_prepared():
     """As of a graph that is run: exp(A h) is infinite; messages up to there reach it."""
     recorder = Extremes()
     growing = {"kind": "transfer-function", "numerator": [1.0], "denominator": [1.0, -1e6]}
-    with pytest.raises(RunError, match="'bad': prepare: expected .*, got "):
+    with pytest.raises(RunError, match=r"'bad': prepare: expected .*, got "):
         cosim.run(
             "academic",
             recorder=recorder,

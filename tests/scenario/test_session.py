@@ -483,7 +483,7 @@ def test_a_state_of_another_scenario_is_refused():
         saved = sim.state
     for changes in ({"u.amplitude": 2.0}, {"scenario.step": 5e-4}):
         other = scenario(**changes).start()
-        with other, pytest.raises(UsageError, match="state: .*got one of another graph"):
+        with other, pytest.raises(UsageError, match=r"state: .*got one of another graph"):
             other.state = saved
     with scenario(**{"scenario.stop": 0.2}).start() as longer:
         longer.state = saved
@@ -510,7 +510,7 @@ def test_the_state_of_an_fmu_stays_in_its_session(plant):
         again = sim.step(20)
         for name, values in first.items():
             assert values.tobytes() == again[name].tobytes()
-        with pytest.raises(UsageError, match="state: that of 'plant' cannot leave its simulation"):
+        with pytest.raises(UsageError, match=r"state: that of 'plant' cannot leave its simulation"):
             pickle.dumps(saved)
         other = swapped.start()
         with other, pytest.raises(UsageError, match="that of 'plant' cannot leave its simulation"):

@@ -442,7 +442,7 @@ class _Compiler:
                 return self._call(name, arguments)
             case _ if self._form.over_signals and is_signal(node):
                 return self._signal("".join(self._source(node).split()))
-        raise self._refusal(quoted(self._source(node)), self._form.allowed)
+        raise self._refusal("got " + quoted(self._source(node)), self._form.allowed)
 
     def emit_condition(self, node: ast.expr, *, negated: bool = False) -> int:
         """Append the code of a condition, or of its negation: 1 where it is true, else 0."""
@@ -459,7 +459,7 @@ class _Compiler:
                 pairs = zip(operators, pairwise([left, *others]), strict=True)
                 parts = [partial(self._comparison, *pair, negated) for pair in pairs]
                 return self._joined("max" if negated else "min", parts)
-        raise self._refusal(quoted(self._source(node)), _COMPARISON_NEEDED)
+        raise self._refusal("got " + quoted(self._source(node)), _COMPARISON_NEEDED)
 
     def _comparison(
         self, operator: ast.cmpop, operands: tuple[ast.expr, ast.expr], negated: bool
@@ -488,9 +488,9 @@ class _Compiler:
 
     def _literal(self, value: object) -> int:
         if value is ...:
-            raise self._refusal("'...'", self._form.allowed)
+            raise self._refusal("got '...'", self._form.allowed)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self._refusal(quoted(value), "expected a real number")
+            raise self._refusal("got " + quoted(value), "expected a real number")
         return self._constant(value)
 
     def _name(self, name: str) -> int:
@@ -513,7 +513,7 @@ class _Compiler:
         except OverflowError:  # an integer beyond the largest double
             number = math.inf
         if not math.isfinite(number):
-            raise self._refusal(quoted(value), "expected a finite number")
+            raise self._refusal("got " + quoted(value), "expected a finite number")
         self.code.append(len(OPERATIONS) + len(self.constants))
         self.constants.append(number)
         return 1
@@ -524,7 +524,7 @@ class _Compiler:
             nearest_name = nearest(name, [*FUNCTIONS, "min", "max"])
             raise self._refusal(f"unknown function {quoted(name)}", nearest_name)
         if len(arguments) != needed:
-            raise self._refusal(f"{name} with {len(arguments)} arguments", f"expected {needed}")
+            raise self._refusal(f"got {name} with {len(arguments)} arguments", f"expected {needed}")
         return self._operation(name, arguments)
 
     def _operation(self, operation: str, arguments: list[ast.expr]) -> int:
@@ -533,8 +533,8 @@ class _Compiler:
         self.code.append(_CODE[operation])
         return max(depths)
 
-    def _refusal(self, found: str, needed: str) -> UsageError:
-        return UsageError(f"{_start(self._form, self._text)}: got {found}; {needed}")
+    def _refusal(self, problem: str, way_out: str) -> UsageError:
+        return UsageError(f"{_start(self._form, self._text)}: {problem}; {way_out}")
 
 
 def _is_written(node: ast.expr) -> bool:

@@ -21,8 +21,8 @@ from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import NonFiniteError
+from tests.core.graphs import gain_of, loops_of, pair
 from tests.core.parts import Scripted, times
-from tests.core.stages.test_newton import pair
 
 NEWTON = {"coupling": "newton", "input_interpolation": "linear"}
 WAYS = [
@@ -52,20 +52,6 @@ def scalar(a, b, c, d=0.0, x0=1.0):
     """Return x' = a x + b u, y = c x + d u."""
     values = [np.array([[value]]) for value in (a, b, c, d)]
     return system(*values, x0=np.array([x0]))
-
-
-def loops_of(graph, clock):
-    """Return the loops of a graph, linearized where it starts."""
-    graph.prepare(clock.step_ns)
-    row = np.zeros(graph.layout.width)
-    graph.initialize(clock.start_time, row)
-    return LinearizedLoops.of(graph, clock, row)
-
-
-def gain_of(graph, clock):
-    """Return the gain of a graph's only loop."""
-    (found,) = loops_of(graph, clock).gains()
-    return found
 
 
 def rows_of(graph, clock):

@@ -19,8 +19,8 @@ from cosim.core.stages import branches
 from cosim.core.stages.branches import Branches
 from cosim.core.stages.native_stage import NativeStage, advancing_stages
 from cosim.errors import CosimError, GraphError
-from tests.core.parts import integrator, through
-from tests.core.stages.test_native_stage import InPython, random_graph, rows_of
+from tests.core.graphs import random_graph, rows_of
+from tests.core.parts import InPython, integrator, through
 
 
 @pytest.fixture(params=[False, True], ids=["in turn", "side by side"])

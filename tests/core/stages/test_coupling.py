@@ -20,8 +20,7 @@ from cosim.core.signals import Interface, Signal
 from cosim.core.structure.cycles import strongly_connected
 from cosim.core.structure.feedthrough import UnknownFeedthrough
 from cosim.core.structure.order import order_loop
-from tests.core.parts import half_through, integrator, through, times
-from tests.core.stages.test_native_stage import InPython
+from tests.core.parts import InPython, half_through, integrator, through, times
 
 
 def reference():

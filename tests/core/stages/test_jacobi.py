@@ -19,32 +19,8 @@ from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.simulation import Simulation
-from tests.core.gain.test_loop_gain import gain_of
+from tests.core.graphs import discretized, gain_of, pair, pair_map, record
 from tests.core.parts import half_through, integrator, through
-from tests.core.stages.test_newton import pair, record
-
-PAIR = ((-0.9, 0.5, 3.0, 1.0), (-1.0, 10.0, -31.0, -0.9))
-
-
-def discretized(A, B, h):
-    """Return exp(A h) and what a constant input adds over a step."""
-    return np.exp(A * h), np.expm1(A * h) / A * B
-
-
-def pair_map(h):
-    """Return what a step of Jacobi does to (x1, x2, y1, y2), by hand.
-
-    Each input is the output of the other one from before the step, for the state and for the output
-    at its end.
-    """
-    M = np.zeros((4, 4))
-    for i, (A, B, C, D) in enumerate(PAIR):
-        growth, per_input = discretized(A, B, h)
-        M[i, i] = growth
-        M[i, 3 - i] = per_input
-        M[2 + i] = C * M[i]
-        M[2 + i, 3 - i] += D
-    return M
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "zero-order", "latest"])

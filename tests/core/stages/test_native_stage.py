@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -21,57 +20,10 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.core.stages.coupling import Loop
 from cosim.core.stages.native_stage import NativeStage, advancing_stages
-from cosim.errors import AlgebraicLoopError, CosimError
+from cosim.errors import CosimError
 from cosim.units import BaseUnit
-from tests.core.parts import Scripted, half_through, integrator, through
-
-
-class InPython:
-    """A component without its compiled step."""
-
-    def __init__(self, component):
-        self.interface = replace(component.interface, native=False, linearizable=False)
-        self._component = component
-        self.prepare = component.prepare
-        self.initialize = component.initialize
-        self.outputs = component.outputs
-        self.advance = component.advance
-        self.save = component.save
-        self.restore = component.restore
-
-
-def random_graph(seed, coupling, *, native, python_parts):
-    """Return a graph of first-order systems in cascades and loops, with gains and offsets."""
-    draw = random.Random(seed)
-    count = draw.randint(2, 7)
-    components = {}
-    for i in range(count):
-        part = draw.choice([integrator, integrator, through, half_through])()
-        in_python = draw.random() < 0.4
-        components[f"x{i}"] = InPython(part) if python_parts and in_python else part
-    connections = {}
-    for i in range(count):
-        sources = []
-        for _ in range(draw.randint(1, 3)):
-            source = f"x{draw.randrange(count)}"
-            outputs = components[source].interface.outputs
-            sources.append(f"{source}.{draw.choice(outputs).name}")
-        gains = [[draw.choice([0.0, -0.5, 0.25]) for _ in sources]]
-        offset = draw.choice([0.0, 0.3])
-        plain = draw.random() < 0.4
-        connections[f"x{i}.u"] = (
-            sources[0] if plain else Connection(tuple(sources), gains, offset=offset)
-        )
-    try:
-        return Graph(components, connections, coupling=coupling, native=native)
-    except AlgebraicLoopError:
-        return None
-
-
-def rows_of(graph, block, stop=0.05):
-    memory = Memory()
-    run(graph, Clock(stop, 1e-3, block), memory)
-    return b"".join(memory.rows(name).tobytes() for name in graph.components)
+from tests.core.graphs import random_graph, rows_of
+from tests.core.parts import InPython, Scripted, integrator, through
 
 
 @settings(deadline=None, max_examples=150)

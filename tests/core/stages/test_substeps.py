@@ -27,7 +27,7 @@ from cosim.core.stages.spans import Span, StepPart
 from cosim.core.stages.substep_control import SubstepTolerance
 from cosim.errors import GraphError, LogError, RunError
 from cosim.instants import whole_duration
-from tests.core.stages.test_newton import pair, record, solution, state_space, states
+from tests.core.graphs import pair, record, solution, state_space, states
 
 SIGNALS = ("one.u", "one.y", "one.x", "two.u", "two.y", "two.x")
 

@@ -252,7 +252,7 @@ CASES = {
     ),
     "expression with an unknown name": (
         [("1.7*t", "1.7*tt")],
-        r"found unknown name 'tt'; did you mean 't'\?",
+        r"unknown name 'tt'; did you mean 't'\?",
     ),
     "truth of an unknown signal": (
         [

@@ -113,8 +113,7 @@ def test_what_is_between_samples_has_a_name(loop, tmp_path):
         cosim.run(swapped)
     assert (
         "the communication step of 0.01 s is smaller than the sampling period of "
-        ''/drive/state.position', 0.04 s; set interpolation = "linear" or "zero-order", or use '
-        "a step of 0.04 s"
+        "'/drive/state.position', 0.04 s; "
     ) in str(refused.value)
     samples = np.arange(-50, COUNT) * 4 * STEP_NS / 1e9
     t = cosim.run(loop).time("plant.y")

@@ -129,7 +129,7 @@ def test_rows_between_the_recorded_ones_are_not_made_up(part, tmp_path):
     )
     texts = [message.text for message in again.messages() if message.source == "observer"]
     assert texts == [f"not in this replay: {reason}"]
-    with pytest.raises(CosimError, match="has one row of 'plant' in 3 steps .recorded with"):
+    with pytest.raises(CosimError, match=r"has one row of 'plant' in 3 steps .recorded with"):
         cosim.run("academic", swap={"plant": log.path}, set=SHORT)
 
 
