@@ -320,7 +320,11 @@ def stiff(way, **settings):
     return Graph(parts, {"p.u": "k.y", "k.u": "p.y"}, **way, **settings)
 
 
-@pytest.mark.parametrize("way", WAYS[:-1], ids=name_of)
+@pytest.mark.parametrize(
+    "way",
+    [WAYS[0], *(pytest.param(way, marks=pytest.mark.slow) for way in WAYS[1:-1])],
+    ids=name_of,
+)
 def test_the_step_that_is_offered_is_right_and_the_next_larger_one_is_not(way):
     """It divides the step of the run; what is refused there becomes infinite, what is fine ends."""
     clock = Clock(100.0, 0.02)

@@ -60,7 +60,7 @@ def test_two_chains_behind_a_source_have_the_bits_of_one_thread():
     assert [type(stage) for stage in advancing_stages(in_one)] == [NativeStage]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.booleans())
 def test_any_graph_has_the_bits_of_one_thread(seed, python_parts):
     """Also with components that are called in Python, one at a time."""

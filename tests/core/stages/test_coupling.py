@@ -542,7 +542,7 @@ def graph_of(seed, names, **options):
     return Graph(components, connections, coupling="jacobi", **options)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=40)
 @given(
     st.integers(0, 10**6),
     st.permutations(["a", "b", "c", "d", "e"]),

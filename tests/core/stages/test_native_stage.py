@@ -25,11 +25,26 @@ from cosim.units import BaseUnit
 from tests.core.graphs import random_graph, rows_of
 from tests.core.parts import InPython, Scripted, integrator, through
 
+GRAPHS = given(st.integers(0, 10**6), st.sampled_from(["gauss-seidel", "jacobi", "newton"]))
 
-@settings(deadline=None, max_examples=150)
-@given(st.integers(0, 10**6), st.sampled_from(["gauss-seidel", "jacobi", "newton"]))
+
+@settings(max_examples=15)
+@GRAPHS
 def test_compiled_stages_give_the_same_bits(seed, coupling):
     """In cascades and loops, with components in Python among them, in blocks of any length."""
+    check_bits(seed, coupling)
+
+
+@pytest.mark.slow
+@settings(max_examples=150)
+@GRAPHS
+def test_compiled_stages_give_the_same_bits_in_many_graphs(seed, coupling):
+    """The same in ten times as many."""
+    check_bits(seed, coupling)
+
+
+def check_bits(seed, coupling):
+    """Compare the rows of a random graph with those of its ordinary stages."""
     ordinary = random_graph(seed, coupling, native=False, python_parts=False)
     assume(ordinary is not None)
     needed = rows_of(ordinary, 13)
