@@ -46,9 +46,9 @@ class AdaptiveIdentifier:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gain < np.inf:
-            raise UsageError(f"gain: found {self.gain} 1/s, needed a positive finite number")
+            raise UsageError(f"gain: expected a finite number > 0, got {self.gain} 1/s")
         if not self.forgetting > 0.0:
-            raise UsageError(f"forgetting: found {self.forgetting} s, needed a positive time")
+            raise UsageError(f"forgetting: expected a time > 0, got {self.forgetting} s")
 
     @property
     def interface(self) -> Interface:

@@ -29,7 +29,7 @@ def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) ->
         If there are no signs.
     """
     if not signs:
-        raise UsageError("sum: found no signs, needed one for each input, like [1, -1]")
+        raise UsageError("sum: expected one sign per input, like [1, -1], got none")
     names = [f"u{i}" for i in range(1, len(signs) + 1)]
     inputs = [Signal(name, size, unit) for name in names]
     interface = _with_feedthrough(inputs, size, unit)
@@ -54,7 +54,7 @@ def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None)
         If lower is not below upper.
     """
     if not lower < upper:
-        raise UsageError(f"limit: found lower = {lower} and upper = {upper}, needed lower < upper")
+        raise UsageError(f"limit: expected lower < upper, got lower = {lower} and upper = {upper}")
     u = Signal("u", size, unit)
     interface = _with_feedthrough([u], size, unit)
     return CompiledStatic(interface, limit_step(lower, upper, size))

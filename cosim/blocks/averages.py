@@ -159,8 +159,8 @@ class Windowed:
         taps = len(weights)
         if window_memory(len(model.linear.states), taps, model.width) > LARGEST_MEMORY:
             raise UsageError(
-                f"a window of {taps} communication steps of {model.width} signals does not fit; "
-                f"needed at most {LARGEST_MEMORY} numbers in all"
+                f"a window of {taps} communication steps of {model.width} signals is too large; "
+                f"expected at most {LARGEST_MEMORY} numbers in all"
             )
         self._model = model
         self._weights = frozen(weights, 1)

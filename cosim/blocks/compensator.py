@@ -86,11 +86,11 @@ class CompensatorOptions:
     def __post_init__(self) -> None:
         if not self.largest_error > 0.0:
             raise UsageError(
-                f"compensator: found largest_error = {self.largest_error}, needed a positive number"
+                f"compensator: largest_error: expected a number > 0, got {self.largest_error}"
             )
         if not (self.lower < self.upper).all():
             limits = (self.lower.tolist(), self.upper.tolist())
-            raise UsageError(f"compensator: found lower and upper = {limits}, needed lower < upper")
+            raise UsageError(f"compensator: expected lower < upper, got {limits}")
 
 
 class Compensator:
@@ -332,8 +332,8 @@ def _counts(arrays: Design, parameters: int) -> tuple[int, ...]:
     nodes = shape[:parameters]
     if len(shape) != parameters + 2 or not all(nodes):
         raise LogError(
-            f"the recorded design has a K_w of shape {shape}; needed {parameters} axes of nodes "
-            "before its rows and columns; run the scenario to compute it again"
+            f"the recorded design: K_w: expected {parameters} axes of nodes before its rows and "
+            f"columns, got shape {shape}; run the scenario to compute it again"
         )
     return tuple(count - 1 for count in nodes)
 

@@ -133,8 +133,8 @@ class CompiledFunction:
 def _check_address(name: str, address: object) -> None:
     if type(address) is not int or address <= 0:
         raise UsageError(
-            f"{name}: found {address!r}; needed the address of a compiled function, such as "
-            "ctypes.cast(function, ctypes.c_void_p).value, or .address of a cfunc of numba"
+            f"{name}: expected the address of a compiled function, such as ctypes.cast(function, "
+            f"ctypes.c_void_p).value, or .address of a cfunc of numba, got {address!r}"
         )
 
 
@@ -142,6 +142,6 @@ def _checked_memory(memory: ArrayLike) -> Vector:
     values = np.array(memory, np.float64)
     if values.ndim != 1 or not np.isfinite(values).all():
         raise UsageError(
-            f"memory: found {memory!r}; needed a vector of finite numbers, the initial state"
+            f"memory: expected a vector of finite numbers, the initial state, got {memory!r}"
         )
     return values

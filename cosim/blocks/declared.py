@@ -61,8 +61,8 @@ def _declared(signal: Signal, units: Mapping[str, str]) -> Signal:
         return signal
     if signal.measure.si is not None:
         raise GraphError(
-            f"unit of {signal.name!r}: found {unit!r}, but the component itself declares "
-            f"{signal.unit!r}; leave it out, connections convert the unit"
+            f"unit of {signal.name!r}: got {unit!r}, but the component itself declares "
+            f"{signal.unit!r}; omit it, as connections convert units"
         )
     measure = Unit(unit)
     return replace(signal, unit=measure.name, base=measure.base)

@@ -41,9 +41,9 @@ def lag(
     """
     if (AUGMENTED * size) ** 2 > LARGEST_MEMORY:
         most = math.isqrt(LARGEST_MEMORY) // AUGMENTED
-        raise UsageError(f"lag: found size = {size}, needed at most {most}")
+        raise UsageError(f"lag: size: expected at most {most}, got {size}")
     if not time_constant > 0.0:
-        raise UsageError(f"lag: found time_constant = {time_constant} s, needed a positive time")
+        raise UsageError(f"lag: time_constant: expected a time > 0, got {time_constant} s")
     rate = 1.0 / time_constant
     u = Signal("u", size, unit)
     y = Signal("y", size, unit, role="state")
@@ -99,11 +99,11 @@ class Delay:
         self, steps: int, *, initial: float | None = None, size: int = 1, unit: str | None = None
     ) -> None:
         if steps < 1:
-            raise UsageError(f"delay: found {steps} communication steps, needed at least 1")
+            raise UsageError(f"delay: expected at least 1 communication step, got {steps}")
         if steps * size > LARGEST_MEMORY:
             raise UsageError(
-                f"delay: {steps} communication steps of {size} values do not fit; "
-                f"at most {LARGEST_MEMORY} values"
+                f"delay: {steps} communication steps of {size} values are too many; expected at "
+                f"most {LARGEST_MEMORY} values"
             )
         self.initial = initial
         u = Signal("u", size, unit)

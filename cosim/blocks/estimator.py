@@ -13,12 +13,14 @@ from cosim.core.signals import Interface, Signal
 from cosim.native.blocks.wrapping import kept_step
 from cosim.native.step import FULL, NO_VALUE, OUTSIDE, NativeStep
 
-_NO_VALUE: Final = "an input has no value at {time} s, where it counts; start after the delays"
+_NO_VALUE: Final = (
+    "an input is NaN at {time} s, after the identification start time; start after the delays"
+)
 _PROBLEMS: Final = MappingProxyType(
     {
         FULL: "no room for more samples at {time} s",
-        OUTSIDE: "a sample at {time} s is said to be of an instant that is not since the "
-        "communication point before; needed the samples of that step",
+        OUTSIDE: "a sample at {time} s has a time stamp before the previous communication point; "
+        "expected the samples of this step",
     }
 )
 _TEXTS: Final = MappingProxyType(

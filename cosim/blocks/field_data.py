@@ -196,8 +196,7 @@ class FieldRecording:
         """
         if not self._begin <= t <= self._end:
             raise GraphError(
-                f"{self._source} has samples from {self._begin} s to {self._end} s, was asked for "
-                f"{t} s"
+                f"{self._source}: expected a time from {self._begin} s to {self._end} s, got {t} s"
             )
         end = np.array([t])
         first = np.searchsorted(self._t, end, side="left")
@@ -249,8 +248,8 @@ class FieldRecording:
         after = np.searchsorted(self._t, ends, side="right")
         if (after - first).max(initial=0) > self._most:
             raise GraphError(
-                f"{self._source}: more than {self._most} samples in a step; needed the "
-                "communication points that it was made for"
+                f"{self._source}: more than {self._most} samples in a step; expected the "
+                "communication points that it was built for"
             )
         number = first[:, np.newaxis] + np.arange(self._most)
         is_there = number < after[:, np.newaxis]
@@ -305,8 +304,8 @@ def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> 
         if len(inside) > 1:
             way_out = f"start_time = {inside[0]} and stop = {inside[-1]} of [scenario] are inside"
         raise UsageError(
-            f"{data.source} has samples from {begin} s to {end} s; needed {points[0]} s to "
-            f"{points[-1]} s, the whole run: {way_out}"
+            f"{data.source}: expected samples over the whole run, from {points[0]} s to "
+            f"{points[-1]} s, got {begin} s to {end} s: {way_out}"
         )
     names = []
     for signal in data.signals:
@@ -338,9 +337,9 @@ def check_step(data: FieldData, step: float) -> None:
         median = float(np.median(np.diff(line.t)))
         if median > JITTER * step:
             raise UsageError(
-                f"{data.source}: the communication step of {step:g} s is finer than the samples of "
-                f'{name!r}, every {median:g} s; needed interpolation = "linear" or "zero-order", '
-                f"which says what is between two samples, or a step of {median:g} s"
+                f"{data.source}: the communication step of {step:g} s is smaller than the "
+                f'sampling period of {name!r}, {median:g} s; set interpolation = "linear" or '
+                f'"zero-order", or use a step of {median:g} s'
             )
 
 
@@ -352,19 +351,18 @@ def _check_gaps(
     in_run = (end > points[0]) & (begin < points[-1])
     gaps = end - begin
     limit = maximum_gap
-    needed = f"at most maximum_gap = {maximum_gap} s"
+    needed = f"a gap of at most maximum_gap = {maximum_gap} s"
     if limit is None:
         median = float(np.median(gaps)) if len(gaps) else 0.0
         limit = USUAL_GAP * median
-        needed = f"at most {USUAL_GAP:g} times the median distance of samples, {median:g} s"
+        needed = f"a gap of at most {USUAL_GAP:g} times the median sampling period, {median:g} s"
     too_long = np.flatnonzero(in_run & (gaps > limit))
     if too_long.size:
         first = too_long[0]
         longest = float(gaps[in_run].max())
         raise UsageError(
-            f"{source}: {name!r} has no sample between {begin[first]} s and {end[first]} s; needed "
-            f"{needed}; maximum_gap = {longest!r} allows that, or run before "
-            "or after it"
+            f"{source}: {name!r} has no sample between {begin[first]} s and {end[first]} s; "
+            f"expected {needed}; set maximum_gap = {longest!r}, or run before or after the gap"
         )
 
 

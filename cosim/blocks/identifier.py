@@ -57,7 +57,7 @@ class LeastSquaresMethod:
     def __post_init__(self) -> None:
         if self.P0 is not None and not 0.0 < self.P0 < np.inf:
             raise UsageError(
-                f"P0: found {self.P0}, needed a positive finite number; leave it out for no prior"
+                f"P0: expected a finite number > 0, got {self.P0}; omit it for no prior"
             )
 
     @property

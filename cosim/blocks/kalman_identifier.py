@@ -172,4 +172,4 @@ def check_positive(**numbers: float) -> None:
     """
     for name, value in numbers.items():
         if not 0.0 < value < np.inf:
-            raise UsageError(f"{name}: found {value}, needed a positive finite number")
+            raise UsageError(f"{name}: expected a finite number > 0, got {value}")

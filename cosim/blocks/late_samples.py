@@ -112,8 +112,8 @@ class LateSamples:
                 y = self.advance(t[: late + 1], h, u[: late + 1])
             raise Stopped(
                 y,
-                f"a sample at {t[late]} s is said to be of an instant more than {self._steps} "
-                "communication steps before; needed those of the sensor's delay and jitter",
+                f"the sample at {t[late]} s has a time stamp more than {self._steps} "
+                "communication steps back; expected at most the sensor's delay and jitter",
             )
         whole = max(len(times) - self._steps, 0)
         y = np.tile(held.y, (count, 1))

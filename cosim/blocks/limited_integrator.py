@@ -46,12 +46,12 @@ class LimitedIntegrator:
     ) -> None:
         if not lower < upper:
             raise UsageError(
-                f"integrator: found lower = {lower} and upper = {upper}, needed lower < upper"
+                f"integrator: expected lower < upper, got lower = {lower} and upper = {upper}"
             )
         if not lower <= initial <= upper:
             raise UsageError(
-                f"integrator: found initial = {initial}, needed a value from lower = {lower} to "
-                f"upper = {upper}"
+                f"integrator: initial: expected a value from lower = {lower} to upper = {upper}, "
+                f"got {initial}"
             )
         self.lower = lower
         self.upper = upper

@@ -65,40 +65,40 @@ class LookUpTable(CompiledStatic):
         for name, points, value in zip(self.names, self.grid, u, strict=True):
             lower = points[0]
             upper = points[-1]
-            covered.append(f"{name} from {lower} to {upper} (found {value})")
+            covered.append(f"{name} from {lower} to {upper} (got {value})")
         return (
-            f"look-up table: covers {', '.join(covered)}; "
-            'extrapolation = "hold" or "linear" goes beyond'
+            f'look-up table: covers {", ".join(covered)}; set extrapolation = "hold" or '
+            '"linear" to go beyond'
         )
 
 
 def _check(names: Sequence[str], grid: Sequence[Vector], values: Matrix) -> None:
     if len(grid) not in (1, 2):
-        raise UsageError(f"look-up table: found {len(grid)} inputs, needed one or two")
+        raise UsageError(f"look-up table: expected one or two inputs, got {len(grid)}")
     needed = tuple(len(points) for points in grid)
     if values.shape != needed:
         raise UsageError(
-            f"look-up table: y has shape {values.shape}, needed {needed}: one value for each "
-            f"point of {' and '.join(names)}"
+            f"look-up table: y: expected shape {needed}, one value for each point of "
+            f"{' and '.join(names)}, got {values.shape}"
         )
     for name, points in zip(names, grid, strict=True):
         _check_points(name, points)
     if not np.isfinite(values).all():
-        raise UsageError("look-up table: y has NaN or infinity; needed finite numbers")
+        raise UsageError("look-up table: y: expected finite numbers, got NaN or infinity")
 
 
 def _check_points(name: str, points: Vector) -> None:
     """Check the points of an input: two or more, finite and increasing."""
     if len(points) < 2:
-        raise UsageError(f"look-up table: {name} has {len(points)} points, needed at least 2")
+        raise UsageError(f"look-up table: {name}: expected at least 2 points, got {len(points)}")
     # the width of a cell, too, must be a number
     if not (np.isfinite(points).all() and np.isfinite(np.ptp(points))):
-        raise UsageError(f"look-up table: {name} has no finite range; needed finite numbers")
+        raise UsageError(f"look-up table: {name}: expected finite points and a finite range")
     not_increasing = np.flatnonzero(np.diff(points) <= 0.0)
     if not_increasing.size:
         index = int(not_increasing[0]) + 1
         before = points[index - 1]
         raise UsageError(
-            f"look-up table: {name}[{index}] = {points[index]} does not come after "
-            f"{before}; needed increasing points"
+            f"look-up table: {name}: expected increasing points, got {name}[{index}] = "
+            f"{points[index]} after {before}"
         )

@@ -89,12 +89,12 @@ def per_element(name: str, value: PerElement, size: int) -> Vector:
     """
     values = np.array(value, np.float64)
     if not np.isfinite(values).all():
-        raise UsageError(f"{name}: found NaN or infinity, needed finite numbers")
+        raise UsageError(f"{name}: expected finite numbers, got NaN or infinity")
     if values.ndim == 0:
         return np.full(size, float(values))
     if values.shape != (size,):
         raise UsageError(
-            f"{name}: found {values.size} numbers, needed one, or one for each of {size} elements"
+            f"{name}: expected one number, or one for each of {size} elements, got {values.size}"
         )
     return values
 
@@ -127,8 +127,8 @@ class SamplingInstants:
         self.depth = -math.floor(parameters.earliest)
         if self.depth * size > LARGEST_MEMORY:
             raise UsageError(
-                f"delay: found {steps_text(parameters.delay)} of {size} values, needed "
-                f"at most {LARGEST_MEMORY} values"
+                f"delay: expected at most {LARGEST_MEMORY} values, got "
+                f"{steps_text(parameters.delay)} of {size} values"
             )
 
 
@@ -137,19 +137,19 @@ def _check_timing(parameters: SensorParameters) -> None:
     jitter = parameters.jitter
     period = parameters.period
     if period < 1:
-        raise UsageError(f"period: found {period} communication steps, needed at least 1")
+        raise UsageError(f"period: expected at least 1 communication step, got {period}")
     if not 0.0 <= delay < np.inf:
-        raise UsageError(f"delay: found {delay:g} communication steps, needed 0 or more")
+        raise UsageError(f"delay: expected a number of communication steps >= 0, got {delay:g}")
     if not 0.0 <= jitter <= 0.5 * period:
         raise UsageError(
-            f"jitter: found {steps_text(jitter)}, needed 0 to {0.5 * period:g}, half the "
-            "distance of two samples: they keep their order"
+            f"jitter: expected 0 to {0.5 * period:g}, half the sampling period, so that samples "
+            f"keep their order, got {steps_text(jitter)}"
         )
     if parameters.latest > 1.0:
         raise UsageError(
-            f"jitter: found {steps_text(jitter)}, so that samples are taken up to "
-            f"{parameters.latest:g} after they are reported, where the input is not known; needed "
-            "at most 1: less jitter, or more delay"
+            f"jitter: got {steps_text(jitter)}, so that samples are taken up to "
+            f"{parameters.latest:g} after they are reported, where the input is not known; "
+            "expected at most 1: use less jitter, or more delay"
         )
 
 
@@ -191,7 +191,7 @@ class MeasuringChain:
         if wrong.size:
             lower = self.lower[wrong[0]]
             upper = self.upper[wrong[0]]
-            raise UsageError(f"found lower = {lower:g} and upper = {upper:g}, needed lower < upper")
+            raise UsageError(f"expected lower < upper, got lower = {lower:g} and upper = {upper:g}")
 
     def _quantizer(self, parameters: SensorParameters, size: int) -> Levels | None:
         if parameters.bits is None:
@@ -200,23 +200,23 @@ class MeasuringChain:
             resolution = per_element("resolution", parameters.resolution, size)
             return _levels_of_resolution(resolution, self.lower, self.upper)
         if parameters.resolution is not None:
-            raise UsageError("found resolution and bits, needed one of them")
+            raise UsageError("expected resolution or bits, got both")
         if parameters.lower is None or parameters.upper is None:
-            raise UsageError("bits: needed lower and upper too, the range of the levels")
+            raise UsageError("bits: requires lower and upper, the range of the levels")
         return _levels_of_bits(parameters.bits, self.lower, self.upper)
 
 
 def _levels_of_bits(bits: int, lower: Vector, upper: Vector) -> Levels:
     if not 1 <= bits <= MOST_BITS:
-        raise UsageError(f"bits: found {bits}, needed 1 to {MOST_BITS}")
+        raise UsageError(f"bits: expected 1 to {MOST_BITS}, got {bits}")
     intervals = np.full(len(lower), 2.0**bits - 1.0)
     with np.errstate(over="ignore"):
         resolution = (upper - lower) / intervals
     largest = np.maximum(np.abs(lower), np.abs(upper))
     if (resolution < np.spacing(largest)).any() or np.isinf(resolution).any():
         raise UsageError(
-            f"bits: found {bits}, and there are not 2**{bits} doubles from lower to upper at equal "
-            "distances; needed fewer bits, or other limits"
+            f"bits: got {bits}, but there are fewer than 2**{bits} equidistant doubles from lower "
+            "to upper; use fewer bits, or other limits"
         )
     return Levels(lower, resolution, np.zeros(len(lower)), intervals)
 
@@ -226,7 +226,7 @@ def _levels_of_resolution(resolution: Vector, lower: Vector, upper: Vector) -> L
     last = np.full(len(resolution), np.inf)
     for i, distance in enumerate(resolution.tolist()):
         if not distance > 0.0:
-            raise UsageError(f"resolution: found {distance:g}, needed a positive number")
+            raise UsageError(f"resolution: expected a number > 0, got {distance:g}")
         if np.isfinite(lower[i]):
             first[i] = _number_of_level(math.ceil(_ratio(lower[i], distance)))
         if np.isfinite(upper[i]):
@@ -234,8 +234,8 @@ def _levels_of_resolution(resolution: Vector, lower: Vector, upper: Vector) -> L
         if not first[i] < last[i]:
             limits = f"{lower[i]:g} and {upper[i]:g}"
             raise UsageError(
-                f"resolution: found {distance:g}, with fewer than two whole multiples between the "
-                f"limits {limits}"
+                f"resolution: expected two multiples or more between the limits {limits}, got "
+                f"{distance:g}"
             )
     return Levels(np.zeros(len(resolution)), resolution, first, last)
 
@@ -290,12 +290,10 @@ class SampleStreams:
         self._deviation = per_element("noise", parameters.noise, size)
         if (self._deviation < 0.0).any():
             smallest = self._deviation.min()
-            raise UsageError(f"noise: found {smallest:g}, needed 0 or more, a standard deviation")
+            raise UsageError(f"noise: expected a standard deviation >= 0, got {smallest:g}")
         self._dropout = 0.0 if parameters.dropout is None else parameters.dropout
         if not 0.0 <= self._dropout < 1.0:
-            raise UsageError(
-                f"dropout: found {self._dropout:g}, needed a probability of 0 or more, below 1"
-            )
+            raise UsageError(f"dropout: expected a probability >= 0 and < 1, got {self._dropout:g}")
         self._parameters = parameters
         self._is_noisy = bool(self._deviation.any())
         self._seed = self._checked_seed()
@@ -309,10 +307,12 @@ class SampleStreams:
         seed = self._parameters.seed
         if seed is None:
             if self._is_noisy or self._parameters.jitter or self._dropout:
-                raise UsageError("seed: needed with noise, jitter or dropout, a whole number")
+                raise UsageError(
+                    "seed: expected an integer, as noise, jitter and dropout require one"
+                )
             return 0
         if seed < 0:
-            raise UsageError(f"seed: found {seed}, needed 0 or more")
+            raise UsageError(f"seed: expected an integer >= 0, got {seed}")
         return seed
 
     def begin(self) -> None:

@@ -101,13 +101,14 @@ class OutputErrorIdentifier:
         misses = self.most > 0 and self.at_points
         if self.most and predicts and not misses:
             raise AssumptionError(
-                "the plant is unstable, so that its output has to be predicted from the samples "
-                "before, at constant distances; needed samples at the communication points"
+                "the plant is unstable, so that its output is predicted from equidistant samples; "
+                "expected samples at the communication points"
             )
         if predicts and problem.stated is None and len(problem.plant.C) > 1:
             raise AssumptionError(
-                "the plant is unstable, so that its outputs have to be predicted by what is known "
-                "of their noise; needed its deviation, one number an output, or its covariance"
+                "the plant is unstable, so that its outputs are predicted from the statistics of "
+                "their noise; expected its standard deviation (one number per output) or its "
+                "covariance"
             )
         design = problem.design_of_y(h, held, predicts=predicts and not misses)
         if predicts and misses:

@@ -75,21 +75,21 @@ class PidParameters:
     initial_integral: float = 0.0
 
     def __post_init__(self) -> None:
-        _require(self.gain != 0.0, "gain", self.gain, "another than 0")
+        _require(self.gain != 0.0, "gain", self.gain, "a number other than 0")
         _require(
-            self.derivative_time >= 0.0, "derivative_time", self.derivative_time, "0 s or more"
+            self.derivative_time >= 0.0, "derivative_time", self.derivative_time, "a time >= 0 s"
         )
         limit = self.derivative_gain_limit
-        _require(limit > 0.0, "derivative_gain_limit", limit, "a positive number")
+        _require(limit > 0.0, "derivative_gain_limit", limit, "a number > 0")
         for name in ("integral_time", "tracking_time"):
             time = getattr(self, name)
-            _require(time is None or time > 0.0, name, time, "a positive time")
+            _require(time is None or time > 0.0, name, time, "a time > 0")
         lower, upper = self.limits
         _require(lower < upper, "lower and upper", (lower, upper), "lower < upper")
         if self.tracking_time is not None and not self._tracks:
             raise UsageError(
-                "pid: found tracking_time, which needs integral_time and lower or upper: it says "
-                "how fast the integral part follows an output at its limit"
+                "pid: tracking_time requires integral_time and lower or upper: it is the time "
+                "constant of anti-windup"
             )
 
     @property
@@ -144,15 +144,14 @@ class PidParameters:
                 time = math.sqrt(self.integral_time * self.derivative_time)
         if period is not None and time < period:
             raise UsageError(
-                f"pid: its tracking_time is {time} s, shorter than its period of {period} s; "
-                "needed that or more"
+                f"pid: tracking_time: expected at least the period of {period} s, got {time} s"
             )
         return 1.0 / time
 
 
 def _require(is_met: bool, name: str, value: object, needed: str) -> None:
     if not is_met:
-        raise UsageError(f"pid: found {name} = {value}, needed {needed}")
+        raise UsageError(f"pid: {name}: expected {needed}, got {value}")
 
 
 class Pid:

@@ -95,7 +95,7 @@ def initial_vector(name: str, values: ArrayLike, size: int, needed: str) -> Vect
     """
     vector = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if vector.shape != (size,):
-        raise AssumptionError(f"{name} has shape {vector.shape}; needed ({size},): {needed}")
+        raise AssumptionError(f"{name}: expected shape ({size},), {needed}, got {vector.shape}")
     return vector
 
 
@@ -112,7 +112,7 @@ def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorMode
     n_a = system.n_a
     if n_a is None:
         raise AssumptionError(
-            "a residual form has the algebraic states x_b; needed a model of the form n_a, A, Bu, "
+            "a residual form requires the algebraic states x_b; expected a model with n_a, A, Bu, "
             "Bd, C"
         )
     reduced = descriptor_model(system, x_a0)
@@ -120,7 +120,7 @@ def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorMode
     n_y = len(system.C)
     if n_a == n:
         raise AssumptionError(
-            f"n_a = {n_a} of {n} states: there are no algebraic states, and so no residual form"
+            f"n_a = {n_a} of {n} states: without algebraic states there is no residual form"
         )
     B = np.hstack([system.Bu, system.Bd])
     A_dynamic = system.A[:n_a]

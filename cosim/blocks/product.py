@@ -34,8 +34,8 @@ class Product(CompiledStatic):
     def __init__(self, operations: str, *, size: int = 1, unit: str | None = None) -> None:
         if not operations or set(operations) - {"*", "/"}:
             raise UsageError(
-                f"product: found operations {operations!r}, needed * or / for each input, "
-                'like "*/" for u1/u2'
+                'product: operations: expected * or / for each input, like "*/" for u1/u2, got '
+                f"{operations!r}"
             )
         self.operations = operations
         names = tuple(f"u{i}" for i in range(1, len(operations) + 1))
@@ -51,4 +51,4 @@ class Product(CompiledStatic):
         zeros = self._divisors & (u == 0.0)
         elements = element_names(self.interface.inputs)
         name = elements[int(zeros.argmax())]
-        return f"product: {name} is 0, and y is divided by it; needed another value"
+        return f"product: division by zero: {name} is 0"

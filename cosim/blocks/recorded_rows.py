@@ -102,7 +102,7 @@ class RecordedRows:
             found = np.concatenate([found, found[-1:]])
         if len(found) != needed:
             raise LogError(
-                f"{self._recording.label}: found {len(found)} rows of {self._component!r} where "
-                f"there were {needed}"
+                f"{self._recording.label}: expected {needed} rows of {self._component!r}, got "
+                f"{len(found)}"
             )
         return found

@@ -58,8 +58,8 @@ class Regressor:
         for steps_back, delay in zip(steps, delays, strict=True):
             if steps_back > LARGEST_MEMORY:
                 raise UsageError(
-                    f"delays: {delay:g} s are {steps_back} communication steps, whose samples do "
-                    f"not fit; at most {LARGEST_MEMORY}"
+                    f"delays: {delay:g} s are {steps_back} communication steps, too many to "
+                    f"store; expected at most {LARGEST_MEMORY}"
                 )
         n_rows = len(delays)
         rows = [term.row for term in terms]

@@ -157,8 +157,8 @@ class _Resolver:
             if overlapped:
                 first = _given(overlapped[0])
                 problems[part.port] = (
-                    f"{_given(part)} overlaps {first}; needed '{port}' as a "
-                    "whole, or each of its elements once"
+                    f"{_given(part)} overlaps {first}; expected '{port}' as a whole, or each of "
+                    "its elements once"
                 )
             covered |= dict.fromkeys(_positions(part.port), part)
         replaced = self._replaced.get(port.signal)
@@ -225,8 +225,8 @@ class _Resolver:
             other = elements[0].causality
             listed = ", ".join(self._names(causality)) or "none"
             raise GraphError(
-                f"'{source}' is an {other} of {source.component!r}; needed an {causality}; "
-                f"there is: {listed}"
+                f"'{source}': expected an {causality} of {source.component!r}, got an {other}; "
+                f"available: {listed}"
             )
         return elements[part]
 
@@ -290,7 +290,7 @@ class _Resolver:
                     listed = ", ".join(missing[name])
                     self._drop(
                         port,
-                        f"'{port}' is a part of the input {name!r}; needed ports for the rest "
+                        f"'{port}' is a part of the input {name!r}; expected ports for the rest "
                         f"too: {listed}",
                     )
 
@@ -378,7 +378,7 @@ def _check_size(port: Port, elements: Sequence[PortElement]) -> None:
     size = len(elements)
     if needed and size != needed:
         names = ", ".join(names_of(elements))
-        raise GraphError(f"'{port}' has size {needed}; found size {size}: {names}")
+        raise GraphError(f"'{port}': expected size {needed}, got {size}: {names}")
 
 
 def _check_complete(
@@ -399,8 +399,8 @@ def _check_complete(
         port = part.port.whole
         names = ", ".join(["NAME"] * size)
         problems[part.port] = (
-            f"{_given(part)} is a part of '{port}', which has {count}; needed entries for the rest "
-            f"too: {', '.join(missing)}, or one for the whole: {port}=[{names}]"
+            f"{_given(part)} is a part of '{port}', which has {count}; expected entries for the "
+            f"rest too: {', '.join(missing)}, or one for the whole: {port}=[{names}]"
         )
     return problems
 

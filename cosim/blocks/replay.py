@@ -62,7 +62,8 @@ class Replay:
         times, constant = _look_through(recording, channel)
         if not len(times):
             raise LogError(
-                f"{recording.label} has no rows of {component!r}; needed at least the one at t = 0"
+                f"{recording.label} has no rows of {component!r}; expected at least the one at t "
+                "= 0"
             )
         recorded = channel.interface
         shown = Interface((), recorded.outputs, {})
@@ -179,7 +180,7 @@ class Replay:
         index = self._times.last_not_after(t)
         if (index < 0).any():
             begin = self._seconds(0, 1)[0]
-            raise GraphError(f"the recording begins at {begin} s, was asked for {t[0]} s")
+            raise GraphError(f"the recording begins at {begin} s, requested: {t[0]} s")
         return index
 
 
@@ -194,8 +195,8 @@ def _check_every_row(recording: Recording, channel: Channel) -> None:
     partial = partial_of(recording.channels)
     if partial is not None and channel.period != partial.declared[channel.name].period:
         raise LogError(
-            f"{recording.label} has one row of {channel.name!r} in {channel.period} steps, it was "
-            f"recorded with {partial.selection}; needed each of them, so every = 1"
+            f"{recording.label} has one row of {channel.name!r} in {channel.period} steps "
+            f"(recorded with {partial.selection}); expected every row: every = 1"
         )
 
 

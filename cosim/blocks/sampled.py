@@ -81,8 +81,8 @@ class Sampled:
         interface = _held_between(component.interface, n)
         if not 0 <= offset < n:
             raise ClockError(
-                f"offset: found {steps_text(offset)}, needed 0 or more, and fewer than the period "
-                f"of {steps_text(n)}"
+                f"offset: expected 0 or more, and less than the period of {steps_text(n)}, got "
+                f"{steps_text(offset)}"
             )
         self._offset = offset
         if hold:
@@ -290,7 +290,7 @@ class Decimated:
 def _held_between(interface: Interface, n: int) -> Interface:
     """Return the interface of a component whose outputs change at every n-th step only."""
     if n < 1:
-        raise ClockError(f"period: found {n} communication steps, needed at least 1")
+        raise ClockError(f"period: expected at least 1 communication step, got {n}")
     outputs = tuple(replace(signal, variability="discrete") for signal in interface.outputs)
     return replace(
         interface,

@@ -218,12 +218,12 @@ class Sensor:
 def _check_stamps(parameters: SensorParameters, size: int) -> None:
     if parameters.jitter and size > 1:
         raise UsageError(
-            f"time_stamps: found jitter and size {size}; needed one sampling instant for all "
-            "elements: no jitter, or a sensor for each element"
+            "time_stamps: expected one sampling instant for all elements, got jitter and size "
+            f"{size}; omit jitter, or use one sensor per element"
         )
     if parameters.latest > 0.0:
         raise UsageError(
-            f"time_stamps: found a jitter of {steps_text(parameters.jitter)} and a delay of "
-            f"{steps_text(parameters.delay)}; needed a delay of at least the jitter, so that no "
-            "sample is taken after it is reported"
+            "time_stamps: expected a delay of at least the jitter (samples are reported after "
+            f"they are taken), got a jitter of {steps_text(parameters.jitter)} and a delay of "
+            f"{steps_text(parameters.delay)}"
         )

@@ -224,7 +224,7 @@ class Table:
     def _beyond(self, t: float) -> str:
         begin = self.t[0]
         end = self.t[-1]
-        return f"table: covers {begin} s to {end} s, was asked for {t} s"
+        return f"table: expected a time from {begin} s to {end} s, got {t} s"
 
 
 def _slopes(t: Vector, y: Matrix) -> Matrix:
@@ -236,8 +236,8 @@ def _slopes(t: Vector, y: Matrix) -> Matrix:
     if steep.size:
         first = steep[0]
         raise UsageError(
-            f"table: between t[{first}] = {t[first]} s and {t[first + 1]} s the slope of y is "
-            "beyond all numbers; needed instants further apart, or zero-order interpolation"
+            f"table: the slope of y overflows between t[{first}] = {t[first]} s and "
+            f"{t[first + 1]} s; use instants further apart, or zero-order interpolation"
         )
     return slopes
 
@@ -254,12 +254,12 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
     values = len(y)
     if instants < 2 or instants != values:
         raise UsageError(
-            f"table: found {instants} instants and {values} values, needed the same number of "
-            "both, at least 2"
+            f"table: expected as many values as instants, at least 2, got {instants} instants and "
+            f"{values} values"
         )
     finite = np.isfinite(t).all() and np.isfinite(y).all()
     if not finite:
-        raise UsageError("table: found NaN or infinity, needed finite numbers")
+        raise UsageError("table: expected finite numbers, got NaN or infinity")
     steps = np.diff(t)
     not_increasing = np.flatnonzero(steps < 0.0 if hold else steps <= 0.0)
     if not_increasing.size:
@@ -267,14 +267,13 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
         after = before + 1
         if t[before] == t[after]:
             raise UsageError(
-                f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, and what is "
-                "interpolated linearly cannot jump: its value at a communication point counts "
-                'before it and after it; use interpolation = "zero-order", or leave a '
-                "communication step between the two"
+                f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, which linear "
+                'interpolation cannot represent; use interpolation = "zero-order", or put the two '
+                "a communication step apart"
             )
         raise UsageError(
-            f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "
-            "needed increasing instants"
+            f"table: expected increasing instants, got t[{after}] = {t[after]} s after "
+            f"t[{before}] = {t[before]} s"
         )
 
 

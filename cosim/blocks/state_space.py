@@ -83,7 +83,7 @@ def system_matrices(
 
 def _check_shape(kind: str, name: str, array: Matrix | Vector, needed: tuple[int, ...]) -> None:
     if array.shape != needed:
-        raise UsageError(f"{kind}: {name} has shape {array.shape}, needed {needed}")
+        raise UsageError(f"{kind}: {name}: expected shape {needed}, got {array.shape}")
 
 
 def controller(

@@ -77,8 +77,8 @@ def transfer_function(
 def _check_steady(a: Vector) -> None:
     if a[0] == 0.0:
         raise UsageError(
-            "transfer function: its denominator is zero at s = 0, so there is no steady state; "
-            'needed initial = "zero"'
+            "transfer function: the denominator is zero at s = 0, so there is no steady state; "
+            'use initial = "zero"'
         )
 
 
@@ -99,15 +99,16 @@ def _exponent(a: Vector) -> int:
 def _check(numerator: Sequence[float], denominator: Sequence[float]) -> None:
     if len(denominator) < 2:
         raise UsageError(
-            "transfer function: its denominator has no power of s; needed one, or the kind 'gain'"
+            "transfer function: the denominator is constant; expected a power of s, or the kind "
+            "'gain'"
         )
     if not 1 <= len(numerator) <= len(denominator):
         raise UsageError(
-            f"transfer function: found {len(numerator)} coefficients over {len(denominator)}; "
-            "needed at least one, and at most as many as in the denominator (proper)"
+            f"transfer function: expected 1 to {len(denominator)} coefficients in the numerator "
+            f"(proper), got {len(numerator)}"
         )
     if denominator[0] == 0.0:
         raise UsageError(
-            "transfer function: the first coefficient of its denominator is 0; needed that of the "
-            "highest power of s"
+            "transfer function: the leading coefficient of the denominator is 0; expected that of "
+            "the highest power of s"
         )

@@ -25,7 +25,7 @@ def check_type(label: str, value: object, needed: type, error: type[UsageError])
         Or what ``error`` says: if it has another one.
     """
     if not isinstance(value, needed):
-        raise error(f"{label}: found {kind_of(value)}, needed a {needed.__name__}")
+        raise error(f"{label}: expected a {needed.__name__}, got {kind_of(value)}")
 
 
 def kind_of(value: object) -> str:
@@ -46,12 +46,12 @@ def check_recorder(recorder: Recorder) -> None:
         If it is none.
     """
     if isinstance(recorder, type):
-        raise UsageError(f"recorder: found {kind_of(recorder)}; needed an object of it")
+        raise UsageError(f"recorder: expected an instance, got {kind_of(recorder)}")
     missing = _missing(recorder, RECORDER_METHODS)
     if missing:
         raise UsageError(
-            f"recorder: found {kind_of(recorder)}, which has no {missing}; needed a recorder such "
-            "as Memory()"
+            f"recorder: expected a recorder such as Memory(), got {kind_of(recorder)}; missing: "
+            f"{missing}"
         )
 
 
@@ -65,19 +65,18 @@ def checked_components(components: Mapping[str, Component]) -> dict[str, Compone
     """
     check_type("components", components, Mapping, GraphError)
     if not components:
-        raise GraphError("the graph has no components; needed at least one")
+        raise GraphError("the graph has no components; expected at least one")
     names: dict[int, str] = {}
     for name, component in components.items():
         if not isinstance(name, str) or not name or "." in name:
             raise GraphError(
-                f"component {name!r}: a component's name is a string that is not empty and has no "
-                "dot"
+                f"component {name!r}: expected a non-empty string without dots as its name"
             )
         other = names.setdefault(id(component), name)
         if other != name:
             raise GraphError(
-                f"components {other!r} and {name!r} are one object, which has one state; give each "
-                "its own"
+                f"components {other!r} and {name!r} are the same object; use one instance each, "
+                "as an instance has one state"
             )
         _check_component(name, component)
     return dict(components)
@@ -92,7 +91,7 @@ def check_threads(threads: int | None) -> None:
         If there cannot be as many.
     """
     if threads is not None and (type(threads) is not int or threads not in THREADS):
-        raise GraphError(f"threads: found {kind_of(threads)}; needed 1 or 2, or None")
+        raise GraphError(f"threads: expected 1, 2 or None, got {kind_of(threads)}")
 
 
 def check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
@@ -104,7 +103,7 @@ def check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
         If it is none of them; names the nearest.
     """
     if not isinstance(value, str) or value not in choices:
-        raise GraphError(f"{key}: found {kind_of(value)}; {nearest(str(value), choices)}")
+        raise GraphError(f"{key}: got {kind_of(value)}; {nearest(str(value), choices)}")
 
 
 def check_iterations(iterations: int, coupling: str, input_interpolation: str) -> None:
@@ -116,19 +115,17 @@ def check_iterations(iterations: int, coupling: str, input_interpolation: str) -
         If it is not, or has not.
     """
     if type(iterations) is not int or iterations < 1:
-        raise GraphError(
-            f"iterations: found {kind_of(iterations)}; needed a whole number from 1 on"
-        )
+        raise GraphError(f"iterations: expected an integer >= 1, got {kind_of(iterations)}")
     if iterations > 1 and coupling == "newton":
         raise GraphError(
-            f"iterations: found {iterations} with coupling = 'newton', which takes as many as it "
-            "needs; needed 1, or 'gauss-seidel' or 'jacobi'"
+            "iterations: expected 1 with coupling = 'newton', which iterates until it converges, "
+            f"got {iterations}; use 1, or 'gauss-seidel' or 'jacobi'"
         )
     if iterations > 1 and input_interpolation == "zero-order":
         raise GraphError(
-            f"iterations: found {iterations} with input_interpolation = 'zero-order', where inputs "
-            "hold their values from the start of a step, so that nothing changes; needed "
-            "'linear' or 'latest'"
+            "iterations: expected 1 with input_interpolation = 'zero-order', where iterations "
+            "change nothing (inputs keep their values from the start of a step), got "
+            f"{iterations}; use 'linear' or 'latest'"
         )
 
 
@@ -149,7 +146,7 @@ def checked_periods(
             raise GraphError(f"periods: there is no component {name!r}; {suggestion}")
         if type(period) is not int or period < 1:
             found = kind_of(period)
-            raise GraphError(f"periods: found {found} steps for {name!r}, needed at least 1")
+            raise GraphError(f"periods: expected at least 1 step for {name!r}, got {found}")
     return dict(periods)
 
 
@@ -162,9 +159,7 @@ def check_step(step_ns: int) -> None:
         If it is no whole number from 1 on.
     """
     if type(step_ns) is not int or step_ns < 1:
-        raise GraphError(
-            f"step_ns: found {kind_of(step_ns)}, needed a whole number of nanoseconds, at least 1"
-        )
+        raise GraphError(f"step_ns: expected an integer >= 1 [ns], got {kind_of(step_ns)}")
 
 
 def check_recorded_designs(
@@ -199,16 +194,15 @@ def _check_component(name: str, component: Component) -> None:
     missing = _missing(component, _methods(interface))
     found = kind_of(component)
     if isinstance(component, type):
-        raise GraphError(f"component {name!r}: found {found}; needed an object of it")
+        raise GraphError(f"component {name!r}: expected an instance, got {found}")
     if not isinstance(interface, Interface):
         raise GraphError(
-            f"component {name!r}: found {found}, whose interface is {kind_of(interface)}; needed a "
-            f"component with a cosim.core.Interface{_inner(component)}"
+            f"component {name!r}: expected an interface of type cosim.core.Interface, got "
+            f"{kind_of(interface)} from {found}{_inner(component)}"
         )
     if missing:
         raise GraphError(
-            f"component {name!r}: found {found}, which has no {missing}; needed a component "
-            "(cosim.core.Component)"
+            f"component {name!r}: expected a cosim.core.Component, got {found}; missing: {missing}"
         )
 
 
@@ -226,7 +220,7 @@ def _inner(value: object) -> str:
     """Return the way out where an object only carries a component, as an opened FMU does."""
     carried = getattr(value, "component", None)
     if isinstance(getattr(carried, "interface", None), Interface):
-        return "; it carries one: hand over its .component"
+        return "; pass its .component"
     return ""
 
 

@@ -66,14 +66,14 @@ def start_nanoseconds(start_time: float) -> int:
     ns = nanoseconds(start_time)
     if ns < 0:
         raise ClockError(
-            f"start_time: found {start_time} s, needed 0 s or later: the times of a log begin at 0"
+            f"start_time: expected a time >= 0 s, got {start_time} s; the times of a log begin at 0"
         )
     return ns
 
 
 def _no_time(value: object) -> ClockError:
     found = value[:60] if isinstance(value, str) else kind_of(value)
-    return ClockError(f"{found} is not a time in seconds; needed a finite number")
+    return ClockError(f"expected a finite number of seconds, got {found}")
 
 
 def seconds(ns: Nanoseconds) -> Vector:
@@ -144,18 +144,18 @@ class Clock:
         for key in ("stop", "step", "start_time"):
             value = getattr(self, key)
             if isinstance(value, str):  # a text is no number here, though nanoseconds reads it
-                raise ClockError(f"{key}: found {quoted(value)}, needed a number of seconds")
+                raise ClockError(f"{key}: expected a number of seconds, got {quoted(value)}")
         if self.step_ns <= 0:
-            raise ClockError(f"step: found {self.step} s, needed a positive time")
+            raise ClockError(f"step: expected a time > 0, got {self.step} s")
         if nanoseconds(self.stop) <= self.start_ns:
-            needed = f"a time after start_time, {self.start_time} s"
+            needed = f"a time after start_time = {self.start_time} s"
             if self.start_ns == 0:
-                needed = "a positive time"
-            raise ClockError(f"stop: found {self.stop} s, needed {needed}")
+                needed = "a time > 0"
+            raise ClockError(f"stop: expected {needed}, got {self.stop} s")
         self.steps_until(self.stop, "stop")
         if self.block is not None and (type(self.block) is not int or self.block < 1):
             found = kind_of(self.block)
-            raise ClockError(f"block: found {found} steps, needed at least 1, or None")
+            raise ClockError(f"block: expected a number of steps >= 1, or None, got {found}")
 
     @cached_property
     def step_ns(self) -> int:

@@ -234,8 +234,8 @@ def signal_columns(signals: Sequence[str], layout: Layout, start: str) -> list[i
             raise UsageError(f"{start}: {error}") from error
         if signal.size != 1:
             raise UsageError(
-                f"{start}: '{name}' has {signal.size} elements; needed one of them, such as "
-                f"{signal.channel.name}.{signal.signal.elements[0]}"
+                f"{start}: expected one element, got '{name}' with {signal.size} elements; use "
+                f"for example {signal.channel.name}.{signal.signal.elements[0]}"
             )
         columns.append(signal.channel.start + signal.columns.start)
     return columns

@@ -54,14 +54,14 @@ class Connection:
     def __post_init__(self, source: SourceText) -> None:
         sources = _parsed(source)
         if not sources:
-            raise GraphError("a connection has no source; needed at least one")
+            raise GraphError("a connection has no source; expected at least one")
         label = _label(sources)
         gain = _number("gain", label, self.gain)
         offset = _number("offset", label, self.offset)
         if gain.ndim not in (0, 2) or offset.ndim:
             raise GraphError(
-                f"'{label}': found gain {self.gain!r} and offset {self.offset!r}; needed a number "
-                "or a matrix as gain, a number as offset"
+                f"'{label}': expected a number or a matrix as gain and a number as offset, got "
+                f"gain {self.gain!r} and offset {self.offset!r}"
             )
         if self.unit is not None:
             check_type(f"'{label}': unit", self.unit, str, GraphError)
@@ -86,11 +86,11 @@ def _number(key: str, label: str, value: ArrayLike) -> NDArray[np.float64]:
         array = np.asarray(value)
     except ValueError as error:
         raise GraphError(
-            f"'{label}': {key} has rows of different lengths; needed a number or a matrix"
+            f"'{label}': expected a number or a matrix as {key}, got rows of different lengths"
         ) from error
     is_real = array.dtype.kind in "iuf" and type(value) is not np.ma.MaskedArray
     if not is_real or not np.isfinite(array).all():
-        raise GraphError(f"'{label}': found {key} {value!r}; needed finite numbers or a matrix")
+        raise GraphError(f"'{label}': expected finite numbers or a matrix as {key}, got {value!r}")
     numbers = array.astype(np.float64)
     numbers.setflags(write=False)
     return numbers
@@ -101,8 +101,8 @@ def _parsed(source: SourceText) -> tuple[Port, ...]:
         source = [source]
     if not isinstance(source, Sequence):
         raise GraphError(
-            f"a connection has {kind_of(source)} as its source; needed a port such as 'plant.y', "
-            "or a list of these"
+            "expected a port such as 'plant.y', or a list of ports, as the source of a "
+            f"connection, got {kind_of(source)}"
         )
     ports = []
     for port in source:

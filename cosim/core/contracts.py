@@ -267,8 +267,8 @@ def check_design(recorded: Design, shapes: Mapping[str, tuple[int, ...]]) -> Non
     recorded_shapes = {name: np.shape(array) for name, array in recorded.items()}
     if recorded_shapes != shapes:
         raise LogError(
-            f"the recorded design has arrays of shapes {recorded_shapes}, needed {dict(shapes)}; "
-            "run the scenario to compute it again"
+            f"the recorded design: expected arrays of shapes {dict(shapes)}, got "
+            f"{recorded_shapes}; run the scenario to compute it again"
         )
 
 

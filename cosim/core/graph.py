@@ -294,8 +294,8 @@ class Graph:
         self._members[name].component.check_exchange(component)
         if not (transfers or component.interface.rollback):
             raise GraphError(
-                f"component {name!r}: its state cannot be handed over (rollback is not declared); "
-                "needed a component that can save it and restore it"
+                f"component {name!r}: its state cannot be passed on: it does not declare rollback "
+                "(save and restore)"
             )
         guarded = GuardedComponent(channel, component)
         lengths = self._lengths(name, step_ns)

@@ -122,7 +122,7 @@ class DescriptorModel:
 
 def _check_shape(name: str, matrix: Matrix, needed: tuple[int, ...]) -> None:
     if matrix.shape != needed:
-        raise GraphError(f"matrix {name}: found shape {matrix.shape}, needed {needed}")
+        raise GraphError(f"matrix {name}: expected shape {needed}, got {matrix.shape}")
 
 
 class Linear:

@@ -64,7 +64,7 @@ class Linearized:
         for name, shape in needed.items():
             found = getattr(self, name).shape
             if found != shape:
-                raise GraphError(f"linearized: {name} has shape {found}, needed {shape}")
+                raise GraphError(f"linearized: {name}: expected shape {shape}, got {found}")
 
     @property
     def period(self) -> int:

@@ -73,7 +73,7 @@ def run(
     check_recorder(recorder)
     conditions = conditions_until(until, graph.layout, clock)
     if plan is not None and designs is not None:
-        raise UsageError("found both a plan and designs; needed one of them: a plan has designs")
+        raise UsageError("expected a plan or designs, got both; a plan includes designs")
     try:
         with recorder:
             if plan is None:
@@ -128,8 +128,8 @@ def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:
     check_type("plan", plan, Plan, UsageError)
     if plan.step_ns != clock.step_ns or plan.layout != graph.layout:
         raise UsageError(
-            f"plan: found one for steps of {plan.step_ns} ns, the clock has {clock.step_ns} ns, or "
-            "for another graph; needed what graph.prepare returned for these"
+            "plan: expected the result of graph.prepare for this graph and clock, got one for "
+            f"another graph, or for steps of {plan.step_ns} ns (the clock has {clock.step_ns} ns)"
         )
 
 

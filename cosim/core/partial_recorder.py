@@ -56,16 +56,16 @@ def chosen_signals(
     for name, port in select_signals(known, selection.signals, source="the run").items():
         if port.size != port.signal.size:
             raise UsageError(
-                f"found {name!r}, which is a part of a signal; needed whole signals, such as "
-                f"'{port.channel.name}.{port.signal.name}'"
+                f"expected whole signals, such as '{port.channel.name}.{port.signal.name}', got "
+                f"{name!r}, a part of a signal"
             )
         own = channels.get(port.channel.name)
         if own is not None and port.signal.name in own.by_name:
             chosen.setdefault(own.name, []).append(port.signal.name)
     if not chosen:
         raise UsageError(
-            f"found {selection}, which chooses no signal of what runs here: "
-            f"{listing([*channels])}; needed one of these, or all: record.signals = ['*']"
+            f"{selection} matches no signal of this run's components: {listing([*channels])}; use "
+            "one of these, or record.signals = ['*'] for all"
         )
     return chosen
 

@@ -42,9 +42,7 @@ class Port:
     def __post_init__(self) -> None:
         for name in (self.component, self.signal):
             if not isinstance(name, str) or not name:
-                raise GraphError(
-                    f"port: found {name!r}, needed the name of a component and of a signal"
-                )
+                raise GraphError(f"port: expected a component and a signal name, got {name!r}")
         if self.element is not None:
             self._check_element(self.element)
 
@@ -55,8 +53,7 @@ class Port:
             return
         label = f"{self.component}.{self.signal}"
         raise GraphError(
-            f"'{label}' has no elements {element!r}; needed a number from 0, or a slice of such "
-            "as [0:2]"
+            f"'{label}': expected an index from 0, or a slice such as [0:2], got {element!r}"
         )
 
     @classmethod
@@ -70,13 +67,13 @@ class Port:
             slice.
         """
         if not isinstance(text, str):
-            raise GraphError(f"{text!r} is no port; needed a string such as 'plant.y'")
+            raise GraphError(f"expected a port such as 'plant.y', got {text!r}")
         component, dot, name = text.partition(".")
         if not (component and dot and name):
-            raise GraphError(f"{text!r} is no port; needed COMPONENT.SIGNAL, such as plant.y")
+            raise GraphError(f"expected a port COMPONENT.SIGNAL, such as plant.y, got {text!r}")
         signal, element = split_element(name)
         if isinstance(element, range) and not element:
-            raise GraphError(f"{text!r} has no elements; needed a slice such as [0:2]")
+            raise GraphError(f"{text!r} has no elements; expected a slice such as [0:2]")
         return cls(component, signal, element)
 
     @property

@@ -92,15 +92,15 @@ class Signal:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise GraphError(f"signal {self.name!r}: needed a string that is not empty as its name")
+            raise GraphError(f"signal name: expected a non-empty string, got {self.name!r}")
         if type(self.size) is not int or self.size < 1:
-            raise GraphError(f"signal {self.name!r}: size {self.size!r}, needed at least 1")
+            raise GraphError(f"signal {self.name!r}: size: expected at least 1, got {self.size!r}")
         self._check_choices()
         self._check_types()
         if self.start and len(self.start) != self.size:
             count = len(self.start)
             raise GraphError(
-                f"signal {self.name!r}: {count} start values, needed {self.size} or none"
+                f"signal {self.name!r}: expected {self.size} start values, or none, got {count}"
             )
 
     def _check_choices(self) -> None:
@@ -118,14 +118,14 @@ class Signal:
         self._need("start", "a tuple of numbers, none of them NaN", _are_numbers(self.start))
         is_nominal = _are_numbers(self.nominal) and all(value > 0.0 for value in self.nominal)
         fits = len(self.nominal) in (0, self.size)
-        self._need("nominal", "a positive number for each element, or none", is_nominal and fits)
+        self._need("nominal", "one positive number per element, or none", is_nominal and fits)
         is_whole = type(self.first) is int and self.first >= 0
-        self._need("first", "a whole number from 0 on", is_whole)
+        self._need("first", "an integer >= 0", is_whole)
 
     def _need(self, key: str, needed: str, is_right: bool) -> None:
         if not is_right:
             value = quoted(getattr(self, key))
-            raise GraphError(f"signal {self.name!r}: {key} {value}, needed {needed}")
+            raise GraphError(f"signal {self.name!r}: {key}: expected {needed}, got {value}")
 
     @property
     def initial_values(self) -> tuple[float, ...]:
@@ -264,10 +264,7 @@ class Interface:
         counts = Counter(signal.name for signal in self.signals)
         repeated = sorted(name for name, count in counts.items() if count > 1)
         if repeated:
-            raise GraphError(
-                f"signal {repeated[0]!r} is declared twice in one interface; "
-                "every signal needs its own name"
-            )
+            raise GraphError(f"signal {repeated[0]!r} is declared twice in one interface")
         for key in ("feedthrough", "initial"):
             frozen = self._dependencies(key, getattr(self, key))
             object.__setattr__(self, key, MappingProxyType(frozen))
@@ -287,7 +284,9 @@ class Interface:
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""
         if not isinstance(declared, Mapping):
-            raise GraphError(f"{key}: found {declared!r}, needed input names by output name")
+            raise GraphError(
+                f"{key}: expected a mapping of output names to input names, got {declared!r}"
+            )
         outputs = {signal.name for signal in self.outputs}
         checked = {}
         for output, names in declared.items():
@@ -301,7 +300,7 @@ class Interface:
     def _input_names(self, label: str, names: Iterable[str]) -> tuple[str, ...]:
         """Return names of inputs, after a check that they are there."""
         if isinstance(names, str) or not isinstance(names, Iterable):
-            raise GraphError(f"{label}: found {names!r}, needed a tuple of input names")
+            raise GraphError(f"{label}: expected a tuple of input names, got {names!r}")
         checked = tuple(names)
         for name in checked:
             if name not in self.input_names:
@@ -364,11 +363,11 @@ class Interface:
 def _signals(key: str, signals: Iterable[Signal]) -> tuple[Signal, ...]:
     """Return declared signals as a tuple."""
     if not isinstance(signals, Iterable):
-        raise GraphError(f"{key}: found {signals!r}, needed a tuple of Signal")
+        raise GraphError(f"{key}: expected a tuple of Signal, got {signals!r}")
     checked = tuple(signals)
     for signal in checked:
         if not isinstance(signal, Signal):
-            raise GraphError(f"{key}: found {signal!r}, needed a Signal")
+            raise GraphError(f"{key}: expected a Signal, got {signal!r}")
     return checked
 
 

@@ -185,7 +185,7 @@ class Simulation:
         if type(count) is not int:
             count = _whole(count)
         if count < 1:
-            raise UsageError(f"step: found {count} steps; needed a whole number from 1 on")
+            raise UsageError(f"step: expected an integer >= 1, got {count} steps")
         self._check_ready("step")
         if count > self._clock.steps - self.index:
             self._refuse("step", f"{steps_text(count)}")
@@ -207,8 +207,8 @@ class Simulation:
         self._check_ready("run_until")
         if end < self.index:
             raise UsageError(
-                f"run_until: found {t} s, which is before the time reached, {self.t} s; needed a "
-                "later one; a saved state or reset() goes back"
+                f"run_until: expected a time after the current {self.t} s, got {t} s; go back "
+                "with a saved state or reset()"
             )
         if end > self._clock.steps:
             self._refuse("run_until", f"{t} s")
@@ -348,8 +348,8 @@ class Simulation:
         """
         if get_ident() != self._thread:
             raise UsageError(
-                "this simulation was started in another thread; needed a simulation of its own "
-                "for every thread, with a graph of its own"
+                "this simulation was started in another thread; use one simulation per thread, "
+                "with a graph of its own"
             )
 
     def _check_current(self) -> None:
@@ -363,7 +363,7 @@ class Simulation:
         if get_ident() != self._thread:
             self.check_thread()
         if self._closed:
-            raise UsageError("this simulation is closed; needed another one: start it again")
+            raise UsageError("this simulation is closed; start a new one")
         self._engine.check_current()
 
     def _check_ready(self, what: str) -> None:
@@ -377,8 +377,8 @@ class Simulation:
         self._check_current()
         if self._ended:
             raise UsageError(
-                f"{what}: the simulation ended at t = {self.t} s: {self._ended}; needed reset(), "
-                "or a saved state to go on from"
+                f"{what}: the simulation ended at t = {self.t} s: {self._ended}; call reset(), or "
+                "continue from a saved state"
             )
 
     def _refuse(self, what: str, found: str) -> None:
@@ -392,12 +392,12 @@ class Simulation:
         stop = self._clock.stop
         if not self.steps_left:
             raise UsageError(
-                f"{what}: the simulation is at its stop, t = {stop} s; needed reset(), a saved "
-                "state to go on from, or a later stop"
+                f"{what}: the simulation is at its stop, t = {stop} s; call reset(), continue "
+                "from a saved state, or set a later stop"
             )
         raise UsageError(
-            f"{what}: found {found}; needed at most {steps_text(self.steps_left)}, from t = "
-            f"{self.t} s to the stop at {stop} s"
+            f"{what}: expected at most {steps_text(self.steps_left)}, from t = {self.t} s to the "
+            f"stop at {stop} s, got {found}"
         )
 
     def close(self) -> None:
@@ -645,8 +645,8 @@ class Simulation:
         check_type("state", state, SimulationState, UsageError)
         if self._is_recorded:
             raise UsageError(
-                "state: a log is open, which goes forward in time only; needed a simulation "
-                "without a log to go back in, or reset(), which begins the next log"
+                "state: a log is open, which cannot go back; use a simulation without a log, or "
+                "reset(), which begins the next log"
             )
         self._states.check(state, self)
         self._ended = "its state could not be set"
@@ -672,7 +672,7 @@ class Simulation:
         """
         self._check_current()
         if self._is_recorded:
-            raise UsageError("reset: a recorder takes one run; needed another simulation")
+            raise UsageError("reset: this recorder takes only one run; start a new simulation")
         self._begin()
 
 
@@ -685,5 +685,5 @@ def _whole(count: object) -> int:
         If it is no whole number.
     """
     if isinstance(count, bool) or not isinstance(count, Integral):
-        raise UsageError(f"step: found {kind_of(count)} steps; needed a whole number from 1 on")
+        raise UsageError(f"step: expected an integer >= 1, got {kind_of(count)} steps")
     return int(count)

@@ -24,7 +24,7 @@ from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Signal
 from cosim.errors import RunError
-from tests.blocks.test_contract import H, identifier
+from tests.blocks.parts import H, identifier
 
 
 def recorded(stop):

@@ -10,7 +10,6 @@ from cosim.blocks.arithmetic import gain, limit, sum_of, switch
 from cosim.blocks.averages import Windowed
 from cosim.blocks.derived import derived
 from cosim.blocks.dynamics import Delay, integrator, lag
-from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.limited_integrator import LimitedIntegrator
 from cosim.blocks.linear_source import LinearSource
 from cosim.blocks.look_up import LookUpTable
@@ -25,7 +24,6 @@ from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
-from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
 from cosim.blocks.static import Static
 from cosim.blocks.transfer import transfer_function
 from cosim.core.clock import Clock
@@ -38,21 +36,12 @@ from cosim.native.blocks.functions import LinearResponse
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.linear import delay_step
 from cosim.testing import check_component, check_rollback
-from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import expand
-from cosim.theory.estimators.least_squares import plan
 from cosim.theory.observers.observer import design
 from cosim.theory.plants.descriptor import reduce
 from cosim.theory.reconstruction.filters import SavitzkyGolay
+from tests.blocks.parts import H, discrete, identifier, through
 from tests.theory.academic import academic, ordinary
-
-H = 1e-3
-
-
-def through():
-    """Return a controller with a state and feedthrough from its first input only."""
-    D = np.array([[0.5, 0.0], [0.0, 0.0]])
-    return Linear(controller(A=np.array([[-3.0, 1.0], [0.0, -2.0]]), B=np.eye(2), C=np.eye(2), D=D))
 
 
 def plant():
@@ -106,22 +95,6 @@ def regressor(steps=(2, 4, 6), lag=0.0):
     ]
     delays = [n * H for n in steps]
     return Regressor(expand((1, 1)), alphas=alphas, steps=steps, delays=delays, lag=lag)
-
-
-def identifier(**options):
-    groups = group_by_alpha(["a", "b"], [Exponential()] * 2)
-    return LeastSquaresIdentifier(
-        plan(expand((1, 1)), groups, [1.0, 2.0, 3.0]), start_time=3 * H, **options
-    )
-
-
-def discrete():
-    """Return a discrete-time system with a state and feedthrough from its first input only."""
-    A = np.array([[0.9, 0.1], [0.0, -0.5]])
-    D = np.array([[0.5, 0.0], [0.0, 0.0]])
-    return DiscreteStateSpace(
-        system_matrices("test", A=A, B=np.eye(2), C=np.eye(2), D=D, x0=np.array([1.0, -2.0]))
-    )
 
 
 def linear_source():

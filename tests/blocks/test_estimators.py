@@ -11,8 +11,8 @@ from cosim.errors import UsageError
 from cosim.testing import check_component
 from cosim.theory.estimators.drem import drem
 from cosim.theory.estimators.gradient import gradient
+from tests.blocks.examples import EXAMPLES, STEP_NS, H
 from tests.blocks.stepping import drive
-from tests.blocks.test_estimation import EXAMPLES, STEP_NS, H
 
 LAWS = ("gradient", "drem")
 

@@ -19,8 +19,8 @@ from cosim.core.linear import Linear
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError
-from tests.blocks.test_contract import discrete, through
-from tests.blocks.test_renamed import CASES, renamed
+from tests.blocks.parts import discrete, through
+from tests.blocks.renaming import CASES, renamed
 
 H = 1e-3
 STEPS = 12

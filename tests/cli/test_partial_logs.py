@@ -7,8 +7,8 @@ import pytest
 RECORD = ("--set", "record.signals=['plant.*', 'observer.delta']", "--set", "record.every=10")
 SHORT = ("--set", "scenario.stop=0.2")
 REASON = (
-    'the log is partial, it was recorded with [record] signals = ["plant.*", "observer.delta"], '
-    "every = 10; there is: plant.u, plant.delta, plant.y, plant.x_a, plant.x_b, observer.delta"
+    'the log is partial (recorded with [record] signals = ["plant.*", "observer.delta"], '
+    "every = 10); available: plant.u, plant.delta, plant.y, plant.x_a, plant.x_b, observer.delta"
 )
 
 
@@ -80,7 +80,7 @@ def test_a_replay_refuses_by_name_what_the_log_does_not_allow(call):
     """Nothing of this one but its sources can be computed, and they were not recorded."""
     code, _, err = call("replay", "part.mcap", "--verify")
     assert code == 2
-    assert "chooses no signal of what runs here: u, delta" in err
+    assert "matches no signal of this run's components: u, delta" in err
     code, _, err = call("replay", "part.mcap", "--component", "observer", "--verify")
     assert code == 2
     assert "its input 'observer.u' comes from 'u.y', which is neither computed nor recorded" in err

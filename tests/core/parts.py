@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cosim.blocks.arithmetic import gain
@@ -109,3 +111,17 @@ class Starter:
 
     def advance(self, t, h, u):
         return np.tile(self.y, (len(t) - 1, 1))
+
+
+class InPython:
+    """A component without its compiled step."""
+
+    def __init__(self, component):
+        self.interface = replace(component.interface, native=False, linearizable=False)
+        self._component = component
+        self.prepare = component.prepare
+        self.initialize = component.initialize
+        self.outputs = component.outputs
+        self.advance = component.advance
+        self.save = component.save
+        self.restore = component.restore

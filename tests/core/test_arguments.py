@@ -87,7 +87,7 @@ def or_refused(function, *arguments, **options):
     return None
 
 
-settings.register_profile("border", deadline=None, max_examples=60)
+settings.register_profile("border", deadline=None, max_examples=30)
 BORDER = settings(settings.get_profile("border"), suppress_health_check=[HealthCheck.too_slow])
 
 

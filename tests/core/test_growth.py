@@ -26,8 +26,6 @@ from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.core.stages import pacing
 from tests.core.parts import integrator
 
-pytestmark = pytest.mark.usefixtures("frozen_heap")
-
 LARGEST_RATIO = 1.5
 ATTEMPTS = 5  # the smallest ratio counts: a look-up that is linear is far above the limit in all
 FEWEST_PAIRS = 5
@@ -104,6 +102,8 @@ def check_growth(make, small, large, monkeypatch):
     raise AssertionError(f"a component costs {ratios} times as much to build, run and replay")
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("frozen_heap")
 @pytest.mark.parametrize(
     ("make", "small", "large"),
     [(chain, 100, 700), (inherited, 100, 700), (star, 100, 700), (ring, 30, 150)],
@@ -114,6 +114,7 @@ def test_the_cost_of_a_component_does_not_grow(make, small, large, monkeypatch):
 
 
 @pytest.mark.campaign
+@pytest.mark.usefixtures("frozen_heap")
 @pytest.mark.parametrize(
     ("make", "small", "large"),
     [(chain, 100, 3000), (inherited, 100, 3000), (star, 100, 3000), (ring, 100, 300)],
@@ -225,6 +226,7 @@ def new_process():
         yield pool
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prepare", [declaring, reading, renaming, naming, checking])
 def test_the_cost_of_a_signal_does_not_grow(prepare, new_process):
     """In a component of many signals each is found as fast as in one of few.

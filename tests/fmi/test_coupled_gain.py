@@ -10,7 +10,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
-from tests.core.stages.test_jacobi import pair_map
+from tests.core.graphs import pair_map
 from tests.fmi import small
 from tests.fmi.test_coupled import ONE, TWO
 

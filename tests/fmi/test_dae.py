@@ -185,11 +185,11 @@ def test_what_has_no_residual_form_is_refused(tmp_path):
     with pytest.raises(FmuError, match=f"x: FMI 2.0 has no residual form; {standard}"):
         export(descriptor(), tmp_path / "x.fmu", name="x", fmi="2")
     whole = DescriptorSystem.partitioned(A=A, Bu=SYSTEM.Bu, Bd=SYSTEM.Bd, C=C, n_a=4)
-    reason = "there are no algebraic states, and so no residual form"
+    reason = "without algebraic states there is no residual form"
     with pytest.raises(AssumptionError, match=f"n_a = 4 of 4 states: {reason}"):
         descriptor_form(whole, np.zeros(4))
     right = descriptor()
-    with pytest.raises(GraphError, match=r"matrix by_z: found shape \(9, 1\), needed \(9, 2\)"):
+    with pytest.raises(GraphError, match=r"matrix by_z: expected shape \(9, 2\), got \(9, 1\)"):
         DescriptorModel(right.reduced, "x_b", right.by_x, right.by_z[:, :1], right.by_u)
 
 

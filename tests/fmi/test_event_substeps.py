@@ -342,7 +342,7 @@ def test_why_an_fmu_cannot_go_back_is_said_with_the_refusal(tmp_path, coupling):
     with pytest.raises(ScenarioError) as caught:
         cosim.run(str(scenario))
     refusal, reason = str(caught.value).splitlines()
-    assert "ends.toml:7: scenario.substeps: one in this loop cannot take parts of a step" in refusal
+    assert "ends.toml:7: scenario.substeps: one in this loop cannot take part of a step" in refusal
     assert "components.one: ENDS: its state is not saved, although it says that it can be" in reason
 
 

@@ -26,8 +26,7 @@ from cosim.errors import CosimError, GraphError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.native.numerics.runge_kutta import EXPLICIT
-from tests.core.parts import half_through, integrator, through
-from tests.core.stages.test_native_stage import InPython
+from tests.core.parts import InPython, half_through, integrator, through
 from tests.fmi import eventful, lag
 from tests.fmi.test_native_exchange import LEVELS
 

@@ -18,6 +18,7 @@ SOURCES = [build.HERE / name for name in build.SOURCES]
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc")
 
 
+@pytest.mark.slow
 @needs_cc
 def test_the_kernels_compile_without_a_warning(tmp_path):
     """All of -Wall -Wextra -Wconversion are errors here."""
@@ -64,6 +65,7 @@ EXACT = {"sqrt", "fabs", "copysign", "fmax", "fmin", "frexp", "ldexp"}
 MATHEMATICS = {*dir(math), "fma", "fmax", "fmin", "rint", "lrint", "nearbyint", "round", "sincos"}
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
 def test_the_kernels_call_no_function_whose_bits_depend_on_the_c_library(tmp_path):
@@ -123,6 +125,7 @@ COMPILERS = {
 }
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize(
     "others",
@@ -178,6 +181,7 @@ int main(void)
 """
 
 
+@pytest.mark.slow
 @needs_cc
 def test_options_do_not_change_a_bit_of_the_rotations(tmp_path):
     """Columns may be taken side by side, but the rows of each are summed in their order."""
@@ -322,6 +326,7 @@ int main(void)
 """
 
 
+@pytest.mark.slow
 @needs_cc
 def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
     """No access outside the documented sizes and no undefined behavior, also for empty systems."""
@@ -411,7 +416,7 @@ def test_no_compiler_at_all_is_an_error_with_the_way_out(tmp_path, monkeypatch):
 
 
 @needs_cc
-def test_what_the_compiler_says_is_passed_on(tmp_path):
+def test_the_words_of_the_compiler_are_passed_on(tmp_path):
     """The file, the line and its words."""
     source = tmp_path / "wrong.c"
     source.write_text('#error "this is wrong"\n', encoding="utf-8")

@@ -23,7 +23,10 @@ SOURCES = {
 LAGS = 20
 STEPS = 500
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 'cc'")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 'cc'"),
+]
 
 
 def compiled(folder, driver, *options):

@@ -113,7 +113,7 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):
         ({"size": (0.0, 5.0)}, "size: found 0 x 5 cm"),
         ({"size": (5.0, float("nan"))}, "size: found 5 x nan cm"),
         ({"start": 2.0, "stop": 1.0}, "found a picture from 2 s to 1 s; needed a later end"),
-        ({"stop": float("inf")}, "stop: found inf s"),
+        ({"stop": float("inf")}, "stop: .*got inf s"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(options, text):

@@ -118,7 +118,7 @@ def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
 def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
     """The message names the one that is wrong, and nothing was written."""
     folder = tmp_path / "out"
-    message = r"identifier.P0 = -1.0: .*P0: found -1.0, needed a positive finite number"
+    message = r"identifier.P0 = -1.0: .*P0: .*> 0, got -1.0"
     with pytest.raises(UsageError, match=message):
         cosim.replay_sweep(log, vary={"identifier.P0": [1e3, -1.0]}, out=folder)
     with pytest.raises(UsageError, match=r"plant.solver = 'RK45': .*'plant' is taken from the rec"):

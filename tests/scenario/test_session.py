@@ -98,7 +98,7 @@ def test_a_closed_session_takes_no_steps():
     sim.close()
     assert sim["plant.u"].tolist() == [0.3]
     for use in (sim.step, lambda: sim.release("plant.u"), lambda: sim.state):
-        with pytest.raises(UsageError, match="this simulation is closed; needed another one"):
+        with pytest.raises(UsageError, match="this simulation is closed"):
             use()
     with pytest.raises(UsageError, match="reset: this session is closed; needed another one"):
         sim.reset()
@@ -111,7 +111,7 @@ def test_what_is_read_or_overridden_is_there(tmp_path):
             sim["plant.w"] = 1.0
         with pytest.raises(GraphError, match=r"'plant.u': found 2 values; needed 1"):
             sim["plant.u"] = [1.0, 2.0]
-        with pytest.raises(UsageError, match=r"found 200 communication steps; needed at most 100"):
+        with pytest.raises(UsageError, match=r"expected at most 100 .*got 200"):
             sim.step(200)
         sim.step(100)
         with pytest.raises(UsageError, match=r"the simulation is at its stop, t = 0.1 s"):
@@ -195,7 +195,7 @@ def replace_values(event, values):
     [
         ({"signal": "plant.z"}, r"the event of 'plant.z' at t = 0.007 s does not fit: .*no input"),
         ({"values": (1.0, 2.0)}, r"the event of 'plant.u' .*found 2 values; needed 1"),
-        ({"time_ns": 7_000_001}, r"an event at t = 0.007000001 s: that is no communication point"),
+        ({"time_ns": 7_000_001}, r"the event at t = 0.007000001 s is not at a communication point"),
         ({"cause": "release"}, r"the event of 'plant.u' .* is not overridden"),
     ],
 )
@@ -472,9 +472,7 @@ def test_a_state_beyond_the_stop_is_refused():
         sim.step(80)
         saved = sim.state
     with scenario(**{"scenario.stop": 0.05}).start() as shorter:
-        with pytest.raises(
-            UsageError, match=r"state: found one at t = 0\.08 s, after the stop at 0\.05 s; needed"
-        ):
+        with pytest.raises(UsageError, match=r"state: .* stop at 0\.05 s, got 0\.08 s"):
             shorter.state = saved
         assert shorter.step().steps == 1
 
@@ -485,7 +483,7 @@ def test_a_state_of_another_scenario_is_refused():
         saved = sim.state
     for changes in ({"u.amplitude": 2.0}, {"scenario.step": 5e-4}):
         other = scenario(**changes).start()
-        with other, pytest.raises(UsageError, match="state: found one of another graph"):
+        with other, pytest.raises(UsageError, match=r"state: .*got one of another graph"):
             other.state = saved
     with scenario(**{"scenario.stop": 0.2}).start() as longer:
         longer.state = saved
@@ -512,7 +510,7 @@ def test_the_state_of_an_fmu_stays_in_its_session(plant):
         again = sim.step(20)
         for name, values in first.items():
             assert values.tobytes() == again[name].tobytes()
-        with pytest.raises(UsageError, match="state: that of 'plant' cannot leave its simulation"):
+        with pytest.raises(UsageError, match=r"state: that of 'plant' cannot leave its simulation"):
             pickle.dumps(saved)
         other = swapped.start()
         with other, pytest.raises(UsageError, match="that of 'plant' cannot leave its simulation"):

@@ -477,7 +477,7 @@ def _path_text(path: list[Port], ports: list[Port]) -> str:
 def _residual_text(loop: AlgebraicLoop, candidate: Candidate) -> str:
     port = loop.torn[candidate.element]
     residual = f"residual of {candidate.residual:.3g} at '{port}'"
-    return f"{residual}, needed at most {candidate.tolerance:.3g}"
+    return f"{residual}, expected at most {candidate.tolerance:.3g}"
 
 
 def _unsolved(loop: AlgebraicLoop, reason: str) -> GraphError:
@@ -485,7 +485,7 @@ def _unsolved(loop: AlgebraicLoop, reason: str) -> GraphError:
         names = listing([str(port) for port in loop.jumping])
         reason += f", and {names} may jump as inputs change, so that there may be no solution"
     return GraphError(
-        f"no initial values for {loop.path}, which depend on each other at initialization: "
-        f"{reason}; give a component among them an initial value of its own: a lag or a delay "
-        "with initial, or other start values"
+        f"no initial values for {loop.path}, which form an algebraic loop at initialization: "
+        f"{reason}; give a component of the loop an initial value of its own (a lag or delay with "
+        "initial), or other start values"
     )

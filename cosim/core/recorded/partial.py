@@ -88,7 +88,7 @@ class PartialRecord:
         for name, channel in recorded.items():
             names += [f"{name}.{signal.name}" for signal in channel.signals]
         return (
-            f"the log is partial, it was recorded with {self.selection}; there is: "
+            f"the log is partial (recorded with {self.selection}); available: "
             f"{listing(names, MOST_NAMES)}"
         )
 

@@ -219,7 +219,7 @@ def _read_table(label: str, text: str) -> dict[str, Any]:
     except (ValueError, TypeError, RecursionError):
         table = None
     if not isinstance(table, dict):
-        raise LogError(f"{label} cannot be understood: found {quoted(text)}, needed a JSON object")
+        raise LogError(f"{label} cannot be read: expected a JSON object, got {quoted(text)}")
     return table
 
 
@@ -242,10 +242,10 @@ def span_ns(
     """
     for name, value in zip(names, (t0, t1), strict=True):
         if value is not None and not math.isfinite(number_argument(name, value)):
-            raise UsageError(f"{name}: found {value!r}; needed a finite number of seconds")
+            raise UsageError(f"{name}: expected a finite number of seconds, got {value!r}")
     if t0 is not None and t1 is not None and t1 < t0:
         raise UsageError(
-            f"found {names[0]} = {t0} s after {names[1]} = {t1} s; needed the earlier one first"
+            f"expected {names[0]} <= {names[1]}, got {names[0]} = {t0} s and {names[1]} = {t1} s"
         )
     first_ns = None if t0 is None else first_nanosecond(_within_range(t0))
     last_ns = None if t1 is None else last_nanosecond(_within_range(t1))

@@ -90,12 +90,12 @@ def select_signals(
     for pattern in listed:
         if not isinstance(pattern, str):
             raise UsageError(
-                f"signals: found {quoted(pattern)}; needed names such as 'plant.y' or 'plant.*'"
+                f"signals: expected names such as 'plant.y' or 'plant.*', got {quoted(pattern)}"
             )
         for name, port in _matching(channels, names, pattern, source).items():
             chosen.setdefault(name, port)
     if not chosen:
-        raise UsageError("signals: found none; needed at least one, or None for all")
+        raise UsageError("signals: expected at least one, or None for all, got an empty list")
     return chosen
 
 
@@ -172,5 +172,8 @@ def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedCol
     counts = Counter(column.name for column in columns.values())
     for name, count in counts.items():
         if count > 1:
-            raise UsageError(f"found {count} columns called {name!r}; choose one of the signals")
+            raise UsageError(
+                f"{name!r} is ambiguous: it is the name of {count} columns; choose one of the "
+                "signals"
+            )
     return tuple(columns.values())

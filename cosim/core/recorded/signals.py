@@ -100,7 +100,7 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
         If there is none of that name; names the nearest.
     """
     if not isinstance(component, str):
-        raise UnknownSignalError(f"{source}: found {component!r}, needed a component's name")
+        raise UnknownSignalError(f"{source}: expected a component name, got {component!r}")
     if component not in channels:
         partial = partial_of(channels)
         if partial is not None and component in partial.declared:
@@ -228,7 +228,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         is_list = isinstance(signals, Sequence) and len(signals) > 0
         if not is_list or not all(isinstance(signal, str | Port) for signal in signals):
             raise LogError(
-                f"{self.label}: found {signals!r}; needed the name of a signal, or a list of names"
+                f"{self.label}: expected a signal name, or a list of names, got {signals!r}"
             )
         columns = [as_columns(self[signal]) for signal in signals]
         first = signals[0]
@@ -237,9 +237,9 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
             other_times = self.time_ns(_component_of(signal))
             if not np.array_equal(times, other_times):
                 raise LogError(
-                    f"{self.label}: '{first}' has {len(times)} rows and '{signal}' has "
-                    f"{len(other_times)}, at other instants; needed the same to stack them: "
-                    "read each by itself, with its own time()"
+                    f"{self.label}: expected signals with the same instants, got '{first}' with "
+                    f"{len(times)} rows and '{signal}' with {len(other_times)}; read each with "
+                    "its own time()"
                 )
         values = np.hstack(columns)
         values.flags.writeable = False

@@ -72,8 +72,8 @@ class GuardedComponent:
         """
         if component.interface != self._interface:
             raise GraphError(
-                f"component {self.name!r}: another one has another interface; needed the same "
-                "signals and declarations, so that wires and order stay"
+                f"component {self.name!r}: the replacement has a different interface; expected "
+                "the same signals and declarations"
             )
 
     def exchange(self, component: Component) -> None:
@@ -281,8 +281,8 @@ class GuardedComponent:
         for place in limits:
             if not (isinstance(place, Integral) and 0 <= place < len(t)):
                 raise RunError(
-                    f"left_limits returned the place {place!r}; needed one from 0 to {len(t) - 1}, "
-                    "of the times that it got"
+                    f"left_limits: expected indices from 0 to {len(t) - 1} of the given times, "
+                    f"got {place!r}"
                 )
         return limits
 
@@ -300,7 +300,7 @@ class GuardedComponent:
             raise RunError(_raised("first_event", error)) from error
         if not isinstance(time, Real) or math.isnan(time):
             raise RunError(
-                f"first_event returned {time!r}; needed a time [s], or infinity: there was no event"
+                f"first_event: expected a time [s], or infinity for no event, got {time!r}"
             )
         return float(time)
 
@@ -370,8 +370,8 @@ class GuardedComponent:
     def _design_array(self, key: str, array: Any) -> NDArray[np.float64]:
         if type(array) is not np.ndarray or array.dtype != FLOAT or not np.isfinite(array).all():
             raise RunError(
-                f"{self.name!r}: prepare returned {_description(array)} as {key!r}; "
-                "needed a float64 array of finite numbers"
+                f"{self.name!r}: prepare: expected a float64 array of finite numbers as {key!r}, "
+                f"got {_description(array)}"
             )
         return read_only(array.copy())
 
@@ -452,7 +452,7 @@ def _raised(method: str, error: BaseException) -> str:
     last = traceback.extract_tb(error.__traceback__)[-1]
     text = f"{method} raised {text} ({last.filename}, line {last.lineno})"
     if isinstance(error, ValueError) and "read-only" in str(error):
-        text += "; what a component is handed cannot be written to: copy it"
+        text += "; arrays passed to a component are read-only: copy them first"
     return text
 
 
@@ -460,7 +460,7 @@ def result_problem(y: Any, needed: tuple[int, ...]) -> str:
     """Return what is wrong with the outputs of a component; empty: nothing."""
     if type(y) is np.ndarray and y.dtype == FLOAT and y.shape == needed:
         return ""
-    return f"returned {_description(y)}; its interface needs a float64 array of shape {needed}"
+    return f"returned {_description(y)}; expected a float64 array of shape {needed}"
 
 
 def _description(value: Any) -> str:

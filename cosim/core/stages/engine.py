@@ -119,8 +119,8 @@ class Engine:
         """
         if self._graph.initializations != self._initialization:
             raise UsageError(
-                "another simulation of this graph has begun, and its components have one state "
-                "each; build a graph with components of its own for every simulation"
+                "another simulation of this graph has begun; build a graph with its own "
+                "components for each simulation, as a component has one state"
             )
 
     def rows(self, block: Block, first: Vector) -> Matrix:

@@ -134,9 +134,10 @@ class LookingAhead:
             if own[0].tobytes() != own[1].tobytes():
                 differs = (own[0] != own[1]).any(axis=1)
                 raise RunError(
-                    f"{member.name!r} went back to t = {part.time[0]} s, and the same steps gave "
-                    f"other values, first at t = {part.time[int(differs.argmax())]} s; needed a "
-                    "save() and restore() that fit, or an interface that declares no rollback"
+                    f"{member.name!r} went back to t = {part.time[0]} s and repeated the same "
+                    "steps with different values, first at t = "
+                    f"{part.time[int(differs.argmax())]} s; its save() and restore() must be "
+                    "complete, or its interface must not declare rollback"
                 )
 
     def _adapt(self, steps: int, elapsed: float) -> None:

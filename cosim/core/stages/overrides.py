@@ -198,14 +198,16 @@ def _as_list(to: str, value: OverrideValue, end: ConnectionEnd) -> list[float]:
         is_number = False
         values = []
     if not is_number:
-        raise GraphError(f"override of '{to}': found {kind_of(value)}; needed numbers")
+        raise GraphError(f"override of '{to}': expected numbers, got {kind_of(value)}")
     if end.signal.type != "boolean" and _has_truth(value, array):
         raise GraphError(
-            f"override of '{to}': found true or false; it is not Boolean: needed numbers"
+            f"override of '{to}': expected numbers, got true or false (the signal is not Boolean)"
         )
     if len(values) != end.size or array.ndim > 1:
         found = f"shape {array.shape}" if array.ndim > 1 else f"{len(values)} values"
-        raise GraphError(f"override of '{to}': found {found}; needed {end.size}, one an element")
+        raise GraphError(
+            f"override of '{to}': expected {end.size} values, one per element, got {found}"
+        )
     return values
 
 
@@ -220,11 +222,8 @@ def _check_value(to: str, value: float, signal: Signal) -> None:
     if math.isnan(value) and signal.optional:
         return
     if not math.isfinite(value):
-        raise GraphError(f"override of '{to}': found {value}; needed a finite number")
+        raise GraphError(f"override of '{to}': expected a finite number, got {value}")
     if signal.type == "boolean" and value not in (0.0, 1.0):
-        raise GraphError(f"override of '{to}': found {value}; it is Boolean: needed 0 or 1")
+        raise GraphError(f"override of '{to}': expected 0 or 1 (Boolean), got {value}")
     if signal.type == "integer" and (value != math.floor(value) or abs(value) > LARGEST_WHOLE):
-        raise GraphError(
-            f"override of '{to}': found {value}; it is an integer: needed a whole number within "
-            "2**53"
-        )
+        raise GraphError(f"override of '{to}': expected an integer within 2**53, got {value}")

@@ -116,11 +116,11 @@ class _WatchedLoop:
         column = int(self._columns[values.argmax()])
         member = next(m for m in self._members if m.columns.start <= column < m.columns.stop)
         return RunawayError(
-            f"{member.label(column - member.columns.start)!r} ran away to {row[column]:.3g} at "
-            f"t = {t} s: its loop grows by a steady factor of {growth:.3f} a step, to more than "
-            f"{LIMIT:g} times what it began with; everything before is kept; "
-            f"{member.note}; needed a smaller step or another coupling, or coupling_check = "
-            '"warn", if the system itself is to grow like that'
+            f"{member.label(column - member.columns.start)!r} diverges: {row[column]:.3g} at t = "
+            f"{t} s, after growth by a steady factor of {growth:.3f} per step to more than "
+            f"{LIMIT:g} times the initial scale of its loop; everything before is kept; "
+            f'{member.note}; use a smaller step or another coupling, or coupling_check = "warn" '
+            "if the system itself is unstable"
         )
 
 

@@ -275,9 +275,10 @@ def _check_rollback(members: Sequence[Member]) -> None:
     names = [member.name for member in members if not member.channel.interface.rollback]
     if names:
         raise RollbackError(
-            f"coupling: found 'newton', or several iterations, which takes a step several times; "
-            f"{listing(names)} in this loop cannot go back to its start (rollback is not declared; "
-            "of an FMU: canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi', with 1 iteration"
+            "coupling: expected 'gauss-seidel' or 'jacobi' with 1 iteration, got 'newton' or "
+            f"several iterations, which repeat steps; {listing(names)} in this loop cannot go "
+            "back to the start of a step (rollback is not declared; of an FMU: "
+            "canGetAndSetFMUstate)"
         )
 
 

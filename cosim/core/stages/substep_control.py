@@ -50,13 +50,11 @@ class SubstepTolerance:
         for name in ("rtol", "atol"):
             value = getattr(self, name)
             if not (isinstance(value, float) and 0.0 <= value < math.inf):
-                raise GraphError(f"{name}: found {value!r}, needed a number, 0 or more")
+                raise GraphError(f"{name}: expected a number >= 0, got {value!r}")
         if self.rtol == self.atol == 0.0:
-            raise GraphError("found rtol = atol = 0, needed one of them above 0")
+            raise GraphError("expected rtol > 0 or atol > 0, got rtol = atol = 0")
         if type(self.min_ns) is not int or self.min_ns < 1:
-            raise GraphError(
-                f"min_ns: found {self.min_ns!r}, needed a whole number of nanoseconds, at least 1"
-            )
+            raise GraphError(f"min_ns: expected an integer >= 1 [ns], got {self.min_ns!r}")
 
     def finest_level(self, step_ns: int) -> int:
         """Return the last level whose parts are not shorter than the shortest substep.
@@ -71,8 +69,8 @@ class SubstepTolerance:
             shortest = self.min_ns / NANOSECONDS
             step = step_ns / NANOSECONDS
             raise GraphError(
-                f"min: found {shortest} s, longer than half a step of {step} s; "
-                f"needed at most {step_ns // 2 / NANOSECONDS} s"
+                f"min: expected at most {step_ns // 2 / NANOSECONDS} s, half the step of {step} "
+                f"s, got {shortest} s"
             )
         return level
 
@@ -182,9 +180,9 @@ class RecordedSubsteps:
         )
         if not is_whole:
             raise LogError(
-                f"{recording.label}: the substeps of the loop of {loop!r} in /cosim/step are not "
-                "whole; needed those of every communication step, to replay a loop of which some "
-                "components are recorded"
+                f"{recording.label}: the substeps of the loop of {loop!r} in /cosim/step are "
+                "incomplete; a replay of a loop with recorded components requires those of every "
+                "communication step"
             )
 
     def between(self, begin: float, end: float) -> list[Substep]:

@@ -195,7 +195,7 @@ class SubsteppedLoop:
         if step.events > EVENTS:
             reason = (
                 f"{EVENTS} events between t = {step.begin} s and {step.end} s, the last at "
-                f"{event.time} s; they do not end, or need a smaller communication step"
+                f"{event.time} s; events accumulate (Zeno), or the communication step is too large"
             )
             stop = Stopped(np.empty((0, 0)), reason).at(event.component, event.time)
             raise Cut(0, stop, event.component)

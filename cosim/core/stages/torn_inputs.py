@@ -121,17 +121,17 @@ class TornInputs:
         """Return why there is no solution at ``t`` [s], the end of a step, as what stops it."""
         worst, residual, tolerance = self.solver.worst
         label = self.labels[worst]
-        at = f"residual of {residual:.3g} at {label!r}, needed at most {tolerance:.3g}"
+        at = f"residual of {residual:.3g} at {label!r}, expected at most {tolerance:.3g}"
         if status == INVALID:
-            reason = f"{label!r} becomes {self.answer[worst]}, which nothing can solve for"
+            reason = f"{label!r} becomes {self.answer[worst]}"
         elif status == UNDECIDED:
             reason = f"they have no solution, or more than one: 1 - dw/dv is singular, with a {at}"
         else:
             reason = f"Newton's method ended with a {at}"
         inputs = listing(self.labels)
         text = (
-            f"the inputs {inputs} of a loop, which depend on each other, were not solved at t = "
-            f"{t} s: {reason}; {self._way_out}"
+            f"the inputs {inputs} of an algebraic loop were not solved at t = {t} s: {reason}; "
+            f"{self._way_out}"
         )
         return Stopped(np.empty((0, 0)), text)
 
@@ -140,14 +140,14 @@ class TornInputs:
         """What can be done about a loop that is not solved."""
         if not self._jumping:
             return (
-                "needed a smaller step, or a component with a state of its own between, such as a "
-                "lag or a delay"
+                "use a smaller step, or break the loop with a component that has a state, such as "
+                "a lag or a delay"
             )
         return (
-            f"{listing(self._jumping)} may jump as inputs of the loop change, and where it meets a "
-            "jump there may be no solution with any step; needed an output that jumps at "
-            'communication points only (discrete = true, or a period), or coupling = "gauss-seidel"'
-            ' or "jacobi", which solve for nothing'
+            f"{listing(self._jumping)} may jump with inputs of the loop, and at a jump no step "
+            "may have a solution; use an output that jumps only at communication points (discrete "
+            '= true, or a period), or coupling = "gauss-seidel" or "jacobi", which solve no '
+            "equations"
         )
 
 

@@ -62,8 +62,8 @@ def faults_of(end: ConnectionEnd, kind: FaultKind, parameters: Sequence[float]) 
     if len(parameters) != each * end.size:
         needed = ", ".join(names) or "none"
         raise GraphError(
-            f"{kind}: found {len(parameters)} parameters; needed, of each of {end.size} elements: "
-            f"{needed}"
+            f"{kind}: expected for each of {end.size} elements: {needed}; got {len(parameters)} "
+            "parameters"
         )
     faults = []
     for number in range(end.size):
@@ -98,17 +98,17 @@ def _fault_of(
 def _check_parameters(kind: str, parameters: Mapping[str, float]) -> None:
     for name, value in parameters.items():
         if not math.isfinite(value):
-            raise GraphError(f"{kind}: found {name} {value}; needed a finite number")
+            raise GraphError(f"{kind}: {name}: expected a finite number, got {value}")
     deviation = parameters.get("deviation", 0.0)
     if deviation < 0.0:
-        raise GraphError(f"noise: found a deviation of {deviation}; needed 0 or more")
+        raise GraphError(f"noise: expected a standard deviation >= 0, got {deviation}")
     probability = parameters.get("probability", 1.0)
     if not 0.0 < probability <= 1.0:
-        raise GraphError(f"drop: found a probability of {probability}; needed more than 0, up to 1")
+        raise GraphError(f"drop: expected a probability > 0 and <= 1, got {probability}")
     for name, least in (("seed", 0), ("steps", 1)):
         value = parameters.get(name, 1.0)
         if value != math.floor(value) or not least <= value <= LARGEST_WHOLE:
-            raise GraphError(f"{kind}: found {name} {value}; needed a whole number from {least} on")
+            raise GraphError(f"{kind}: {name}: expected an integer >= {least}, got {value}")
 
 
 def _check_type(kind: str, parameters: Mapping[str, float], signal: Signal) -> None:
@@ -119,9 +119,9 @@ def _check_type(kind: str, parameters: Mapping[str, float], signal: Signal) -> N
     if signal.type == "real" or keeps or is_whole:
         return
     article = "Boolean" if signal.type == "boolean" else "an integer"
-    ways = "a whole offset or gain, " if signal.type == "integer" else ""
+    ways = "an integer offset or gain, " if signal.type == "integer" else ""
     raise GraphError(
-        f"{kind}: '{signal.name}' is {article}; needed {ways}override, freeze, drop or delay"
+        f"{kind}: '{signal.name}' is {article}; use {ways}override, freeze, drop or delay"
     )
 
 

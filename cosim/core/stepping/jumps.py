@@ -218,7 +218,7 @@ class Jumps:
         if not all(column in overrides for column in released.numbers):
             names = listing(list(self.overrides)) or "nothing is"
             raise GraphError(
-                f"release: '{released.name}' is not overridden, as a whole; overridden: {names}"
+                f"release: '{released.name}' is not overridden as a whole; overridden: {names}"
             )
         self._start(released, "release")
         for column in released.numbers:

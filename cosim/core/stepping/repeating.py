@@ -111,7 +111,9 @@ def repeat(
                     break
                 if index < simulation.index:
                     t = time_ns / 1e9
-                    raise LogError(f"an event at t = {t} s: found after a later one; sort them")
+                    raise LogError(
+                        f"the event at t = {t} s comes after a later one; sort the events by time"
+                    )
                 simulation.pass_to(index)
                 _apply(simulation, list(jumps), graph, recorded, settings or {})
             simulation.pass_to(clock.steps)
@@ -124,7 +126,7 @@ def _point(clock: Clock, time_ns: int) -> int:
     """Return the communication point of an event."""
     index, rest = divmod(time_ns - clock.start_ns, clock.step_ns)
     if rest or index < 0:
-        raise LogError(f"an event at t = {time_ns / 1e9} s: that is no communication point")
+        raise LogError(f"the event at t = {time_ns / 1e9} s is not at a communication point")
     return index
 
 
@@ -186,5 +188,5 @@ def _output_columns(graph: Graph, jump: SignalEvent, port: Port) -> slice:
         return slice(0, 0)  # follows its source here
     end = graph.ports.output(port)
     if end.size != len(jump.values):
-        raise UsageError(f"found {len(jump.values)} values, needed {end.size}")
+        raise UsageError(f"expected {end.size} values, got {len(jump.values)}")
     return end.columns

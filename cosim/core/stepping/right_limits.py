@@ -217,8 +217,8 @@ def _solve(group: _Group, t: float, row: Vector, given: GivenOutputs) -> None:
 
 def _unsolved(ports: str, t: float, reason: str) -> RunError:
     return RunError(
-        f"after a jump at t = {t} s, {ports} depend on each other, and were not solved: {reason}; "
-        "needed a component with a state of its own between, such as a lag or a delay"
+        f"after a jump at t = {t} s, {ports} form an algebraic loop that was not solved: "
+        f"{reason}; break the loop with a component that has a state, such as a lag or a delay"
     )
 
 

@@ -70,10 +70,7 @@ class SimulationState:
             try:
                 pickle.dumps(state)
             except Exception as error:  # a state is the component's own, and may raise anything
-                raise UsageError(
-                    f"state: that of {name!r} cannot leave its simulation: {error}; needed "
-                    "components whose states can be pickled"
-                ) from error
+                raise UsageError(f"state: that of {name!r} cannot be pickled: {error}") from error
 
 
 class States:
@@ -113,8 +110,8 @@ class States:
                 names.append(name)
         if names:
             raise UsageError(
-                f"state: {listing(names)} cannot go back (rollback is not declared); needed "
-                "components that can, or reset() and the same steps again"
+                f"state: {listing(names)} cannot go back (rollback is not declared); call reset() "
+                "and repeat the steps"
             )
 
     def save(
@@ -155,15 +152,14 @@ class States:
         """
         if state.graph != self.graph_hash:
             raise UsageError(
-                f"state: found one of another graph ({state.graph[:12]}; this one is "
-                f"{self.graph_hash[:12]}); needed a state of a simulation of the same scenario, "
-                "with the same values"
+                f"state: expected a state of this graph ({self.graph_hash[:12]}: same scenario, "
+                f"same values), got one of another graph ({state.graph[:12]})"
             )
         if state.index > self._clock.steps:
             time = (self._clock.start_ns + state.index * self._clock.step_ns) / 1e9
             raise UsageError(
-                f"state: found one at t = {time} s, after the stop at {self._clock.stop} s; "
-                "needed an earlier one, or a later stop"
+                f"state: expected a time before the stop at {self._clock.stop} s, got {time} s; "
+                "set a later stop"
             )
         if state.origin is not simulation:
             state.check_portable()

@@ -99,20 +99,20 @@ def _overlap_text(to: Port, others: Sequence[Port], port: Port) -> str:
     if names == f"'{to}'":
         return f"'{to}' is given twice; {ONE_SOURCE}"
     return (
-        f"'{to}' overlaps {names}: an element has one source (add signals with a 'sum'); needed "
-        f"'{port}' as a whole, or each of its elements once"
+        f"'{to}' overlaps {names}: an element has one source (add signals with a 'sum'); connect "
+        f"'{port}' as a whole, or each element once"
     )
 
 
 def _forbidden_text(port: Port, undriven: Sequence[Port]) -> str:
     if undriven:
         return (
-            f"'{port}' is connected in part, and has a start value that was set for it; leave one "
-            "of both out, or drive its other elements with a 'constant'"
+            f"'{port}' is connected in part and has an explicit start value; remove one of the "
+            "two, or drive its other elements with a 'constant'"
         )
     return (
-        f"'{port}' is connected, and has a start value that was set for it, which the "
-        "connection would overwrite; leave one of both out"
+        f"'{port}' is connected and has an explicit start value, which the connection would "
+        "overwrite; remove one of the two"
     )
 
 
@@ -147,9 +147,9 @@ def _mismatches(
         yield from _unit_mismatches(connection, source.signal, target)
     if connection.matrix.ndim and not _one_conversion(connection, target, sources):
         units = ", ".join(_unit_text(source.signal.measure) for source in sources)
-        yield f"a gain cannot mix the units {units}; give the unit that it leads to, unit = ..."
+        yield f"a gain cannot mix the units {units}; set the resulting unit with unit = ..."
     if not target.optional and any(source.signal.optional for source in sources):
-        yield "the source may carry no value (NaN), the input needs one at every step"
+        yield "the source may be NaN; the input requires a value at every step"
 
 
 def _size_mismatches(
@@ -158,7 +158,7 @@ def _size_mismatches(
     size = sum(source.size for source in sources)
     shape = connection.matrix.shape
     if shape and shape != (target.size, size):
-        yield f"gain has shape {shape}, needed ({target.size}, {size})"
+        yield f"gain: expected shape ({target.size}, {size}), got {shape}"
     if not shape and size != target.size:
         source_unit = _bracketed_unit(sources[0].signal)
         target_unit = _bracketed_unit(target.signal)
@@ -184,8 +184,8 @@ def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> 
         )
     if _is_identity(connection) and not _same_unit(source.measure, reached):
         yield (
-            f"the source has unit {source.unit!r}; unit = {connection.unit!r} needs its gain; "
-            "without it the unit is converted"
+            f"the source has unit {source.unit!r}; unit = {connection.unit!r} requires a gain; "
+            "without unit it is converted"
         )
 
 

@@ -173,9 +173,9 @@ def _check_continuous(dependencies: PortDependencies, interfaces: Mapping[str, I
                 inside = {port: [p for p in dependencies[port] if p in ports] for port in ports}
                 path = " -> ".join(map(str, find_cycle(inside)))
                 raise AlgebraicLoopError(
-                    f"{path}: every output here feeds through, and '{port}' is discrete, so that "
-                    "no value between two others can solve it; put a component with a state of "
-                    "its own between, such as a delay"
+                    f"{path}: algebraic loop (every output has direct feedthrough), and '{port}' "
+                    "is discrete, so that it cannot be solved by iteration; break the loop with a "
+                    "component that has a state, such as a delay"
                 )
 
 

@@ -108,8 +108,8 @@ def unknown_port(port: Port, interface: Interface, causality: Causality) -> Grap
     if port.name in own_names or port.signal in own_names:
         other = "input" if causality == "output" else "output"
         return GraphError(
-            f"'{port}' is an {other} of {port.component!r}; needed an {causality}; "
-            f"there is: {', '.join(names) or 'none'}"
+            f"'{port}': expected an {causality} of {port.component!r}, got an {other}; available: "
+            f"{', '.join(names) or 'none'}"
         )
     suggestion = nearest(port.signal, names)
     if "[" in port.signal:

@@ -69,10 +69,10 @@ def substep_roles(
         late = [name for name in late if name not in read]
     if unfit:
         raise RollbackError(
-            f"substeps: {listing(unfit)} in this loop cannot take parts of a step and go back "
+            f"substeps: {listing(unfit)} in this loop cannot take part of a step and go back "
             "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
-            "canHandleVariableCommunicationStepSize), and other components follow the outputs "
-            "through the step; needed a loop without, or a smaller step without substeps"
+            "canHandleVariableCommunicationStepSize), and other components read its outputs "
+            "within the step; use a loop without it, or a smaller step without substeps"
         )
     return SubstepRoles(tuple(taking), tuple(early), tuple(late))
 

@@ -115,8 +115,8 @@ class PastAlphas:
         for signal in signals_among(self.alphas):
             if min(self.ages) < signal.lag * (1.0 - _ROUNDING):
                 raise UsageError(
-                    f"alpha {signal.text!r} lags behind by {signal.lag:g} s, and is needed "
-                    f"{min(self.ages):g} s late; needed an alpha that lags no more than that"
+                    f"alpha {signal.text!r}: expected a lag of at most {min(self.ages):g} s, got "
+                    f"{signal.lag:g} s"
                 )
 
     @property

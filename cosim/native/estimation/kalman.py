@@ -174,8 +174,8 @@ class AugmentedKalmanStep:
         n = len(constants.Phi)
         if capacity * n * n > LARGEST_MEMORY:
             raise UsageError(
-                f"smoothing keeps {n * n} numbers of each of {capacity} samples, which do not fit; "
-                "needed a shorter run, a larger step, or another method"
+                f"smoothing stores {n * n} numbers for each of {capacity} samples, too many for "
+                "memory; use a shorter run, a larger step, or another method"
             )
         projection: IdentifierStep | None = None
         terms = 0

@@ -300,9 +300,10 @@ class OutputErrorModel:
         derivatives = unknowns - self.linear
         raise AssumptionError(
             f"the fit to {signal} has {generators.parameters} parameters, and {states}, "
-            f"{generators.order} amplitudes, their {derivatives} derivatives and {offsets} offsets "
-            f"as {unknowns} columns; at most {MOST_PARAMETERS} parameters and {MOST_COLUMNS - 1} "
-            'columns are possible; use a model of fewer states, or method = "least-squares"'
+            f"{generators.order} amplitudes, their {derivatives} derivatives and {offsets} "
+            f"offsets as {unknowns} columns; expected at most {MOST_PARAMETERS} parameters and "
+            f"{MOST_COLUMNS - 1} columns; use a model with fewer states, or method = "
+            '"least-squares"'
         )
 
 

@@ -125,8 +125,7 @@ def predictor_gains(
     )
     if status:
         raise AssumptionError(
-            "an unstable mode of the plant grows beyond all digits between two samples; needed "
-            "shorter gaps"
+            "an unstable mode of the plant overflows between two samples; expected shorter gaps"
         )
     return gains, L
 

@@ -72,8 +72,9 @@ class RayleighConstants:
         ):
             if found > most:
                 raise AssumptionError(
-                    f"(25) has {found} {name}, at most {most} are possible; give components the "
-                    "same alpha, use fewer, or estimate by output error from a start of your own"
+                    f"the linear regression: expected at most {most} {name}, got {found}; give "
+                    "components the same alpha, use fewer, or estimate by output error from an "
+                    "explicit start"
                 )
 
 

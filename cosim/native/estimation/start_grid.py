@@ -115,7 +115,7 @@ class StartGridModel:
             If ``most`` is not in that range.
         """
         if not 1 <= most <= MOST_STARTS:
-            raise UsageError(f"most: found {most} starts; needed 1 to {MOST_STARTS}")
+            raise UsageError(f"most: expected 1 to {MOST_STARTS}, got {most} starts")
         R, memory = self._work_of(triangles)
         theta = np.zeros((most, self._parameters))
         count = library.cosim_start_grid_search(

@@ -107,7 +107,7 @@ UNITS: Final[Mapping[str, int]] = {
     "min": 60 * 10**9,
     "h": 3600 * 10**9,
 }  # of durations [ns]
-_COMPARISON_NEEDED = "needed a comparison, such as plant.y < 1, or several joined by and, or, not"
+_COMPARISON_NEEDED = "expected a comparison, such as plant.y < 1, or several joined by and, or, not"
 _FOR = re.compile(r"(?<=[\s)\]])for(?=\s|$)")
 _NOT_IN_DURATION: Final = frozenset("'\"()[]<>=")
 _DURATION = re.compile(
@@ -137,13 +137,11 @@ class _Form:
     is_condition: bool = False
 
 
-_WITH_SIGNALS = (
-    "only numbers, t, pi, e, signals such as plant.y, + - * / ** and functions are allowed"
-)
+_WITH_SIGNALS = "allowed: numbers, t, pi, e, signals such as plant.y, + - * / ** and functions"
 _IN_TIME: Final = _Form(
     "an expression",
     "'1.35 + 0.25*sin(1.7*t)'",
-    "only numbers, t, pi, e, + - * / ** and functions are allowed",
+    "allowed: numbers, t, pi, e, + - * / ** and functions",
 )
 _OVER_SIGNALS: Final = _Form(
     "an expression", "'observer.delta - delta.y'", _WITH_SIGNALS, over_signals=True
@@ -158,7 +156,7 @@ _CONDITION: Final = _Form(
 _METRIC: Final = _Form(
     "a metric",
     "'rms(observer.delta - delta.y)'",
-    "only numbers, pi, e, reductions such as last(plant.y), + - * / ** and functions are allowed",
+    "allowed: numbers, pi, e, reductions such as last(plant.y), + - * / ** and functions",
     over_signals=True,
 )
 
@@ -312,8 +310,8 @@ def read_duration(start: str, duration: str) -> int:
     UsageError
         If it is none, not positive, or no whole number of nanoseconds.
     """
-    found = f"{start}: found {quoted(duration.strip())} after 'for'"
-    needed = "needed a duration, such as 10 ms, 1 s, or 0.5 in seconds"
+    found = f"{start}: got {quoted(duration.strip())} after 'for'"
+    needed = "expected a duration, such as 10 ms, 1 s, or 0.5 in seconds"
     match = _DURATION.fullmatch(duration.strip())
     if match is None:
         raise UsageError(f"{found}; {needed}")
@@ -322,9 +320,9 @@ def read_duration(start: str, duration: str) -> int:
         raise UsageError(f"{found}: unknown unit {unit!r}; {nearest(unit, UNITS)}")
     ns = Decimal(match["number"]) * UNITS[unit]
     if not 0 < ns <= _LONGEST_NS:
-        raise UsageError(f"{found}; needed a positive duration of less than 292 years")
+        raise UsageError(f"{found}; expected a positive duration of less than 292 years")
     if ns != int(ns):
-        raise UsageError(f"{found}; needed a whole number of nanoseconds")
+        raise UsageError(f"{found}; expected a whole number of nanoseconds")
     return int(ns)
 
 
@@ -343,7 +341,7 @@ def _emitted(form: _Form, tree: ast.expr, text: str, source: str) -> Program:
     except RecursionError as error:
         raise nested_too_deep(start) from error
     if depth > _STACK:
-        raise UsageError(f"{start}: nested {depth} deep, at most {_STACK}")
+        raise UsageError(f"{start}: expected at most {_STACK} levels of nesting, got {depth}")
     code = np.array(compiler.code, np.int32)
     constants = np.array(
         compiler.constants or [0.0], np.float64
@@ -353,7 +351,7 @@ def _emitted(form: _Form, tree: ast.expr, text: str, source: str) -> Program:
 
 def nested_too_deep(start: str) -> UsageError:
     """Return the error of a text that Python cannot follow into its depth."""
-    return UsageError(f"{start}: nested too deep to be read; write it with fewer terms")
+    return UsageError(f"{start}: nested too deeply; use fewer terms")
 
 
 def _start(form: _Form, text: str) -> str:
@@ -395,7 +393,7 @@ def _parse(form: _Form, text: str, source: str) -> ast.expr:
     """Return the syntax tree of the part of a text that should have a form."""
     start = _start(form, text)
     if len(text) > MOST_TEXT:
-        raise UsageError(f"{start}: has {len(text)} characters; needed at most {MOST_TEXT}")
+        raise UsageError(f"{start}: expected at most {MOST_TEXT} characters, got {len(text)}")
     try:
         with ignored_warnings():  # of "1or 2" and the like, which the compiler refuses
             return ast.parse(source.strip(), mode="eval").body
@@ -403,7 +401,7 @@ def _parse(form: _Form, text: str, source: str) -> ast.expr:
         column = error.offset if isinstance(error, SyntaxError) else None
         place = f" at column {column}" if column else ""
         raise UsageError(
-            f"{start}: not {form.name}{place}; needed something like {form.example}"
+            f"{start}: not {form.name}{place}; expected something like {form.example}"
         ) from error
 
 
@@ -444,7 +442,7 @@ class _Compiler:
                 return self._call(name, arguments)
             case _ if self._form.over_signals and is_signal(node):
                 return self._signal("".join(self._source(node).split()))
-        raise self._refusal(quoted(self._source(node)), self._form.allowed)
+        raise self._refusal("got " + quoted(self._source(node)), self._form.allowed)
 
     def emit_condition(self, node: ast.expr, *, negated: bool = False) -> int:
         """Append the code of a condition, or of its negation: 1 where it is true, else 0."""
@@ -461,7 +459,7 @@ class _Compiler:
                 pairs = zip(operators, pairwise([left, *others]), strict=True)
                 parts = [partial(self._comparison, *pair, negated) for pair in pairs]
                 return self._joined("max" if negated else "min", parts)
-        raise self._refusal(quoted(self._source(node)), _COMPARISON_NEEDED)
+        raise self._refusal("got " + quoted(self._source(node)), _COMPARISON_NEEDED)
 
     def _comparison(
         self, operator: ast.cmpop, operands: tuple[ast.expr, ast.expr], negated: bool
@@ -490,9 +488,9 @@ class _Compiler:
 
     def _literal(self, value: object) -> int:
         if value is ...:
-            raise self._refusal("'...'", self._form.allowed)
+            raise self._refusal("got '...'", self._form.allowed)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self._refusal(quoted(value), "needed a real number")
+            raise self._refusal("got " + quoted(value), "expected a real number")
         return self._constant(value)
 
     def _name(self, name: str) -> int:
@@ -515,7 +513,7 @@ class _Compiler:
         except OverflowError:  # an integer beyond the largest double
             number = math.inf
         if not math.isfinite(number):
-            raise self._refusal(quoted(value), "needed a finite number")
+            raise self._refusal("got " + quoted(value), "expected a finite number")
         self.code.append(len(OPERATIONS) + len(self.constants))
         self.constants.append(number)
         return 1
@@ -526,7 +524,7 @@ class _Compiler:
             nearest_name = nearest(name, [*FUNCTIONS, "min", "max"])
             raise self._refusal(f"unknown function {quoted(name)}", nearest_name)
         if len(arguments) != needed:
-            raise self._refusal(f"{name} with {len(arguments)} arguments", f"needed {needed}")
+            raise self._refusal(f"got {name} with {len(arguments)} arguments", f"expected {needed}")
         return self._operation(name, arguments)
 
     def _operation(self, operation: str, arguments: list[ast.expr]) -> int:
@@ -535,8 +533,8 @@ class _Compiler:
         self.code.append(_CODE[operation])
         return max(depths)
 
-    def _refusal(self, found: str, needed: str) -> UsageError:
-        return UsageError(f"{_start(self._form, self._text)}: found {found}; {needed}")
+    def _refusal(self, problem: str, way_out: str) -> UsageError:
+        return UsageError(f"{_start(self._form, self._text)}: {problem}; {way_out}")
 
 
 def _is_written(node: ast.expr) -> bool:

@@ -139,8 +139,8 @@ class RungeKutta:
     def too_small_a_step(self) -> RunError:
         """Return the error of a tolerance that needs too small a step where it is now."""
         return RunError(
-            f"solver {self._method}: at t = {self._memory[TIME]} s the tolerance needs steps below "
-            "the spacing of numbers"
+            f"solver {self._method}: at t = {self._memory[TIME]} s the tolerance requires steps "
+            "below floating-point resolution"
         )
 
     def compiled(self, f: int, model: int) -> RungeKuttaStruct:

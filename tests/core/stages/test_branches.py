@@ -19,8 +19,8 @@ from cosim.core.stages import branches
 from cosim.core.stages.branches import Branches
 from cosim.core.stages.native_stage import NativeStage, advancing_stages
 from cosim.errors import CosimError, GraphError
-from tests.core.parts import integrator, through
-from tests.core.stages.test_native_stage import InPython, random_graph, rows_of
+from tests.core.graphs import random_graph, rows_of
+from tests.core.parts import InPython, integrator, through
 
 
 @pytest.fixture(params=[False, True], ids=["in turn", "side by side"])
@@ -60,7 +60,7 @@ def test_two_chains_behind_a_source_have_the_bits_of_one_thread():
     assert [type(stage) for stage in advancing_stages(in_one)] == [NativeStage]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.booleans())
 def test_any_graph_has_the_bits_of_one_thread(seed, python_parts):
     """Also with components that are called in Python, one at a time."""

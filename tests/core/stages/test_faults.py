@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from cosim.blocks.arithmetic import gain
-from cosim.blocks.dynamics import Delay
-from cosim.blocks.source import Noise, constant, sine
+from cosim.blocks.source import constant, sine
 from cosim.core.clock import Clock
-from cosim.core.connections import Connection
 from cosim.core.graph import Graph
 from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent
@@ -18,7 +16,8 @@ from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.core.stepping.repeating import repeat
 from cosim.errors import GraphError, LogError, NonFiniteError
-from tests.core.parts import Scripted, half_through, integrator, through, times
+from tests.core.graphs import loop
+from tests.core.parts import Scripted, integrator, times
 
 STEP = 0.1
 BEGIN = 5
@@ -164,22 +163,6 @@ def test_what_feeds_through_follows_a_fault_at_once():
     assert rows["x.u"][-1] == rows["s.y"][-1]
     simulation.release("g.u")
     assert simulation["x.u"] == rows["s.y"][-1]
-
-
-def loop(**options):
-    components = {
-        "noise": Noise(deviation=0.1, seed=3),
-        "s": sine(rate=1.0),
-        "plant": half_through(),
-        "controller": through(),
-        "late": Delay(3),
-    }
-    connections = {
-        "controller.u": Connection("plant.v", gain=-0.5),
-        "plant.u": "controller.y",
-        "late.u": "s.y",
-    }
-    return Graph(components, connections, **options)
 
 
 def follow(simulation, kind, parameters, size):

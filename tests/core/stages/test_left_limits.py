@@ -25,27 +25,8 @@ from cosim.core.recording import SignalEvent
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.errors import AlgebraicLoopError, RunError
-from tests.core.parts import half_through, integrator, through, times
-from tests.core.stages.test_native_stage import InPython
-
-RATE = 1e3  # rad/s
-
-
-def derivative_filter() -> Linear:
-    """Return q' = a (y + u - q), d = a (y + u - q): the filtered derivative of y + u."""
-    interface = Interface(
-        (Signal("u"), Signal("y")), (Signal("d"),), {"d": ("u", "y")}, {"d": ("u", "y")}
-    )
-    B = np.array([[RATE, RATE]])
-    A = np.array([[-RATE]])
-    x0 = np.zeros(1)
-    return Linear(LinearModel(interface, ("q",), A, B, A, B, x0, np.ones((1, 2))))
-
-
-def stand(D: float = -1.0) -> Linear:
-    """Return x' = 0, y = x + D u with x = 2."""
-    zero = np.zeros((1, 1))
-    return Linear(controller(A=zero, B=zero, C=np.eye(1), D=np.array([[D]]), x0=np.array([2.0])))
+from tests.core.graphs import RATE, derivative_filter, stand
+from tests.core.parts import InPython, half_through, integrator, through, times
 
 
 def recorded(graph: Graph, clock: Clock) -> Memory:
@@ -210,7 +191,7 @@ def random_graph(seed: int, coupling: str, *, native: bool, python_parts: bool) 
     return Graph(components, connections, coupling=coupling, native=native)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32), st.sampled_from(["gauss-seidel", "jacobi", "newton"]), st.booleans())
 def test_bits_and_events_depend_on_nothing_but_the_graph(seed, coupling, python_parts):
     """Compiled or not, in blocks of any length, and step by step."""

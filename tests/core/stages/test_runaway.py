@@ -15,7 +15,7 @@ from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.core.stages.runaway import HISTORY, LIMIT, LoopWatch
 from cosim.errors import RunawayError
-from tests.core.stages.test_newton import state_space
+from tests.core.graphs import state_space
 
 ROOT = math.sqrt(3.0)
 

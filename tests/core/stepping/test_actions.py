@@ -21,8 +21,8 @@ from cosim.core.stepping.actions import (
 )
 from cosim.core.stepping.repeating import repeat, run_with_actions
 from cosim.errors import GraphError, NonFiniteError
+from tests.core.graphs import loop
 from tests.core.parts import Scripted, integrator, times
-from tests.core.stages.test_faults import loop
 
 STEP = 0.1
 ACTIONS = [

@@ -86,7 +86,7 @@ def test_times_come_from_where_is_asked(states, time, shift):
         ("position[0]", "'position' is a number, so there is no '[0]' in it"),
         ("inner[0].offset", "'inner' is not repeated, so it has no elements"),
         ("effort[4]", "message 1: 'effort' has 4 elements, numbered from 0; needed [4]"),
-        ("effort[2:2]", "'effort[2:2]' has no elements; needed a slice"),
+        ("effort[2:2]", "'effort[2:2]' has no elements"),
         ("effort[", "'effort[' names no field; needed names with dots"),
     ],
 )

@@ -210,7 +210,7 @@ CASES = {
     "wrong type": ('set = { "g.K" = "much" }', r"set\.g\.K: found 'much'; needed a number or a"),
     "wrong value": (
         'set = { "x.time_constant" = -1.0 }',
-        r"set\.x\.time_constant: lag: found time_constant = -1\.0 s, needed a positive time",
+        r"set\.x\.time_constant: lag: time_constant: .*> 0, got -1\.0 s",
     ),
     "another size": (
         'set = { "c.value" = [1.0, 2.0, 3.0] }',

@@ -238,8 +238,8 @@ REFUSED = {
     "x.v > 0.5": "the graph has no 'x.v': 'x' has no signal 'v'; there is: u, y",
     "xx.y > 0.5": "the graph has no component 'xx'; did you mean 'x'? There is: s, x, z",
     "x.y": "found 'x.y'; needed a comparison",
-    "x.y > limit": "found unknown name 'limit'",
-    "open('x') > 1": "found unknown function 'open'",
+    "x.y > limit": "unknown name 'limit'",
+    "open('x') > 1": "unknown function 'open'",
     "x.y[1] > 1": "'x.y' has 1 element, numbered from 0",
 }
 

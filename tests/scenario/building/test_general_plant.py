@@ -37,7 +37,7 @@ def test_a_general_plant_replays_and_is_its_fmu(general, tmp_path):
     assert fmu["plant.x"].shape == log["plant.x"].shape
     # the solver of model exchange has the tolerance 1e-9
     np.testing.assert_allclose(fmu["plant.x"], log["plant.x"], rtol=0, atol=1e-6)
-    with pytest.raises(CosimError, match=r"a residual form .*; needed a model of the form n_a"):
+    with pytest.raises(CosimError, match=r"a residual form .* n_a"):
         export_component(str(general), "plant", tmp_path / "dae.fmu", dae=True)
 
 
@@ -134,7 +134,7 @@ def test_a_model_that_is_no_form_is_refused_at_its_key(tmp_path, model, message)
     [
         (GENERAL, "", r"components\.plant: x0 is missing; needed 3 numbers, the states of 'm'"),
         (GENERAL, "x_a0 = [1, 2]", r"x_a0: the model 'm' has the states x; needed x0"),
-        (GENERAL, "x0 = [1, 2]", r"x0 has shape \(2,\); needed \(3,\): one number a state"),
+        (GENERAL, "x0 = [1, 2]", r"x0: .*\(3,\), .*, got \(2,\)"),
         (PARTITIONED, "", r"x_a0 is missing; needed 2 numbers, the states of 'm'"),
         (PARTITIONED, "x0 = [1, 2, 3]", r"x0: the model 'm' has n_a: .*; needed x_a0"),
     ],

@@ -99,7 +99,9 @@ def test_inputs_of_components_in_a_loop_may_be_left_out_too(fmu, tmp_path, coupl
 def test_a_start_value_of_a_connected_input_is_refused(scenario):
     """The connection would overwrite it at once."""
     path = scenario("start = { u = 0.75 }", '"plant.u" = "c.y"')
-    with pytest.raises(ScenarioError, match=r"'plant\.u' is connected, and has a start value"):
+    with pytest.raises(
+        ScenarioError, match=r"'plant\.u' is connected and has an explicit start value"
+    ):
         cosim.run(path, recorder=Memory())
 
 
@@ -110,7 +112,9 @@ def test_a_start_value_of_a_connected_input_is_refused_under_another_name(scenar
     path = scenario("", '"plant.u" = "c.y"')
     swap = {"plant": other}
     renamed = {"plant.u": "w"}
-    with pytest.raises(ScenarioError, match=r"'plant\.u' is connected, and has a start value"):
+    with pytest.raises(
+        ScenarioError, match=r"'plant\.u' is connected and has an explicit start value"
+    ):
         cosim.run(path, recorder=Memory(), swap=swap, map=renamed, set={"plant.start": {"w": 0.75}})
     memory = cosim.run(path, recorder=Memory(), swap=swap, map=renamed)
     assert memory["plant.u"].tolist() == [0.5] * (STEPS + 1)

@@ -150,10 +150,10 @@ REFUSED = {
     'y = "x.u"': "'d.u1': 'x.u' is an input of 'x'; needed an output",
     'y = "two.y"': "two.y -> d.u1: size 2",
     'y = "two.y[2]"': "'two.y' has 2 elements, numbered from 0",
-    'y = "s.y > 1"': "found 's.y > 1'; only numbers, t, pi, e, signals such as plant.y",
-    'y = "s.y + v"': "found unknown name 'v'",
-    "y = \"s.y + 'v'\"": "'v' is no port; needed COMPONENT.SIGNAL, such as plant.y",
-    'y = "f(s.y)"': "found unknown function 'f'",
+    'y = "s.y > 1"': "got 's.y > 1'; allowed: numbers, t, pi, e, signals such as plant.y",
+    'y = "s.y + v"': "unknown name 'v'",
+    "y = \"s.y + 'v'\"": "COMPONENT.SIGNAL, such as plant.y, got 'v'",
+    'y = "f(s.y)"': "unknown function 'f'",
     'y = "t"\noptional = true': "optional: found true, and no signal in y that may have no value",
 }
 

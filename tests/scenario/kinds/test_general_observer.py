@@ -238,7 +238,7 @@ def test_an_exported_observer_is_the_component(direct, tmp_path, name):
         (
             GENERAL,
             "poles = [-4.0]\nfilter_rate = 1.0\nx0 = [1.0, 2.0]",
-            "x0 has shape (2,); needed (3,): one number a state",
+            "x0: expected shape (3,), one number a state, got (2,)",
         ),
         (
             "A = [[-1]]\nB = [[1, 0]]\nC = [[1]]\nD = [[0, 1]]\ndisturbances = [1]",

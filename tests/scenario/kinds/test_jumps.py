@@ -81,7 +81,7 @@ DISTURBANCE = 'kind = "disturbance"\n'
         ),
         (
             HELD + "t = [0.0, 0.5, 0.4, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]",
-            r"t\[2\] = 0\.4 s does not come after 0\.5 s",
+            r"increasing instants, got t\[2\] = 0\.4 s after",
         ),
         (
             HELD + "t = [0.0, 0.3, 0.3, 2.0]\ny = [0.0, 0.0, 3.0, 3.0]",

@@ -140,19 +140,19 @@ def test_valid_drives_another_component(tmp_path):
 @pytest.mark.parametrize(
     ("errors", "text"),
     [
-        ("noise = 0.1", "seed: needed with noise, jitter or dropout, a whole number"),
-        ("noise = -0.1\nseed = 1", "noise: found -0.1, needed 0 or more"),
+        ("noise = 0.1", "seed: expected an integer, as noise, jitter and dropout require one"),
+        ("noise = -0.1\nseed = 1", "noise: expected a standard deviation >= 0, got -0.1"),
         (
             "noise = [0.1, 0.2]\nseed = 1",
-            "noise: found 2 numbers, needed one, or one for each of 1",
+            "noise: expected one number, or one for each of 1 elements, got 2",
         ),
         ("delay = -1e-3", "delay: found -0.001 s, needed 0 s or more"),
         ("jitter = -1e-3\nseed = 1", "jitter: found -0.001 s, needed 0 s or more"),
-        ("jitter = 1e-3\nseed = 1", "jitter: found 1 communication step, needed 0 to 0.5"),
+        ("jitter = 1e-3\nseed = 1", "jitter: expected 0 to 0.5"),
         ("delay = 1.5e-10", "1.5e-10 s is not a whole number of nanoseconds"),
-        ("lower = 1\nupper = 1", "found lower = 1 and upper = 1, needed lower < upper"),
-        ("bits = 12", "bits: needed lower and upper too"),
-        ("dropout = 1.0\nseed = 1", "dropout: found 1, needed a probability of 0 or more, below 1"),
+        ("lower = 1\nupper = 1", "expected lower < upper, got lower = 1 and upper = 1"),
+        ("bits = 12", "bits: requires lower and upper"),
+        ("dropout = 1.0\nseed = 1", "dropout: expected a probability >= 0 and < 1, got 1"),
         ("period = 1.5e-3", "period of 'sensor': 0.0015 s is not a whole number of 0.001 s steps"),
     ],
 )

@@ -206,7 +206,9 @@ def test_an_unstable_plant_needs_its_noise_stated(two):
     )
     path = two.with_name("unstable.toml")
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(CosimError, match=re.escape("needed its deviation, one number an output")):
+    with pytest.raises(
+        CosimError, match=re.escape("expected its standard deviation (one number per output)")
+    ):
         cosim.run(path)
 
 

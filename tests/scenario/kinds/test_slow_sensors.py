@@ -155,8 +155,8 @@ def test_a_log_of_time_stamps_is_fitted_as_its_run(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"jitter": 0.005}, "time_stamps: found a jitter of 0.5 communication steps and a delay"),
-        ({"jitter": 0.005, "delay": 0.01, "size": 2}, "time_stamps: found jitter and size 2"),
+        ({"jitter": 0.005}, "got a jitter of 0.5 communication steps and a delay"),
+        ({"jitter": 0.005, "delay": 0.01, "size": 2}, "got jitter and size 2"),
     ],
 )
 def test_time_stamps_that_no_sensor_has_are_refused(changes, text):

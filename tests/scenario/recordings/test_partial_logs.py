@@ -247,7 +247,7 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
         (record([]), r"record.signals: found \[\]; needed at least 1"),
         (record("plant.y"), "record.signals: found 'plant.y'; needed a list of strings"),
         (record([1]), "record.signals.0: found 1; needed a string"),
-        (record(["plant.x_a[0]"]), "part of a signal; needed whole signals, such as 'plant.x_a'"),
+        (record(["plant.x_a[0]"]), "whole signals, such as 'plant.x_a', got 'plant.x_a[0]'"),
         (record(every=0), "record.every: found 0; needed at least 1"),
         (record(every=-3), "record.every: found -3; needed at least 1"),
         (record(every=2.5), r"record.every: found 2\.5; needed a whole number"),

@@ -74,5 +74,7 @@ def test_a_recorded_design_of_other_arrays_is_refused(logs, log, name, key, chan
             design["more"] = design[key]
     items["cosim.design"] = encode_design(design)
     path = put_together(content, tmp_path / "a.mcap")
-    with pytest.raises(LogError, match=f"'{name}': the recorded design has arrays of shapes "):
+    with pytest.raises(
+        LogError, match=f"'{name}': the recorded design: expected arrays of shapes "
+    ):
         cosim.replay(path)

@@ -58,10 +58,10 @@ def test_a_controller_with_a_period_samples_and_holds(tmp_path, n):
 @pytest.mark.parametrize("period", [0.0, -0.01])
 def test_a_period_that_is_none_is_refused(tmp_path, period):
     with pytest.raises(
-        ScenarioError, match=r"period: found (0|-1) communication steps, needed at least 1"
+        ScenarioError, match=r"period: expected at least 1 communication step, got (0|-1)"
     ):
         cosim.run(parse(Document(SAMPLED.format(period=period), "sampled", tmp_path)))
     with pytest.raises(
-        ScenarioError, match=r"period: found (0|-1) communication steps, needed at least 1"
+        ScenarioError, match=r"period: expected at least 1 communication step, got (0|-1)"
     ):
         cosim.run("academic", set={"identifier.period": period / 10})

@@ -125,7 +125,10 @@ def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
     [
         ({"start_time": -1.0}, r"scenario\.start_time: .*found -1\.0 s, needed 0 s or later"),
         ({"start_time": 1.5e-9}, r"scenario\.start_time: 1\.5e-09 s is not a whole number of nano"),
-        ({"start_time": 40.0}, r"scenario\.stop: stop: found 20\.0 s, needed a time after start"),
+        (
+            {"start_time": 40.0},
+            r"scenario\.stop: stop: expected a time after start_time = 40\.0 s, got 20\.0 s",
+        ),
         ({"start_time": 20.0}, r"needed a time after start_time, 20\.0 s"),
         (
             {"start_time": 0.0005},

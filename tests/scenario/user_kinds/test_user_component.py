@@ -372,8 +372,8 @@ def test_a_class_that_is_no_component_is_named_before_the_run(tmp_path):
     with pytest.raises(ScenarioError) as error:
         cosim.run(one(tmp_path))
     assert str(error.value) == (
-        "one.toml:10: components.own: component 'own': found an object of type Own, whose "
-        "interface is None; needed a component with a cosim.core.Interface"
+        "one.toml:10: components.own: component 'own': expected an interface of "
+        "type cosim.core.Interface, got None from an object of type Own"
     )
     write(
         tmp_path,
@@ -467,11 +467,11 @@ def test_an_exception_in_initialize_names_component_time_and_line(tmp_path):
 @pytest.mark.parametrize(
     ("value", "found"),
     [
-        ("1.0", "returned float; its interface needs a float64 array of shape (1, 1)"),
-        ("np.zeros(3)", "returned an array of float64, shape (3,); its interface needs"),
-        ("np.zeros((4, 2))", "returned an array of float64, shape (4, 2); its interface needs"),
-        ("np.zeros((1, 1), int)", "returned an array of int64, shape (1, 1); its interface needs"),
-        ("None", "returned NoneType; its interface needs"),
+        ("1.0", "returned float; expected a float64 array of shape (1, 1)"),
+        ("np.zeros(3)", "returned an array of float64, shape (3,); expected"),
+        ("np.zeros((4, 2))", "returned an array of float64, shape (4, 2); expected"),
+        ("np.zeros((1, 1), int)", "returned an array of int64, shape (1, 1); expected"),
+        ("None", "returned NoneType; expected"),
     ],
 )
 def test_a_result_of_another_shape_or_type_is_named(tmp_path, value, found):
@@ -503,8 +503,8 @@ def test_inputs_cannot_be_changed(tmp_path, method, body, line):
     assert text.startswith(f"'own' stopped at t = 0.0 s: {method} raised ValueError: ")
     assert "read-only" in text
     assert text.endswith(
-        f" ({tmp_path}/own.py, line {line}); what a component is handed cannot be written to: "
-        "copy it"
+        f" ({tmp_path}/own.py, line {line}); arrays passed to a component are read-only: "
+        "copy them first"
     )
 
 

@@ -14,7 +14,7 @@ from tests.studies.metrics.rows import CHANNELS
 
 REFUSED = {
     "rms(": "metric 'rms(': not a metric",
-    "": "metric '': not a metric; needed something like 'rms(observer.delta - delta.y)'",
+    "": "metric '': not a metric; expected something like 'rms(observer.delta - delta.y)'",
     "3 + pi": "found no reduction; needed one at least, such as last(plant.y)",
     "plant.y": "found 'plant.y' outside a reduction; needed one of it, such as last(plant.y)",
     "t": "found 't' outside a reduction; needed one of it, such as last(t)",
@@ -43,21 +43,21 @@ REFUSED = {
     "first(t, plant.y > last(plant.y))": "found 'last(plant.y)' inside first(...); needed an",
     "last(plant.y) > 1": "found the condition 'last(plant.y) > 1' outside a reduction; needed a "
     "number",
-    "rms(plnt)": "expression 'plnt': found unknown name 'plnt'",
+    "rms(plnt)": "expression 'plnt': unknown name 'plnt'",
     "rms(plant.y; 3)": "not a metric at column",
-    "rms(plant.y, x=3)": "found 'rms(plant.y, x=3)'; only numbers, pi, e, reductions such as",
-    "[last(plant.y)]": "found '[last(plant.y)]'; only numbers",
-    "last(plant.y)[0]": "found 'last(plant.y)[0]'",
-    "last(plant.y) + True": "found True; needed a real number",
+    "rms(plant.y, x=3)": "got 'rms(plant.y, x=3)'; allowed: numbers, pi, e, reductions such as",
+    "[last(plant.y)]": "got '[last(plant.y)]'; allowed: numbers",
+    "last(plant.y)[0]": "got 'last(plant.y)[0]'",
+    "last(plant.y) + True": "got True; expected a real number",
     "sqrt(last(plant.y), 2)": "found sqrt with 2 arguments; needed 1",
-    "first(t, plant.y > 1 for 1 parsec)": "found '1 parsec' after 'for': unknown unit 'parsec'",
-    "first(t, plant.y > 1 for )": "found '' after 'for'; needed a duration, such as 10 ms",
+    "first(t, plant.y > 1 for 1 parsec)": "got '1 parsec' after 'for': unknown unit 'parsec'",
+    "first(t, plant.y > 1 for )": "got '' after 'for'; expected a duration, such as 10 ms",
     "first(t for 1 s, plant.y > 1)": "found 'for' behind what is no condition; needed it at the "
     "end of one, such as first(t, plant.y < 1 for 1 s)",
     "last(plant.y) for 1 s": "found 'for' behind what is no condition",
     "first(t, (plant.y > 1 for 1 s) and plant.u > 1)": "found 'for' behind what is no condition",
-    "first(t, plant.y > 1 for 1 s and plant.u > 1)": "found '1 s and plant.u > 1' after 'for'",
-    "+".join(["last(plant.y)"] * 2000): "nested too deep to be read",
+    "first(t, plant.y > 1 for 1 s and plant.u > 1)": "got '1 s and plant.u > 1' after 'for'",
+    "+".join(["last(plant.y)"] * 2000): "nested too deeply",
 }
 
 

@@ -18,8 +18,8 @@ from cosim.errors import NonFiniteError, UsageError
 from cosim.log.reading.reader import open_log
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
+from tests.core.graphs import derivative_filter, stand
 from tests.core.parts import Scripted, integrator
-from tests.core.stages.test_left_limits import derivative_filter, stand
 
 CLOCK = Clock(2.0, 1e-3)
 TEXTS = {

@@ -335,13 +335,13 @@ def test_members_with_refused_draws_fail_and_no_others(tmp_path):
     notices = []
     done = cosim.study(study, out=tmp_path / "x", workers=1, notice=notices.append)
     assert sorted(done.failures) == np.flatnonzero(drawn < 0.0).tolist()
-    assert all("noise: found" in reason for reason in done.failures.values())
+    assert all("noise: expected" in reason for reason in done.failures.values())
     (notice,) = notices
     assert notice.startswith("member 0 will fail: ")
-    assert "noise: found -" in notice
+    assert "noise: expected" in notice
     assert estimate_study(plan_study(study), 1).members == 5
     hopeless = study.with_options(vary={"sensor.noise": {"uniform": [-2.0, -1.0]}})
-    with pytest.raises(UsageError, match=r"member 0: .*noise: found -"):
+    with pytest.raises(UsageError, match=r"member 0: .*noise: .*got -"):
         cosim.study(hopeless, out=tmp_path / "y")
 
 

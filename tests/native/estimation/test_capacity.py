@@ -305,7 +305,7 @@ def test_the_grid_of_starts_takes_many_components():
     triangle = samples.make(np.zeros(0))
     starts = grid.search([triangle], 3)
     np.testing.assert_allclose(starts[0], [-0.55], rtol=1e-12)
-    with pytest.raises(UsageError, match="most: found 17 starts; needed 1 to 16"):
+    with pytest.raises(UsageError, match="most: expected 1 to 16, got 17 starts"):
         grid.search([triangle], 17)
 
 
@@ -332,7 +332,7 @@ def test_a_regression_of_too_many_rows_is_refused():
     families = [Sine()] * 24
     groups = group_by_alpha(["1"] * 24, families)
     delays = [0.25 * (j + 1) for j in range(49)]
-    with pytest.raises(AssumptionError, match=f"49 delays.*at most {MOST_ROWS} are possible"):
+    with pytest.raises(AssumptionError, match=f"at most {MOST_ROWS} delays, got 49"):
         rayleigh_constants(families, groups, expand((48,)), delays, span=40.0)
 
 
@@ -341,7 +341,7 @@ def test_a_regression_of_too_many_parameters_is_refused():
     families = [Exponential()] * 17
     groups = group_by_alpha(["1"] * 17, families)
     delays = [0.25 * (j + 1) for j in range(18)]
-    with pytest.raises(AssumptionError, match=r"17 parameters.*at most 16 are possible"):
+    with pytest.raises(AssumptionError, match="at most 16 parameters, got 17"):
         rayleigh_constants(families, groups, expand((17,)), delays, span=40.0)
 
 

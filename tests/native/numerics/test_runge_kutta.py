@@ -305,7 +305,7 @@ def test_an_interrupt_that_ctypes_drops_is_raised_all_the_same(monkeypatch):
 @pytest.mark.parametrize("method", EMBEDDED)
 def test_a_solution_that_ends_is_an_error(method):
     """x' = x^2 from 1 has no value at t = 1; neither has x' = nan."""
-    message = f"solver {method}: at t = {{}} s the tolerance needs steps below the spacing"
+    message = f"solver {method}: at t = {{}} s the tolerance requires steps below"
     solver = started(method, lambda t, x: x * x, 0.0, [1.0])
     with pytest.raises(RunError, match=message.format(r"(1\.0|0\.999)\d*")):
         reach(solver, 0.0, [2.0])

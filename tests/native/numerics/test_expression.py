@@ -131,51 +131,54 @@ def test_nan_is_not_swallowed(text):
 
 
 REFUSED = {
-    "sn(t)": "found unknown function 'sn'; did you mean 'sin'? There is: sin, ",
-    "2*x": "found unknown name 'x'; did you mean 'max'? There is: t, pi, e, sin",
-    "thet + 1": "found unknown name 'thet'",
-    "t.real": "found 't.real'; only numbers, t, pi, e, + - * / ** and functions are allowed",
-    "().__class__": "found '().__class__'; only numbers",
-    "__import__('os')": "found unknown function '__import__'",
-    "(lambda: 1)()": "; only numbers",
-    "f(t)(t)": "found 'f(t)(t)'; only numbers",
-    "sin(x=t)": "found 'sin(x=t)'; only numbers",
-    "sin(*t)": "found '*t'; only numbers",
-    "t < 1": "found 't < 1'; only numbers",
-    "t and 1": "found 't and 1'; only numbers",
-    "1 if t else 2": "found '1 if t else 2'; only numbers",
-    "t // 2": "found 't // 2'; only numbers",
-    "~t": "found '~t'; only numbers",
-    "[t]": "found '[t]'; only numbers",
-    "...": "found '...'; only numbers",
-    "'text'": "found 'text'; needed a real number",
-    "sin('t')": "found 't'; needed a real number",
-    "2j": "found 2j; needed a real number",
-    "True": "found True; needed a real number",
-    "None": "found None; needed a real number",
-    "1e999": "found inf; needed a finite number",
-    "1" * 400: "; needed a finite number",
+    "sn(t)": "unknown function 'sn'; did you mean 'sin'? Available: sin, ",
+    "2*x": "unknown name 'x'; did you mean 'max'? Available: t, pi, e, sin",
+    "thet + 1": "unknown name 'thet'",
+    "t.real": "got 't.real'; allowed: numbers, t, pi, e, + - * / ** and functions",
+    "().__class__": "got '().__class__'; allowed: numbers",
+    "__import__('os')": "unknown function '__import__'",
+    "(lambda: 1)()": "; allowed: numbers",
+    "f(t)(t)": "got 'f(t)(t)'; allowed: numbers",
+    "sin(x=t)": "got 'sin(x=t)'; allowed: numbers",
+    "sin(*t)": "got '*t'; allowed: numbers",
+    "t < 1": "got 't < 1'; allowed: numbers",
+    "t and 1": "got 't and 1'; allowed: numbers",
+    "1 if t else 2": "got '1 if t else 2'; allowed: numbers",
+    "t // 2": "got 't // 2'; allowed: numbers",
+    "~t": "got '~t'; allowed: numbers",
+    "[t]": "got '[t]'; allowed: numbers",
+    "...": "got '...'; allowed: numbers",
+    "'text'": "got 'text'; expected a real number",
+    "sin('t')": "got 't'; expected a real number",
+    "2j": "got 2j; expected a real number",
+    "True": "got True; expected a real number",
+    "None": "got None; expected a real number",
+    "1e999": "got inf; expected a finite number",
+    "1" * 400: "; expected a finite number",
     "": "not an expression",
     "   ": "not an expression",
-    "1 +": "not an expression; needed something like",
+    "1 +": "not an expression; expected something like",
     "t = 1": "not an expression at column",
     "sin t": "not an expression at column",
     "\0": "not an expression",
-    "sin()": "found sin with 0 arguments; needed 1",
-    "sin(t, t)": "found sin with 2 arguments; needed 1",
-    "min(t)": "found min with 1 arguments; needed 2",
-    "nan": "found unknown name 'nan'",
-    "inf": "found unknown name 'inf'",
+    "sin()": "got sin with 0 arguments; expected 1",
+    "sin(t, t)": "got sin with 2 arguments; expected 1",
+    "min(t)": "got min with 1 arguments; expected 2",
+    "nan": "unknown name 'nan'",
+    "inf": "unknown name 'inf'",
 }
 
 
-@pytest.mark.parametrize("text", REFUSED, ids=lambda text: repr(text[:20]))
-def test_whatever_is_not_in_the_language_is_refused(text):
+def test_whatever_is_not_in_the_language_is_refused():
     """With what was found and what is there instead; nothing is evaluated, imported or called."""
-    with pytest.raises(UsageError) as error:
-        compile_expression(text)
-    assert str(error.value).startswith(f"expression {quoted(text)}: ")
-    assert REFUSED[text] in str(error.value)
+    wrong = []
+    for text, problem in REFUSED.items():
+        with pytest.raises(UsageError) as error:
+            compile_expression(text)
+        message = str(error.value)
+        if not (message.startswith(f"expression {quoted(text)}: ") and problem in message):
+            wrong.append(message)
+    assert wrong == []
 
 
 def nested(depth):
@@ -186,7 +189,7 @@ def nested(depth):
 def test_a_stack_that_is_too_deep_is_refused():
     """64 is the kernel's stack; one more would write beyond it."""
     assert evaluate(compile_expression(nested(64)), 1.0) == 64.0
-    with pytest.raises(UsageError, match="nested 65 deep, at most 64"):
+    with pytest.raises(UsageError, match="at most 64 levels of nesting, got 65"):
         compile_expression(nested(65))
 
 
@@ -200,9 +203,9 @@ def test_a_long_sum_needs_no_deep_stack():
     ["-" * 3000 + "1", "+".join(["1"] * 20000), "(" * 1000 + "1" + ")" * 1000],
     ids=["signs", "sum", "parentheses"],
 )
-def test_what_is_too_deep_to_be_read_is_refused(text):
+def test_an_expression_that_is_too_deep_to_be_read_is_refused(text):
     """The parser's limits are not the user's traceback."""
-    with pytest.raises(UsageError, match=r"not an expression|nested too deep to be read"):
+    with pytest.raises(UsageError, match=r"not an expression|nested too deeply"):
         compile_expression(text)
 
 
@@ -217,7 +220,7 @@ def test_reading_an_expression_makes_no_warning_an_error(monkeypatch):
 
     monkeypatch.setattr(ast, "parse", observed)
     before = list(warnings.filters)
-    with pytest.raises(UsageError, match="found '1or 2'; only numbers"):
+    with pytest.raises(UsageError, match="got '1or 2'; allowed: numbers"):
         compile_expression("1or 2")
     assert actions == ["ignore"]
     assert warnings.filters == before

@@ -23,43 +23,7 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.errors import GraphError, NonFiniteError, RunError
-
-
-def state_space(A, B, C, D, x0):
-    matrices = [np.array([[value]], np.float64) for value in (A, B, C, D)]
-    names = dict(zip("ABCD", matrices, strict=True))
-    return Linear(controller(**names, x0=np.array([x0], np.float64)))
-
-
-def pair(coupling="newton", d2=-0.9, **options):
-    """x1' = -0.9 x1 + 0.5 u1, y1 = 3 x1 + u1; x2' = -x2 + 10 u2, y2 = -31 x2 + d2 u2."""
-    components = {
-        "one": state_space(-0.9, 0.5, 3.0, 1.0, 1.0),
-        "two": state_space(-1.0, 10.0, -31.0, d2, 1.0),
-    }
-    connections = {"one.u": "two.y", "two.u": "one.y"}
-    return Graph(components, connections, coupling=coupling, **options)
-
-
-def solution(t, d2=-0.9):
-    """Return (x1, x2) of the pair, its algebraic loop eliminated."""
-    A = np.diag([-0.9, -1.0])
-    B = np.diag([0.5, 10.0])
-    C = np.diag([3.0, -31.0])
-    D = np.diag([1.0, d2])
-    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-    u_of_x = np.linalg.solve(np.eye(2) - swap @ D, swap @ C)
-    return scipy.linalg.expm((A + B @ u_of_x) * t) @ np.ones(2)
-
-
-def record(graph, stop=1.0, step=0.01, block=None):
-    memory = Memory()
-    run(graph, Clock(stop, step, block), memory)
-    return memory
-
-
-def states(memory):
-    return np.array([memory["one.x"][-1], memory["two.x"][-1]])
+from tests.core.graphs import pair, record, solution, state_space, states
 
 
 def relay(coupling="newton", *, part=None, plant=None):

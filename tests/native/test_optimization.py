@@ -1,0 +1,47 @@
+"""What the optimizer makes of the kernels changes none of their bits."""
+
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import cosim
+from cosim.native import build
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 'cc'"),
+]
+
+SCENARIOS = ("academic", "academic-noisy", "closed-loop", "compensation")
+RUN = """
+import sys
+from cosim.native import build
+
+build.LIBRARY = sys.argv[1]
+import cosim
+from cosim.native import library
+
+assert library.library._name == sys.argv[1]
+for name in sys.argv[2:]:
+    print(cosim.run(name, out=f"{name}.mcap").content_hash())
+"""
+
+
+def test_kernels_compiled_without_optimization_give_the_bits_of_the_shipped_library(tmp_path):
+    """Logs of the shipped scenarios have one content hash at -O0 and at -O3."""
+    target = tmp_path / build.LIBRARY
+    sources = [build.HERE / name for name in build.SOURCES]
+    build.compile_library(sources, target, ["-O0", *build.INCLUDES])
+    result = subprocess.run(
+        [sys.executable, "-c", RUN, target, *SCENARIOS],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    shipped = []
+    for name in SCENARIOS:
+        shipped.append(cosim.run(name, out=tmp_path / f"shipped-{name}.mcap").content_hash())
+    assert result.stdout.split() == shipped
