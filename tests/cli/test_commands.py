@@ -19,9 +19,9 @@ from cosim.fmi.variable import Variable
 from cosim.version import __version__
 from tests.fmi.archives import write
 from tests.fmi.compiled import compile_fmu
+from tests.fmi.descriptions import FMI1, FMI2, FMI3
 from tests.fmi.eventful import build
-from tests.fmi.test_check import XML
-from tests.fmi.test_reading import FMI1, FMI2, FMI3
+from tests.fmi.rogues import XML
 
 SHORT = ["--stop", "0.1"]
 HEAD = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'

@@ -20,38 +20,9 @@ from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from tests.fmi.archives import Entry, write
-from tests.fmi.compiled import HERE, compile_fmu
-from tests.fmi.test_reading import FMI1, FMI3
-
-XML = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="rogue" guid="rogue">
-<CoSimulation modelIdentifier="model" canGetAndSetFMUstate="true"/>
-<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
-<TypeDefinitions>
-  <SimpleType name="Mode">
-    <Enumeration><Item name="off" value="1"/><Item name="on" value="3"/></Enumeration>
-  </SimpleType>
-</TypeDefinitions>
-<ModelVariables>
-  <ScalarVariable name="u" valueReference="0" causality="input">
-    <Real start="0" unit="m"/></ScalarVariable>
-  <ScalarVariable name="y" valueReference="1" causality="output" initial="exact">
-    <Real start="1"/></ScalarVariable>
-  <ScalarVariable name="k" valueReference="2"
-    causality="parameter" variability="fixed"><Real start="2" min="0" max="5"/></ScalarVariable>
-  <ScalarVariable name="z" valueReference="3" causality="output">
-    <Real nominal="2"/></ScalarVariable>
-  <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
-    <Enumeration declaredType="Mode" start="3"/></ScalarVariable>
-</ModelVariables>
-<ModelStructure>
-  <Outputs>
-    <Unknown index="2" dependencies=""/>
-    <Unknown index="4" dependencies="1" dependenciesKind="dependent"/>
-  </Outputs>
-  <InitialUnknowns><Unknown index="4" dependencies="1 2"/></InitialUnknowns>
-</ModelStructure>
-</fmiModelDescription>"""
+from tests.fmi.compiled import HERE
+from tests.fmi.descriptions import FMI1, FMI3
+from tests.fmi.rogues import XML, compile_rogue
 
 
 @pytest.fixture
@@ -59,9 +30,7 @@ def rogue(tmp_path) -> Callable[..., Path]:
     """Compile the FMU that does one thing wrong."""
 
     def make(what: str, xml: str = XML, *defines: str) -> Path:
-        return compile_fmu(
-            tmp_path / "rogue.fmu", xml, "rogue2.c", defines=(f"ROGUE={what}", *defines)
-        )
+        return compile_rogue(tmp_path / "rogue.fmu", what, xml, *defines)
 
     return make
 

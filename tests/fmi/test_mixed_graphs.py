@@ -29,7 +29,7 @@ from cosim.native.numerics.runge_kutta import EXPLICIT
 from tests.core.parts import half_through, integrator, through
 from tests.core.stages.test_native_stage import InPython
 from tests.fmi import eventful, lag
-from tests.fmi.test_native_exchange import LEVELS
+from tests.fmi.eventful import LEVELS
 
 H = 0.01
 STEPS = 30

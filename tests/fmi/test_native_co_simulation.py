@@ -17,7 +17,7 @@ from cosim.fmi.driving.stepping import Stepper
 from cosim.fmi.options import FmuOptions
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 STEP = 0.01
 STOP = 0.6

@@ -20,9 +20,10 @@ from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT
 from tests.core.parts import integrator, times
 from tests.fmi import eventful
 from tests.fmi.compiled import compile_fmu
+from tests.fmi.eventful import LEVELS
 from tests.fmi.pendulum import pendulum
 from tests.fmi.probes import xml1
-from tests.fmi.test_contract import VARIABILITIES, Watched, model
+from tests.fmi.variabilities import VARIABILITIES, Watched, model
 
 STEPS = 60
 H = 0.01
@@ -216,24 +217,6 @@ def test_exact_plants_in_loops(coupling):
 
 
 # --- FMUs with a Runge-Kutta method ---
-
-LEVELS = {
-    "BALL": 0.1,
-    "FRICTION": 0.5,
-    "SAW": 0.0733,
-    "COUNTER": 0.05,
-    "TWO": 0.0,
-    "SLIDE": 0.5,
-    "ENDLESS": 0.45,
-    "ENDS": 0.45,
-    "MEMORY": 0.0,
-    "SWITCH": 0.3,
-    "STEPS": 0.0733,
-    "TIRED": 0.45,
-    "SCALED": 0.11,
-    "REFUSES": 0.08,
-}
-"""The models of ``c/events.c``, with their parameter p."""
 
 
 def swinging():

@@ -9,7 +9,7 @@ import pytest
 
 from cosim.processes import COMMAND_VARIABLE
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_check import XML
+from tests.fmi.rogues import XML
 
 SCENARIO = """
 [scenario]
