@@ -251,12 +251,8 @@ def run_eventful(driving, path, options, held, size):
         return np.concatenate(rows).tobytes(), ended, events_of(fmu), driven.taken
 
 
-@pytest.mark.parametrize("saves", [True, False])
-@pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("solver", EXPLICIT)
-@pytest.mark.parametrize("model", LEVELS)
-def test_events_of_fmus_in_compiled_steps(model, solver, version, saves):
-    """State, time, step and input events, ends and failures: equal bits, words and evaluations.
+def check_eventful(model, solver, version, saves):
+    """Check that compiled steps give the rows, end, messages and evaluations of the methods.
 
     Inputs interpolated linearly, or held, so that each step begins with an event. An FMU that
     cannot go back is left behind the events at the end of a step.
@@ -270,6 +266,21 @@ def test_events_of_fmus_in_compiled_steps(model, solver, version, saves):
             *found, taken = run_eventful(Compiled, path, options, mask, size)
             assert found == expected
             assert taken >= 5
+
+
+@pytest.mark.parametrize("model", sorted(LEVELS.keys() - {"SLIDE"}))
+def test_events_of_fmus_in_compiled_steps(model):
+    """State, time, step and input events, ends and failures: equal bits, words and evaluations."""
+    check_eventful(model, "rk4", 2, True)
+    check_eventful(model, "RK45", 3, False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", EXPLICIT)
+@pytest.mark.parametrize("version", [2, 3])
+def test_events_of_fmus_in_compiled_steps_of_every_solver(solver, version):
+    """All models, with and without a way back."""
+    check_all(check_eventful, LEVELS, [solver], [version], [True, False])
 
 
 @pytest.mark.parametrize("model", ["BALL", "SAW", "TWO", "SWITCH", "SCALED"])

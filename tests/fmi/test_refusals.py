@@ -256,7 +256,7 @@ TAKEN = "euler, rk4, RK23, RK45, DOP853, Radau, BDF, LSODA, CVode"  # by an FMU
 
 def test_solvers(exported):
     """Offered is only what an FMU takes."""
-    refused(exported, f"no solver 'heun'; there is: {TAKEN}$", solver="heun")
+    refused(exported, f"no solver 'heun'; available: {TAKEN}$", solver="heun")
     refused(
         exported,
         "solver 'exact' needs the matrices of a linear model, an FMU does not show them; "

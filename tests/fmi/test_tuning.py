@@ -115,7 +115,7 @@ def test_a_parameter_that_is_not_tunable_is_refused(tmp_path):
     with load(path) as fmu:
         description = fmu.description
     assert tunable_parameters(description) == ["p"]
-    with pytest.raises(FmuError, match="FRICTION has no tunable parameter 'q'; there is: p"):
+    with pytest.raises(FmuError, match="FRICTION has no tunable parameter 'q'; available: p"):
         check_tuning(description, {"q": 1.0})
     with pytest.raises(FmuError, match="'p': found nan, needed a finite number"):
         check_tuning(description, {"p": float("nan")})
