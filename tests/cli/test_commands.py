@@ -783,7 +783,7 @@ def test_linearize_prints_a_table_for_a_scenario(call):
     [
         (["--disturbance", "delta"], "--disturbance NAME goes with --toml"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
-        (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
+        (["--set", "u=fast"], "start value of 'u': expected a number, got 'fast'"),
         (["--set", "=3"], "--set '=3': found no name, needed NAME=VALUE"),
         (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
         (["--input", "w"], "no input 'w'; there is: u, delta"),

@@ -200,7 +200,7 @@ TYPES = {
     "strongly encrypted": (Entry("a", b"x", flags=0x41), "an encrypted entry: 'a'"),
     "deflate64": (
         Entry("a", b"x", method=9),
-        r"an entry with compression method 9 \(needed 0, stored, or 8, deflated\): 'a'",
+        r"an entry with compression method 9 \(expected 0, stored, or 8, deflated\): 'a'",
     ),
     "bzip2": (Entry("a", b"x", method=12), "an entry with compression method 12"),
     "lzma": (Entry("a", b"x", method=14), "an entry with compression method 14"),
@@ -248,7 +248,7 @@ def test_a_size_that_is_declared_too_small(place):
 def test_a_size_that_is_declared_too_large(place):
     """What does not come out was not there."""
     path = write(place / "x.fmu", [Entry("resources/a", b"x" * 100, size=200)])
-    message = "'resources/a' has 100 bytes unpacked; the archive says 200"
+    message = "'resources/a' has 100 bytes unpacked; the archive declares 200"
     with pytest.raises(FmuError, match=message):
         load(path)
 
@@ -256,7 +256,7 @@ def test_a_size_that_is_declared_too_large(place):
 def test_the_sum_of_declared_sizes(place):
     """The first reason to refuse, before anything is unpacked."""
     entries = [Entry(f"resources/{i}", b"x", size=2**28) for i in range(5)]
-    message = r"unpacked, the archive would have 1342\d{6} bytes; needed at most 1073741824"
+    message = r"unpacked, the archive would have 1342\d{6} bytes; expected at most 1073741824"
     refused(write(place / "x.fmu", entries), message)
 
 
@@ -294,14 +294,16 @@ def test_a_bomb_in_a_bomb(place):
 
 def test_many_entries(place):
     entries = [Entry(f"resources/{i}") for i in range(10_000)]
-    refused(write(place / "x.fmu", entries), "the archive has 10001 entries; needed at most 10000")
+    refused(
+        write(place / "x.fmu", entries), "the archive has 10001 entries; expected at most 10000"
+    )
 
 
 def test_a_list_of_entries_that_is_long(place):
     """The list is not read before its length is known: here 20 MB of extra fields."""
     extra = struct.pack("<HH", 0xCAFE, 60_000) + bytes(60_000)
     entries = [Entry(f"resources/{i}", extra=extra, offset=0) for i in range(340)]
-    message = r"the archive's list of entries takes 204\d{5} bytes; needed at most 16777216"
+    message = r"the archive's list of entries takes 204\d{5} bytes; expected at most 16777216"
     refused(write(place / "x.fmu", entries), message)
 
 
@@ -354,7 +356,7 @@ def test_a_stream_that_is_cut(place):
     content = os.urandom(1000)
     entry = Entry("resources/a", content, packed=deflate(content)[:500])
     path = write(place / "x.fmu", [entry])
-    message = r"'resources/a' has .* bytes unpacked; the archive says 1000|EOFError|Bad CRC"
+    message = r"'resources/a' has .* bytes unpacked; the archive declares 1000|EOFError|Bad CRC"
     with pytest.raises(FmuError, match=message):
         load(path)
 

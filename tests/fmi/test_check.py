@@ -63,6 +63,7 @@ def test_a_good_fmu_has_no_findings(rogue, exported):
     assert check(rogue("GOOD")) == ()
 
 
+@pytest.mark.slow
 def test_foreign_fmus_have_no_errors(foreign2, foreign3):
     """pythonfmu lists no initial unknowns: a warning; that dependencies are not known is a note."""
     assert problems_of(foreign2) == problems_of(foreign3) == []
@@ -98,7 +99,7 @@ ROGUES = {
     "EXITS": f"{RUN}: ends the process with exit code 3 at: loading and instantiating",
     "REFUSES": f"{RUN}: the binary model{SUFFIX} cannot be used: ",
     "NAN_OUTPUT": f"{RUN}: output 'y' is nan after a step",
-    "OTHER_START": f"{RUN}: 'y' starts at 2; the file says exactly 1",
+    "OTHER_START": f"{RUN}: 'y' starts at 2; the declared start is 1 (exact)",
     "FAILS_STEP": f"{RUN}: fmi2DoStep returned 3 (error)",
     "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs, "
     "'y' by 1 of its change",
@@ -124,6 +125,7 @@ def test_a_trial_of_saved_states_moves_the_inputs(rogue):
     assert problem.startswith(f"{BACK}: goes back wrongly: after steps with other inputs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "text"),
     [
@@ -319,13 +321,13 @@ def test_binaries_in_the_wrong_place(tmp_path):
         xml=XML.encode(),
     )
     assert problems_of(path) == [
-        f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; needed x86_64-linux"
+        f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; expected x86_64-linux"
     ]
     assert problems_of(path, "warning") == [
         "binary: binaries/darwin64/model.dylib is no shared library",
         "binary: binaries/plan9 is no platform of the standard",
         "binary: binaries/win32/model.dll is missing",
-        "binary: binaries/win64/model.dll is for x86_64-linux; needed x86_64-windows",
+        "binary: binaries/win64/model.dll is for x86_64-linux; expected x86_64-windows",
     ]
 
 
@@ -335,7 +337,7 @@ def test_no_binary_for_this_machine(tmp_path):
         [Entry("binaries/win64/model.dll", head("pe", 0x8664))],
         xml=XML.encode(),
     )
-    assert problems_of(path) == ["binary: none for this machine (x86_64-linux); there is: win64"]
+    assert problems_of(path) == ["binary: none for this machine (x86_64-linux); available: win64"]
 
 
 def test_a_trial_that_cannot_be(tmp_path):
@@ -350,9 +352,9 @@ def test_a_trial_that_cannot_be(tmp_path):
 
 FINDINGS = [
     ('start="2" min="0"', 'start="nan" min="0"', "error",
-     "XML: variable 'k': start: found nan, needed a number"),
+     "XML: variable 'k': start: expected a number, got nan"),
     ('start="2" min="0"', 'start="7" min="0"', "error",
-     "variable 'k': start value: found 7, needed 0 to 5"),
+     "variable 'k': start value: expected 0 to 5, got 7"),
     ('start="2" min="0" max="5"', 'start="2" min="4" max="1"', "error",
      "variable 'k': min 4 is above max 1"),
     ('<Real start="2" ', "<Real ", "error",
@@ -362,7 +364,7 @@ FINDINGS = [
     ('declaredType="Mode"', 'declaredType="None"', "error",
      "variable 'mode': declaredType 'None' is not defined"),
     ('declaredType="Mode" start="3"', 'declaredType="Mode" start="2"', "error",
-     "variable 'mode': start value: found 2, needed one of 1, 3"),
+     "variable 'mode': start value: expected one of 1, 3, got 2"),
     ('initial="exact"', 'initial="calculated"', "warning",
      "variable 'y': has a start value, which nothing uses: it is calculated"),
     ('causality="parameter" variability="fixed"><Real',
@@ -376,7 +378,7 @@ FINDINGS = [
     ('variability="fixed">\n', 'variability="continuous">\n', "warning",
      "variable 'mode': variability continuous, which a variable of type Enumeration cannot have"),
     ('nominal="2"', 'nominal="0"', "warning",
-     "variable 'z': nominal: found 0, needed a finite number that is not 0"),
+     "variable 'z': nominal: expected a finite nonzero number, got 0"),
     ('unit="m"', 'unit="km"', "warning",
      "variable 'u': unit 'km' is not defined in UnitDefinitions; it is understood by its name"),
     ('unit="m"', 'unit="m" displayUnit="mm"', "warning",
@@ -436,7 +438,7 @@ def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
     """What the rules above are changed from has only no binary."""
     monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])
     assert [f.text for f in check(write(tmp_path / "x.fmu", [], xml=XML.encode()))] == [
-        "none for this machine (x86_64-linux); there is: none"
+        "none for this machine (x86_64-linux); available: none"
     ]
 
 
@@ -479,7 +481,7 @@ def test_findings_of_fmi_1(tmp_path):
 def test_neither_interface_type(tmp_path):
     xml = XML.replace("CoSimulation ", "Neither ")
     errors = problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))
-    assert "XML: neither model exchange nor co-simulation; needed one of them" in errors
+    assert "XML: neither model exchange nor co-simulation; expected one of them" in errors
 
 
 def test_all_problems_at_once(rogue):

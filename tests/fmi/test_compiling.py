@@ -58,6 +58,7 @@ def check_binaries(fmu, platforms, fmi):
             assert b"cosim.export" not in content  # where it was compiled
 
 
+@pytest.mark.slow
 @needs_zig
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_zig_compiles_for_another_machine(fmi, tmp_path):
@@ -86,6 +87,7 @@ def test_zig_compiles_for_every_machine(fmi, tmp_path, monkeypatch):
     assert first.path.read_bytes() == again.path.read_bytes()
 
 
+@pytest.mark.slow
 @needs_zig
 @pytest.mark.skipif(
     shutil.which("cc") is None or HERE not in PLATFORMS, reason="no cc to compare with"

@@ -86,6 +86,7 @@ def test_a_co_simulation_fmu_of_others_keeps_the_contract(foreign2):
         fmu.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_an_fmi_3_fmu_of_others_keeps_the_contract(foreign3, interface_type):
     """By pythonfmu3: dependencies unknown, no D, no saved states."""

@@ -174,6 +174,7 @@ def test_the_order_that_a_loop_is_said_to_have_is_that_of_its_error(pair, can, o
 # --- substeps ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("can", ["slopes", "D"])
 def test_substeps_keep_the_tolerance(pair, can):
     """In FMUs that take steps of any length; with compiled code and without the same bits."""

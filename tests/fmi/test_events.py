@@ -438,7 +438,7 @@ def test_a_nominal_value_of_zero_is_taken_as_one():
 
 def test_a_tolerance_that_is_none_is_refused():
     def check(rtol):
-        message = f"SWITCH: relative tolerance {rtol}; needed at least 1e-13 and less than 1"
+        message = f"SWITCH: relative tolerance: expected at least 1e-13 and less than 1, got {rtol}"
         with pytest.raises(FmuError, match=message):
             Run("SWITCH", "BDF", rtol=rtol)
 

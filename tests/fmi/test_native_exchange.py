@@ -19,6 +19,7 @@ from cosim.fmi.options import FmuOptions
 from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT
 from tests.core.parts import integrator, times
 from tests.fmi import eventful
+from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import LEVELS
 from tests.fmi.pendulum import pendulum

@@ -117,7 +117,7 @@ def test_a_parameter_that_is_not_tunable_is_refused(tmp_path):
     assert tunable_parameters(description) == ["p"]
     with pytest.raises(FmuError, match="FRICTION has no tunable parameter 'q'; available: p"):
         check_tuning(description, {"q": 1.0})
-    with pytest.raises(FmuError, match="'p': found nan, needed a finite number"):
+    with pytest.raises(FmuError, match="'p': expected a finite number, got nan"):
         check_tuning(description, {"p": float("nan")})
-    with pytest.raises(FmuError, match="'p': found a list, needed one value"):
+    with pytest.raises(FmuError, match="'p': expected one value of type Float64, got a list"):
         check_tuning(description, {"p": [1.0, 2.0]})

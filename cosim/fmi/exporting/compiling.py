@@ -75,7 +75,7 @@ def check_platforms(platforms: Sequence[str]) -> None:
         if name not in PLATFORMS:
             raise FmuError(f"platform {name!r}: {nearest(name, PLATFORMS)}")
         if platforms.count(name) > 1:
-            raise FmuError(f"platform {name!r} is there twice; needed once")
+            raise FmuError(f"platform {name!r} is given twice")
     if platforms and not build.cross_compiler(""):
         raise FmuError(
             f"platform {', '.join(platforms)}: other machines are compiled for with ziglang, which "
