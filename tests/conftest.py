@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import compileall
 import gc
-import hashlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
-
-from cosim.native import build
 
 # As on the command line, and before numpy is imported: the suite has a process for each core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -127,57 +122,13 @@ def folder_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_of_the_suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep trials of FMUs in a folder of this run, for all its workers, not in that of the user.
+    """Keep trials of FMUs and compiled files in a folder of this run, for all its workers.
 
-    So an FMU is tried once for each content of its file, however many tests load it.
+    So an FMU is tried, and a C source compiled, once for each content, however many tests need it.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COSIM_CACHE", str(folder_of_the_run(tmp_path_factory) / "trials"))
+        patch.setenv("COSIM_CACHE", str(folder_of_the_run(tmp_path_factory) / "cache"))
         yield
-
-
-COMPILE = build.compile_library
-
-
-@pytest.fixture(scope="session", autouse=True)
-def libraries_of_the_suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Compile a library once for each content of its sources, for all workers of a run."""
-    kept = folder_of_the_run(tmp_path_factory) / "libraries"
-    kept.mkdir(exist_ok=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "compile_library", partial(_compile_once, kept))
-        yield
-
-
-def _compile_once(
-    kept: Path,
-    sources: Iterable[Path],
-    target: Path,
-    options: Iterable[str] = (),
-    *,
-    command: Sequence[str] | None = None,
-) -> None:
-    """Copy the library that is kept; compile it where there is none, or no compiler."""
-    files = list(sources)
-    flags = list(options)
-    compiler = build.compiler() if command is None else list(command)
-    digest = hashlib.sha256(repr((compiler, flags, target.suffix)).encode())
-    headers = {header for file in files for header in file.parent.glob("*.h")}
-    for file in [*files, *sorted(headers)]:
-        digest.update(file.name.encode() + file.read_bytes())
-    library = kept / digest.hexdigest()
-    if not (compiler and library.exists()):
-        COMPILE(files, target, flags, command=command)
-        whole = kept / f"{library.name}.{os.getpid()}"
-        shutil.copyfile(target, whole)
-        os.replace(whole, library)
-    shutil.copy(library, target)
-
-
-@pytest.fixture
-def compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the libraries that are kept alone, for tests of the compiler itself."""
-    monkeypatch.setattr(build, "compile_library", COMPILE)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -21,7 +21,7 @@ from cosim.cli import main
 from cosim.log import open_log
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import build
-from tests.fmi.test_check import XML
+from tests.fmi.rogues import XML
 
 ONE = "from cosim.cli import main; main()"
 EIGHT = """

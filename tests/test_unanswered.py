@@ -13,7 +13,7 @@ from cosim import unanswered
 from cosim.interrupts import uninterrupted
 from cosim.unanswered import ended_if_unanswered
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc, compiles for Linux")
 

@@ -17,12 +17,12 @@ def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Remove everything in it.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show or clear the cache of what trials of FMUs found.
+    """Show or clear the cache of FMU trial results and compiled files.
 
-    By the content of their files.
+    Entries are identified by content.
 
-    It is in the user's cache folder, or in the one that the environment variable COSIM_CACHE names
-    (empty: no cache).
+    The cache is in the user's cache folder, or in the folder named by the environment variable
+    COSIM_CACHE (empty: no cache).
     """
     from cosim.report.tables.fmu import print_cache
 

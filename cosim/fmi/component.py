@@ -388,7 +388,7 @@ def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> In
     if wanted is None:
         return available[0]
     if wanted not in INTERFACE_TYPES:
-        raise FmuError(f'{archive.path}: interface_type {wanted!r}; needed "me" or "cs"')
+        raise FmuError(f'{archive.path}: interface_type: expected "me" or "cs", got {wanted!r}')
     if wanted not in available:
         wanted_name = INTERFACE_TYPE_NAMES[wanted]
         available_name = INTERFACE_TYPE_NAMES[available[0]]
@@ -532,7 +532,7 @@ def _library(archive: Archive, interface_type: InterfaceType) -> str:
             return member
     available = ", ".join(description.platforms) or "none"
     raise FmuError(
-        f"{archive.path}: no binary for this platform; found binaries for: {available}; needed "
+        f"{archive.path}: no binary for this platform; found binaries for: {available}; expected "
         f"binaries/{platform_folders[0]}/{identifier}{SUFFIX}"
     )
 
@@ -545,5 +545,5 @@ def _check_architecture(archive: Archive, library: Path) -> None:
     if built and built[0] not in ("any", ARCHITECTURE):
         raise FmuError(
             f"{archive.path}: the binary {library.parent.name}/{library.name} is for {built[0]}, "
-            f"found in the folder for {ARCHITECTURE}; needed one for {ARCHITECTURE}"
+            f"found in the folder for {ARCHITECTURE}; expected one for {ARCHITECTURE}"
         )

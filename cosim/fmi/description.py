@@ -256,10 +256,10 @@ class Description:
         """What to say where there is neither model exchange nor co-simulation."""
         if self.scheduled_execution:
             return (
-                "scheduled execution only (FMI 3.0 section 5), which is not supported; needed "
+                "scheduled execution only (FMI 3.0 section 5), which is not supported; expected "
                 "model exchange or co-simulation"
             )
-        return "neither model exchange nor co-simulation; needed one of them"
+        return "neither model exchange nor co-simulation; expected one of them"
 
     @property
     def discrete_inputs(self) -> Mask:
@@ -418,8 +418,8 @@ class Description:
             if any(variable.name in names for variable in group):
                 missing = ", ".join(v.name for v in group if v.start is None)
                 raise FmuError(
-                    f"{self.name}: input {signal.name!r} has a start value for some of its "
-                    f"elements, which is of no use: needed one for {missing} too"
+                    f"{self.name}: input {signal.name!r} has start values for some of its "
+                    f"elements; expected one for {missing} too"
                 )
         return described
 
@@ -432,8 +432,8 @@ class Description:
             )
         smallest = max(1, variable.minimum)
         if value % 1 != 0 or not smallest <= value <= variable.maximum:
-            needed = f"a whole number from {smallest:g} to {variable.maximum:g}"
-            raise FmuError(f"{where}: found {value}, needed {needed}")
+            expected = f"an integer from {smallest:g} to {variable.maximum:g}"
+            raise FmuError(f"{where}: expected {expected}, got {value}")
 
     def _resized(self, variable: Variable, structural: Mapping[str, int]) -> Variable:
         name = variable.alias_of or variable.name

@@ -146,8 +146,18 @@ def compile_library(
         raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
     libraries = [] if target.suffix == ".dll" else ["-lm"]
     inputs = map(str, sources)
-    arguments = [*command, *FLAGS, *options, *inputs, "-o", str(target), *libraries]
-    result = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    run_compiler(command, [*FLAGS, *options, *inputs, "-o", str(target), *libraries])
+
+
+def run_compiler(command: Sequence[str], arguments: Iterable[str]) -> None:
+    """Run a compiler.
+
+    Raises
+    ------
+    RuntimeError
+        If it fails; with its own message.
+    """
+    result = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
     if result.returncode:
         raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr}")
 

@@ -19,9 +19,9 @@ from cosim.fmi.variable import Variable
 from cosim.version import __version__
 from tests.fmi.archives import write
 from tests.fmi.compiled import compile_fmu
+from tests.fmi.descriptions import FMI1, FMI2, FMI3
 from tests.fmi.eventful import build
-from tests.fmi.test_check import XML
-from tests.fmi.test_reading import FMI1, FMI2, FMI3
+from tests.fmi.rogues import XML
 
 SHORT = ["--stop", "0.1"]
 HEAD = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'
@@ -783,7 +783,7 @@ def test_linearize_prints_a_table_for_a_scenario(call):
     [
         (["--disturbance", "delta"], "--disturbance NAME goes with --toml"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
-        (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
+        (["--set", "u=fast"], "start value of 'u': expected a number, got 'fast'"),
         (["--set", "=3"], "--set '=3': found no name, needed NAME=VALUE"),
         (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
         (["--input", "w"], "no input 'w'; there is: u, delta"),

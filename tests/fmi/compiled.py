@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import fmpy
 
+from cosim.fmi.compiling import compile_library
 from cosim.fmi.platforms import SUFFIX, folders
-from cosim.native import build
 from cosim.temporary import TemporaryFolder
 
 HERE = Path(__file__).parent / "c"
@@ -50,8 +50,8 @@ def compile_fmu(
     """
     library = path.with_suffix(SUFFIX)
     version = xml.split('fmiVersion="')[1].split('"')[0]
-    flags = [f"-I{HEADERS}", *(f"-D{define}" for define in defines)]
-    build.compile_library([HERE / source for source in sources], library, flags)
+    flags = ["-O0", f"-I{HEADERS}", *(f"-D{define}" for define in defines)]
+    compile_library([HERE / source for source in sources], library, flags)
     binary = f"binaries/{folders(version)[0]}/{name}{SUFFIX}"
     return write_archive(path, {"modelDescription.xml": xml, **extra, binary: library.read_bytes()})
 

@@ -28,6 +28,23 @@ CAUSALITY = {
     "count": "output",
 }
 VARIABILITY = {"p": "fixed", "d": "discrete", "q": "discrete", "count": "discrete"}
+LEVELS = {
+    "BALL": 0.1,
+    "FRICTION": 0.5,
+    "SAW": 0.0733,
+    "COUNTER": 0.05,
+    "TWO": 0.0,
+    "SLIDE": 0.5,
+    "ENDLESS": 0.45,
+    "ENDS": 0.45,
+    "MEMORY": 0.0,
+    "SWITCH": 0.3,
+    "STEPS": 0.0733,
+    "TIRED": 0.45,
+    "SCALED": 0.11,
+    "REFUSES": 0.08,
+}
+"""The models of ``c/events.c``, with their parameter p."""
 OUTPUTS = ("x", "v", "q", "count")
 HEADER = '<?xml version="1.0" encoding="UTF-8"?>'
 
@@ -116,6 +133,14 @@ def build(model: str, version: int = 2, nominal: float = 1.0, *, saves: bool = T
         xml = xml.replace('canGetAndSetFMUState="true"', "")
     defines = (f"FMI={version}", f"MODEL={model}", f"NOMINAL={nominal}")
     return compile_fmu(path, xml, "events.c", defines=defines)
+
+
+def friction(folder, version):
+    """Compile v' = u - p while it slips, with p tunable."""
+    xml = (xml2 if version == 2 else xml3)("FRICTION")
+    xml = xml.replace('variability="fixed"', 'variability="tunable"')
+    defines = (f"FMI={version}", "MODEL=FRICTION", "NOMINAL=1.0")
+    return compile_fmu(folder / f"friction{version}.fmu", xml, "events.c", defines=defines)
 
 
 class Run:

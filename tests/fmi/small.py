@@ -12,6 +12,9 @@ CAN = {
     "steps": 'canHandleVariableCommunicationStepSize="true"',
     "once": 'canBeInstantiatedOnlyOncePerProcess="true"',
 }
+# the pair of ``test_coupled.py``
+ONE = {"A": -0.9, "B": 0.5, "C": 3.0, "D": 1.0, "x": 1.0}
+TWO = {"A": -1.0, "B": 10.0, "C": -31.0, "D": -0.9, "x": 1.0}
 
 
 def compiled(folder: Path, *defines: str) -> Path:

@@ -20,38 +20,10 @@ from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from tests.fmi.archives import Entry, write
-from tests.fmi.compiled import HERE, compile_fmu
-from tests.fmi.test_reading import FMI1, FMI3
-
-XML = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="rogue" guid="rogue">
-<CoSimulation modelIdentifier="model" canGetAndSetFMUstate="true"/>
-<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
-<TypeDefinitions>
-  <SimpleType name="Mode">
-    <Enumeration><Item name="off" value="1"/><Item name="on" value="3"/></Enumeration>
-  </SimpleType>
-</TypeDefinitions>
-<ModelVariables>
-  <ScalarVariable name="u" valueReference="0" causality="input">
-    <Real start="0" unit="m"/></ScalarVariable>
-  <ScalarVariable name="y" valueReference="1" causality="output" initial="exact">
-    <Real start="1"/></ScalarVariable>
-  <ScalarVariable name="k" valueReference="2"
-    causality="parameter" variability="fixed"><Real start="2" min="0" max="5"/></ScalarVariable>
-  <ScalarVariable name="z" valueReference="3" causality="output">
-    <Real nominal="2"/></ScalarVariable>
-  <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
-    <Enumeration declaredType="Mode" start="3"/></ScalarVariable>
-</ModelVariables>
-<ModelStructure>
-  <Outputs>
-    <Unknown index="2" dependencies=""/>
-    <Unknown index="4" dependencies="1" dependenciesKind="dependent"/>
-  </Outputs>
-  <InitialUnknowns><Unknown index="4" dependencies="1 2"/></InitialUnknowns>
-</ModelStructure>
-</fmiModelDescription>"""
+from tests.fmi.cases import check_all
+from tests.fmi.compiled import HERE
+from tests.fmi.descriptions import FMI1, FMI3
+from tests.fmi.rogues import XML, compile_rogue
 
 
 @pytest.fixture
@@ -59,9 +31,7 @@ def rogue(tmp_path) -> Callable[..., Path]:
     """Compile the FMU that does one thing wrong."""
 
     def make(what: str, xml: str = XML, *defines: str) -> Path:
-        return compile_fmu(
-            tmp_path / "rogue.fmu", xml, "rogue2.c", defines=(f"ROGUE={what}", *defines)
-        )
+        return compile_rogue(tmp_path / "rogue.fmu", what, xml, *defines)
 
     return make
 
@@ -93,6 +63,7 @@ def test_a_good_fmu_has_no_findings(rogue, exported):
     assert check(rogue("GOOD")) == ()
 
 
+@pytest.mark.slow
 def test_foreign_fmus_have_no_errors(foreign2, foreign3):
     """pythonfmu lists no initial unknowns: a warning; that dependencies are not known is a note."""
     assert problems_of(foreign2) == problems_of(foreign3) == []
@@ -128,7 +99,7 @@ ROGUES = {
     "EXITS": f"{RUN}: ends the process with exit code 3 at: loading and instantiating",
     "REFUSES": f"{RUN}: the binary model{SUFFIX} cannot be used: ",
     "NAN_OUTPUT": f"{RUN}: output 'y' is nan after a step",
-    "OTHER_START": f"{RUN}: 'y' starts at 2; the file says exactly 1",
+    "OTHER_START": f"{RUN}: 'y' starts at 2; the declared start is 1 (exact)",
     "FAILS_STEP": f"{RUN}: fmi2DoStep returned 3 (error)",
     "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs, "
     "'y' by 1 of its change",
@@ -154,6 +125,7 @@ def test_a_trial_of_saved_states_moves_the_inputs(rogue):
     assert problem.startswith(f"{BACK}: goes back wrongly: after steps with other inputs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "text"),
     [
@@ -300,27 +272,30 @@ def head(file_format, machine):
     return b"\xcf\xfa\xed\xfe" + machine.to_bytes(4, "little")
 
 
-@pytest.mark.parametrize(
-    ("content", "machine"),
-    [
-        (head("elf", 62), ("x86_64", "linux")),
-        (head("elf", 183), ("aarch64", "linux")),
-        (head("elf", 3), ("x86", "linux")),
-        (head("elf", 999), ("machine 999", "linux")),
-        (head("pe", 0x8664), ("x86_64", "windows")),
-        (head("pe", 0xAA64), ("aarch64", "windows")),
-        (head("mach", 0x1000007), ("x86_64", "darwin")),
-        (head("mach", 0x100000C), ("aarch64", "darwin")),
-        (b"\xca\xfe\xba\xbe" + bytes(8), ("any", "darwin")),
-        (b"MZ" + bytes(100), None),
-        (b"\x7fELF\2\1\1" + bytes(30), None),  # no shared library
-        (b"#!/bin/sh", None),
-        (b"", None),
-    ],
-)
-def test_what_a_binary_is_built_for(content, machine):
+def test_what_a_binary_is_built_for():
     """The first bytes of ELF, PE and Mach-O."""
-    assert built_for(content) == machine
+
+    def check(content, machine):
+        assert built_for(content) == machine
+
+    check_all(
+        check,
+        [
+            (head("elf", 62), ("x86_64", "linux")),
+            (head("elf", 183), ("aarch64", "linux")),
+            (head("elf", 3), ("x86", "linux")),
+            (head("elf", 999), ("machine 999", "linux")),
+            (head("pe", 0x8664), ("x86_64", "windows")),
+            (head("pe", 0xAA64), ("aarch64", "windows")),
+            (head("mach", 0x1000007), ("x86_64", "darwin")),
+            (head("mach", 0x100000C), ("aarch64", "darwin")),
+            (b"\xca\xfe\xba\xbe" + bytes(8), ("any", "darwin")),
+            (b"MZ" + bytes(100), None),
+            (b"\x7fELF\2\1\1" + bytes(30), None),  # no shared library
+            (b"#!/bin/sh", None),
+            (b"", None),
+        ],
+    )
 
 
 def test_folders_of_binaries():
@@ -346,13 +321,13 @@ def test_binaries_in_the_wrong_place(tmp_path):
         xml=XML.encode(),
     )
     assert problems_of(path) == [
-        f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; needed x86_64-linux"
+        f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; expected x86_64-linux"
     ]
     assert problems_of(path, "warning") == [
         "binary: binaries/darwin64/model.dylib is no shared library",
         "binary: binaries/plan9 is no platform of the standard",
         "binary: binaries/win32/model.dll is missing",
-        "binary: binaries/win64/model.dll is for x86_64-linux; needed x86_64-windows",
+        "binary: binaries/win64/model.dll is for x86_64-linux; expected x86_64-windows",
     ]
 
 
@@ -362,7 +337,7 @@ def test_no_binary_for_this_machine(tmp_path):
         [Entry("binaries/win64/model.dll", head("pe", 0x8664))],
         xml=XML.encode(),
     )
-    assert problems_of(path) == ["binary: none for this machine (x86_64-linux); there is: win64"]
+    assert problems_of(path) == ["binary: none for this machine (x86_64-linux); available: win64"]
 
 
 def test_a_trial_that_cannot_be(tmp_path):
@@ -377,9 +352,9 @@ def test_a_trial_that_cannot_be(tmp_path):
 
 FINDINGS = [
     ('start="2" min="0"', 'start="nan" min="0"', "error",
-     "XML: variable 'k': start: found nan, needed a number"),
+     "XML: variable 'k': start: expected a number, got nan"),
     ('start="2" min="0"', 'start="7" min="0"', "error",
-     "variable 'k': start value: found 7, needed 0 to 5"),
+     "variable 'k': start value: expected 0 to 5, got 7"),
     ('start="2" min="0" max="5"', 'start="2" min="4" max="1"', "error",
      "variable 'k': min 4 is above max 1"),
     ('<Real start="2" ', "<Real ", "error",
@@ -389,7 +364,7 @@ FINDINGS = [
     ('declaredType="Mode"', 'declaredType="None"', "error",
      "variable 'mode': declaredType 'None' is not defined"),
     ('declaredType="Mode" start="3"', 'declaredType="Mode" start="2"', "error",
-     "variable 'mode': start value: found 2, needed one of 1, 3"),
+     "variable 'mode': start value: expected one of 1, 3, got 2"),
     ('initial="exact"', 'initial="calculated"', "warning",
      "variable 'y': has a start value, which nothing uses: it is calculated"),
     ('causality="parameter" variability="fixed"><Real',
@@ -403,7 +378,7 @@ FINDINGS = [
     ('variability="fixed">\n', 'variability="continuous">\n', "warning",
      "variable 'mode': variability continuous, which a variable of type Enumeration cannot have"),
     ('nominal="2"', 'nominal="0"', "warning",
-     "variable 'z': nominal: found 0, needed a finite number that is not 0"),
+     "variable 'z': nominal: expected a finite nonzero number, got 0"),
     ('unit="m"', 'unit="km"', "warning",
      "variable 'u': unit 'km' is not defined in UnitDefinitions; it is understood by its name"),
     ('unit="m"', 'unit="m" displayUnit="mm"', "warning",
@@ -463,7 +438,7 @@ def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
     """What the rules above are changed from has only no binary."""
     monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])
     assert [f.text for f in check(write(tmp_path / "x.fmu", [], xml=XML.encode()))] == [
-        "none for this machine (x86_64-linux); there is: none"
+        "none for this machine (x86_64-linux); available: none"
     ]
 
 
@@ -506,7 +481,7 @@ def test_findings_of_fmi_1(tmp_path):
 def test_neither_interface_type(tmp_path):
     xml = XML.replace("CoSimulation ", "Neither ")
     errors = problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))
-    assert "XML: neither model exchange nor co-simulation; needed one of them" in errors
+    assert "XML: neither model exchange nor co-simulation; expected one of them" in errors
 
 
 def test_all_problems_at_once(rogue):

@@ -1,7 +1,6 @@
 """The options of ``cosim check``: start values for the trials, and what is an error."""
 
-from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_check import XML
+from tests.fmi.rogues import XML, compile_rogue
 
 FAULT = "error: trial run, co-simulation: fmi2DoStep returned 3 (error)"
 
@@ -14,14 +13,15 @@ def test_a_fault_behind_a_parameter(probe2, call):
     assert FAULT in out
     code, _, err = call("check", probe2, "--set", "answer=none")
     assert code == 2
-    assert "start value of 'answer': found 'none', needed a number" in err
+    assert "start value of 'answer': expected a number, got 'none'" in err
 
 
+@pytest.mark.slow
 def test_strict_exits_with_1_for_a_warning(tmp_path, call):
     """Without it, only for an error."""
-    good = compile_fmu(tmp_path / "good.fmu", XML, "rogue2.c", defines=("ROGUE=GOOD",))
+    good = compile_rogue(tmp_path / "good.fmu", "GOOD")
     assert call("check", good, "--strict")[0] == 0
     xml = XML.replace('<Unknown index="2" dependencies=""/>', "")
-    unlisted = compile_fmu(tmp_path / "x.fmu", xml, "rogue2.c", defines=("ROGUE=GOOD",))
+    unlisted = compile_rogue(tmp_path / "x.fmu", "GOOD", xml)
     assert call("check", unlisted)[0] == 0
     assert call("check", unlisted, "--strict")[0] == 1

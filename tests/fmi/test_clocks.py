@@ -96,6 +96,7 @@ def test_a_clock_ticks_at_its_instants(opened, interface_type):
     assert abs(trace["x"] - x).max() < ROUNDING
 
 
+@pytest.mark.slow
 def test_instants_do_not_accumulate(opened):
     """After 10000 intervals of 0.1 s the time of a tick is the double k / 10; 0.1 k is not."""
     steps = 1000
@@ -299,6 +300,7 @@ def test_a_sampled_controller_in_a_loop(opened, interface_type, can):
         total += x
 
 
+@pytest.mark.slow
 @TYPES
 def test_the_contract_holds_with_clocks(opened, interface_type):
     """Blocks of any length; outputs that change nothing; states that are saved, clocks too."""

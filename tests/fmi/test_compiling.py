@@ -58,6 +58,7 @@ def check_binaries(fmu, platforms, fmi):
             assert b"cosim.export" not in content  # where it was compiled
 
 
+@pytest.mark.slow
 @needs_zig
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_zig_compiles_for_another_machine(fmi, tmp_path):
@@ -77,14 +78,16 @@ def test_zig_compiles_for_another_machine(fmi, tmp_path):
 @needs_zig
 @pytest.mark.campaign
 @pytest.mark.parametrize("fmi", ["2", "3"])
-def test_zig_compiles_for_every_machine(fmi, tmp_path, compiled_anew):
+def test_zig_compiles_for_every_machine(fmi, tmp_path, monkeypatch):
     """All platforms in one archive; the first time zig builds their C libraries, for minutes."""
+    monkeypatch.setenv("COSIM_CACHE", "")
     first = export(model(), tmp_path / "x.fmu", name="plant", fmi=fmi, platforms=list(PLATFORMS))
     check_binaries(first, list(PLATFORMS), fmi)
     again = export(model(), tmp_path / "y.fmu", name="plant", fmi=fmi, platforms=list(PLATFORMS))
     assert first.path.read_bytes() == again.path.read_bytes()
 
 
+@pytest.mark.slow
 @needs_zig
 @pytest.mark.skipif(
     shutil.which("cc") is None or HERE not in PLATFORMS, reason="no cc to compare with"

@@ -79,6 +79,7 @@ def test_adaptive_solvers_drive_a_loaded_fmu(solver, exported):
     assert np.array_equal(y, run(generated(solver), step=0.1))
 
 
+@pytest.mark.slow
 def test_lsoda_says_that_a_smaller_step_makes_it_worse():
     """It starts anew at every communication point; BDF, which runs on, is as good as before."""
 

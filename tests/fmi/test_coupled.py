@@ -20,9 +20,8 @@ from cosim.errors import GraphError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from tests.fmi import small
+from tests.fmi.small import ONE, TWO
 
-ONE = {"A": -0.9, "B": 0.5, "C": 3.0, "D": 1.0, "x": 1.0}
-TWO = {"A": -1.0, "B": 10.0, "C": -31.0, "D": -0.9, "x": 1.0}
 STEPS = (0.01, 0.005, 0.0025, 0.00125)
 
 
@@ -175,6 +174,7 @@ def test_the_order_that_a_loop_is_said_to_have_is_that_of_its_error(pair, can, o
 # --- substeps ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("can", ["slopes", "D"])
 def test_substeps_keep_the_tolerance(pair, can):
     """In FMUs that take steps of any length; with compiled code and without the same bits."""

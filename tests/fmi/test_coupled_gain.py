@@ -12,7 +12,7 @@ from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from tests.core.graphs import pair_map
 from tests.fmi import small
-from tests.fmi.test_coupled import ONE, TWO
+from tests.fmi.small import ONE, TWO
 
 CONNECTIONS = {"one.u": "two.y", "two.u": "one.y"}
 SIGNALS = ("one.x", "one.y", "two.x", "two.y")

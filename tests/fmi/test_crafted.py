@@ -15,7 +15,7 @@ from cosim.fmi.checking.check import check
 from cosim.report.inspection import describe_fmu
 from cosim.report.tables.fmu import print_fmu
 from tests.fmi.archives import Entry, write
-from tests.fmi.test_reading import CO_SIMULATION, FMI2, FMI3, fmi1
+from tests.fmi.descriptions import CO_SIMULATION, FMI2, FMI3, fmi1
 
 VALUES = (
     "",

@@ -226,15 +226,15 @@ BROKEN = {
     "well-formed": ("<a", "it is not well-formed: "),
     "root": (
         manifest(RIGHT, "fmi-ode"),
-        "the root: found 'fmi-ode', needed fmiLayeredStandardManifest or fmi-dae",
+        "the root: expected fmiLayeredStandardManifest or fmi-dae, got 'fmi-ode'",
     ),
     "name": (
         manifest(RIGHT, about=ABOUT.replace("-ls-dae", "-ls-x")),
-        "fmi-ls-name: found 'org.fmi-standard.fmi-ls-x', needed org.",
+        "fmi-ls-name: expected org.",
     ),
     "version": (
         manifest(RIGHT, about=ABOUT.replace("0.0.1", "2.0")),
-        "fmi-ls-version: found '2.0', needed 0.0.1 or 0.1",
+        "fmi-ls-version: expected 0.0.1 or 0.1, got '2.0'",
     ),
     "z": (edited('"2"/>', '"99"/>'), "AlgebraicVariable: valueReference=99 is no variable"),
     "r": (edited('"4"', '"98"'), "Formulation: valueReference=98 is no variable"),
@@ -244,19 +244,19 @@ BROKEN = {
     ),
     "twice": (
         edited("</Alg", '<AlgebraicVariable valueReference="2"/></Alg'),
-        "'z' is listed 2 times, needed once",
+        "'z' is listed 2 times; expected once",
     ),
     "discrete": (
         edited('"2"/>', '"6"/>'),
-        "'q': found a variable that is not real and continuous, needed one that is",
+        "'q': expected a real, continuous variable",
     ),
     "empty": (
         edited('<Formulation valueReference="4"/>', ""),
-        "Residual: found no Formulation, needed one at least",
+        "Residual: expected at least one Formulation, got none",
     ),
     "count": (
         edited('<Residual><Formulation valueReference="4"/></Residual>', ""),
-        "found 0 residuals for 1 algebraic variables",
+        "expected as many residuals as algebraic variables (1), got 0",
     ),
 }
 

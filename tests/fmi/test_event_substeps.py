@@ -213,6 +213,7 @@ def run_switched(lag, tmp_path, *, version, solver, tolerance, native=True):
     return memory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("version", "solver"), [(2, "rk4"), (3, "RK45"), (2, "BDF")])
 def test_a_state_event_ends_a_substep(lag, tmp_path, version, solver):
     """Where it is with the inputs of the loop is found by and by, in compiled code as in Python."""

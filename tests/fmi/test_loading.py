@@ -113,7 +113,7 @@ def test_a_binary_for_another_machine(probe2, tmp_path):
     refused(
         path,
         rf"the binary \S+/model\S+ is for {other}, found in the folder for {ARCHITECTURE}; "
-        f"needed one for {ARCHITECTURE}",
+        f"expected one for {ARCHITECTURE}",
     )
 
 
@@ -290,6 +290,7 @@ def traced():
     return files, maps, tracemalloc.get_traced_memory()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts what Linux tells")
 @pytest.mark.parametrize(
     ("number", "interface_type"), [(1, "me"), (1, "cs"), (2, "me"), (2, "cs"), (3, "me"), (3, "cs")]

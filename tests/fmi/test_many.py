@@ -26,6 +26,7 @@ def seconds(function, path):
     return min(times)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("frozen_heap")
 def test_reading_takes_no_longer_than_fmpy(path):
     """Both in one process, by processor time; measured: two thirds.
@@ -40,6 +41,7 @@ def test_reading_takes_no_longer_than_fmpy(path):
     raise AssertionError(f"reading takes {ratios} times as long as FMPy's")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("frozen_heap")
 def test_the_time_of_a_check_is_proportional_to_the_size(tmp_path, path, monkeypatch):
     """Eight times the variables take about eight times as long, 64 times where a list is searched.

@@ -272,6 +272,7 @@ def test_nothing_is_printed_where_fmpy_has_no_logger(request, name):
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
+@pytest.mark.slow
 def test_an_export_and_its_check_do_not_import_fmpy(tmp_path):
     """They take headers and schemas from its folder; its import may print on stdout."""
     lines = [

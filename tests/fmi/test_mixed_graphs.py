@@ -28,7 +28,7 @@ from cosim.fmi.options import FmuOptions
 from cosim.native.numerics.runge_kutta import EXPLICIT
 from tests.core.parts import InPython, half_through, integrator, through
 from tests.fmi import eventful, lag
-from tests.fmi.test_native_exchange import LEVELS
+from tests.fmi.eventful import LEVELS
 
 H = 0.01
 STEPS = 30
@@ -201,6 +201,7 @@ def test_mixed_graphs_have_one_outcome(lags, seed):
         assert outcome(seed, lags, threads=2, block=7) == expected
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=12)
 @given(st.integers(0, 10**6))
 def test_a_condition_ends_mixed_graphs_alike(lags, seed):

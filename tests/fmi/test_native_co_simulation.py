@@ -16,8 +16,9 @@ from cosim.fmi.component import load
 from cosim.fmi.driving.stepping import Stepper
 from cosim.fmi.options import FmuOptions
 from tests.fmi import lag
+from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 STEP = 0.01
 STOP = 0.6
@@ -121,40 +122,49 @@ def simulated(
     return rows, error, messages
 
 
-@pytest.mark.parametrize("wiring", ["chain", "ring"])
-@pytest.mark.parametrize(("version", "can", "start"), USUAL + RARE)
-def test_rows_messages_and_ends_are_those_of_the_methods(path, version, can, start, wiring):
-    case = (path, version, can, start)
-    expected = simulated(*case, native=False, wiring=wiring, block=1)
-    assert simulated(*case, native=True, wiring=wiring, block=1) == expected
+@pytest.mark.parametrize("version", ["1", "2", "3"])
+def test_rows_messages_and_ends_are_those_of_the_methods(path, version):
+    """Of every FMU of that version, in a chain and in a ring."""
+
+    def check(version, can, start, wiring):
+        case = (path, version, can, start)
+        expected = simulated(*case, native=False, wiring=wiring, block=1)
+        assert simulated(*case, native=True, wiring=wiring, block=1) == expected
+
+    cases = [case for case in USUAL + RARE if case[0] == version]
+    check_all(check, cases, ["chain", "ring"])
 
 
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-@pytest.mark.parametrize("block", [None, 7])
 @pytest.mark.parametrize(("version", "can", "start"), [USUAL[4], USUAL[10], RARE[3], RARE[9]])
-def test_bits_depend_on_no_block_size(path, version, can, start, block, coupling):
-    case = (path, version, can, start)
-    options = {"wiring": "ring", "coupling": coupling}
-    expected = simulated(*case, native=False, **options)
-    assert simulated(*case, native=True, block=block, **options) == expected
+def test_bits_depend_on_no_block_size(path, version, can, start):
+    def check(coupling, block):
+        case = (path, version, can, start)
+        options = {"wiring": "ring", "coupling": coupling}
+        expected = simulated(*case, native=False, **options)
+        assert simulated(*case, native=True, block=block, **options) == expected
+
+    check_all(check, ["gauss-seidel", "jacobi"], [None, 7])
 
 
-@pytest.mark.parametrize("wiring", ["chain", "ring"])
 @pytest.mark.parametrize(
     ("version", "can", "start"), [case for case in USUAL if "events" not in case[1]]
 )
-def test_usual_steps_are_compiled(path, version, can, start, wiring, monkeypatch):
+def test_usual_steps_are_compiled(path, version, can, start, monkeypatch):
     """All of them, but for the first one of an FMU whose state is saved before each."""
-    taken = []
-    step = Stepper.step
 
-    def counted(self, *arguments):
-        taken.append(arguments)
-        return step(self, *arguments)
+    def check(wiring):
+        taken = []
+        step = Stepper.step
 
-    monkeypatch.setattr(Stepper, "step", counted)
-    simulated(path, version, can, start, native=True, wiring=wiring)
-    assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
+        def counted(self, *arguments):
+            taken.append(arguments)
+            return step(self, *arguments)
+
+        monkeypatch.setattr(Stepper, "step", counted)
+        simulated(path, version, can, start, native=True, wiring=wiring)
+        assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
+
+    check_all(check, ["chain", "ring"])
 
 
 def test_what_is_shared_is_put_back_once_for_many_steps(tmp_path):
@@ -274,15 +284,18 @@ def typed(folder, call, status):
     return compile_fmu(folder / f"{call}{status}.fmu", xml, "typed2.c", defines=defines)
 
 
-@pytest.mark.parametrize("status", STATUSES)
 @pytest.mark.parametrize("call", CALLS)
-def test_a_call_that_warns_or_fails_in_compiled_code_is_reported_alike(tmp_path, call, status):
+def test_a_call_that_warns_or_fails_in_compiled_code_is_reported_alike(tmp_path, call):
     """In every call of a step: the same rows, the same error, the same messages and times."""
-    path = typed(tmp_path, call, status)
-    rows, error, messages = typed_run(path, native=False)
-    assert typed_run(path, native=True) == (rows, error, messages)
-    assert (error == "") == (status == "fmi2Warning")
-    assert messages != []
+
+    def check(status):
+        path = typed(tmp_path, call, status)
+        rows, error, messages = typed_run(path, native=False)
+        assert typed_run(path, native=True) == (rows, error, messages)
+        assert (error == "") == (status == "fmi2Warning")
+        assert messages != []
+
+    check_all(check, STATUSES)
 
 
 def test_integers_and_booleans_are_carried_as_by_the_methods(tmp_path):

@@ -19,10 +19,12 @@ from cosim.fmi.options import FmuOptions
 from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT
 from tests.core.parts import integrator, times
 from tests.fmi import eventful
+from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
+from tests.fmi.eventful import LEVELS
 from tests.fmi.pendulum import pendulum
 from tests.fmi.probes import xml1
-from tests.fmi.test_contract import VARIABILITIES, Watched, model
+from tests.fmi.variabilities import VARIABILITIES, Watched, model
 
 STEPS = 60
 H = 0.01
@@ -217,24 +219,6 @@ def test_exact_plants_in_loops(coupling):
 
 # --- FMUs with a Runge-Kutta method ---
 
-LEVELS = {
-    "BALL": 0.1,
-    "FRICTION": 0.5,
-    "SAW": 0.0733,
-    "COUNTER": 0.05,
-    "TWO": 0.0,
-    "SLIDE": 0.5,
-    "ENDLESS": 0.45,
-    "ENDS": 0.45,
-    "MEMORY": 0.0,
-    "SWITCH": 0.3,
-    "STEPS": 0.0733,
-    "TIRED": 0.45,
-    "SCALED": 0.11,
-    "REFUSES": 0.08,
-}
-"""The models of ``c/events.c``, with their parameter p."""
-
 
 def swinging():
     """Return the inputs u and d of those models."""
@@ -268,12 +252,8 @@ def run_eventful(driving, path, options, held, size):
         return np.concatenate(rows).tobytes(), ended, events_of(fmu), driven.taken
 
 
-@pytest.mark.parametrize("saves", [True, False])
-@pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("solver", EXPLICIT)
-@pytest.mark.parametrize("model", LEVELS)
-def test_events_of_fmus_in_compiled_steps(model, solver, version, saves):
-    """State, time, step and input events, ends and failures: equal bits, words and evaluations.
+def check_eventful(model, solver, version, saves):
+    """Check that compiled steps give the rows, end, messages and evaluations of the methods.
 
     Inputs interpolated linearly, or held, so that each step begins with an event. An FMU that
     cannot go back is left behind the events at the end of a step.
@@ -287,6 +267,21 @@ def test_events_of_fmus_in_compiled_steps(model, solver, version, saves):
             *found, taken = run_eventful(Compiled, path, options, mask, size)
             assert found == expected
             assert taken >= 5
+
+
+@pytest.mark.parametrize("model", sorted(LEVELS.keys() - {"SLIDE"}))
+def test_events_of_fmus_in_compiled_steps(model):
+    """State, time, step and input events, ends and failures: equal bits, words and evaluations."""
+    check_eventful(model, "rk4", 2, True)
+    check_eventful(model, "RK45", 3, False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", EXPLICIT)
+@pytest.mark.parametrize("version", [2, 3])
+def test_events_of_fmus_in_compiled_steps_of_every_solver(solver, version):
+    """All models, with and without a way back."""
+    check_all(check_eventful, LEVELS, [solver], [version], [True, False])
 
 
 @pytest.mark.parametrize("model", ["BALL", "SAW", "TWO", "SWITCH", "SCALED"])

@@ -9,7 +9,7 @@ import pytest
 
 from cosim.processes import COMMAND_VARIABLE
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_check import XML
+from tests.fmi.rogues import XML
 
 SCENARIO = """
 [scenario]
@@ -71,6 +71,7 @@ def test_a_dry_run_says_what_is_wrong(call, marked):
     assert "start value of 'k': found 9" in err
 
 
+@pytest.mark.slow
 def test_a_dry_run_of_an_fmu_that_crashes(call, tmp_path):
     """The parent lives on and says so."""
     crash = tmp_path / "crash.c"
@@ -99,6 +100,7 @@ def test_a_dry_run_of_an_fmu_that_ends_the_process(call, tmp_path):
     assert text in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "expected_code", "words"),
     [

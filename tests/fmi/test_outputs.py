@@ -10,7 +10,7 @@ from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from tests.fmi.archives import write
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_reading import FMI2, FMI3
+from tests.fmi.descriptions import FMI2, FMI3
 
 SCENARIO = """
 [scenario]

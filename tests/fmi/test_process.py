@@ -21,12 +21,10 @@ from cosim.errors import RunError
 from cosim.fmi.binary.process import CHANGES, Process
 from cosim.fmi.component import load
 from cosim.fmi.driving.guarded import Guarded
-from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_check import XML
+from tests.fmi.rogues import STATELESS, compile_rogue
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the FMU is written for Linux")
 
-STATELESS = XML.replace('canGetAndSetFMUstate="true"', "")  # so that nothing is tried before
 REPORT = {
     "FLUSHES": "how subnormal numbers are computed",
     "TRAPS": "that floating-point exceptions end the process",
@@ -49,8 +47,7 @@ def rogue(tmp_path):
     """Compile the FMU that does one thing wrong, and write a scenario with it."""
 
     def make(what: str, where: str = "STEP") -> Path:
-        defines = (f"ROGUE={what}", f"WHERE={where}")
-        compile_fmu(tmp_path / "rogue.fmu", STATELESS, "rogue2.c", defines=defines)
+        compile_rogue(tmp_path / "rogue.fmu", what, STATELESS, f"WHERE={where}")
         scenario = tmp_path / "one.toml"
         scenario.write_text(
             '[scenario]\nname = "one"\nstop = 0.05\nstep = 0.01\n'

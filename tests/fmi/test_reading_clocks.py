@@ -71,7 +71,7 @@ def test_variables_name_their_clocks(tmp_path):
         (
             'intervalVariability="tunable"',
             'intervalVariability="rarely"',
-            "variable 'open': intervalVariability: found 'rarely', needed one of: constant, fixed, "
+            "variable 'open': intervalVariability: expected one of: constant, fixed, "
             "tunable, changing, countdown, triggered",
         ),
         (
@@ -82,27 +82,27 @@ def test_variables_name_their_clocks(tmp_path):
         (
             'intervalDecimal="1e-1"',
             'intervalDecimal="soon"',
-            "variable 'decimal': intervalDecimal: found 'soon', needed a finite number",
+            "variable 'decimal': intervalDecimal: expected a finite number, got 'soon'",
         ),
         (
             'intervalDecimal="1e-1"',
             'intervalDecimal="-0.1"',
-            "variable 'decimal': interval: found -0.1 s, needed more than 0 s",
+            "variable 'decimal': interval: expected more than 0 s, got -0.1 s",
         ),
         (
             'shiftDecimal="0.05"',
             'shiftDecimal="-1"',
-            "variable 'decimal': shift: found -1.0 s, needed 0 s or more",
+            "variable 'decimal': shift: expected 0 s or more, got -1.0 s",
         ),
         (
             'resolution="3"',
             'resolution="0"',
-            "variable 'fraction': resolution: found 0, needed 1 or more, with intervalCounter",
+            "variable 'fraction': resolution: expected 1 or more, with intervalCounter, got 0",
         ),
         (
             'clocks="1 6"',
             'clocks="1 8"',
-            "variable 'count': clocks: found value reference 8, needed those of clocks",
+            "variable 'count': clocks: expected those of clocks, got value reference 8",
         ),
     ],
 )
@@ -116,7 +116,7 @@ def test_scheduled_execution_is_refused_by_name(tmp_path):
     """As by the Clocks of the Reference-FMUs: by check and by everything that opens the FMU."""
     path = described(tmp_path, interface="ScheduledExecution")
     text = (
-        "scheduled execution only (FMI 3.0 section 5), which is not supported; needed model "
+        "scheduled execution only (FMI 3.0 section 5), which is not supported; expected model "
         "exchange or co-simulation"
     )
     assert ("error", "XML", text) in check(path)

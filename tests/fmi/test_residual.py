@@ -164,6 +164,7 @@ def test_a_form_without_states_is_its_equation():
     assert rows[:, 0] == pytest.approx(expected, abs=4e-15)
 
 
+@pytest.mark.slow
 @DERIVATIVES
 def test_the_contract_of_components_holds(derivatives):
     """One call of K steps is K calls of one, bit for bit; outputs change nothing.
@@ -217,11 +218,11 @@ IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Resi
     [
         (
             None,
-            r'needed the manifest extra/org.fmi-standard.fmi-ls-dae/fmi-ls-manifest.xml; use "ode"',
+            r'expected the manifest extra/.*/fmi-ls-manifest.xml; use "ode"',
         ),
         (
             manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="false"'),
-            "the FMU says nothing of a residual form",
+            "the FMU declares no residual form",
         ),
         (
             manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
@@ -229,15 +230,15 @@ IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Resi
         ),
         (
             manifest(LISTS, "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
-            "found 0 residuals for 1 algebraic variables, needed as many",
+            r"expected as many residuals as algebraic variables \(1\), got 0",
         ),
         (
             manifest(LISTS + f"<ModelStructure>{RATE}{TWICE}</ModelStructure>"),
-            "'r' is an equation of higher index; needed index 1",
+            "'r' is an equation of higher index; expected index 1",
         ),
         (
             manifest(LISTS + f"<ModelStructure>{RATE}{IMPLICIT}</ModelStructure>"),
-            "'r' depends on derivatives of states; needed them",
+            "'r' depends on derivatives of states; expected explicit",
         ),
     ],
 )

@@ -165,6 +165,7 @@ def run_steps(solver, count):
     return [solver.step(10.0) for _ in range(count)]
 
 
+@pytest.mark.slow
 def test_a_cvode_that_was_not_made_completely_is_freed_without_complaint(monkeypatch):
     """Whatever fails in its making: the error is that of the failure, and nothing else is said."""
     complaints = []

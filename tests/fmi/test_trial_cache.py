@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from cosim.fmi import child_process, trial_cache
+from cosim.fmi import cache, child_process, trial_cache
+from cosim.fmi.cache import cache_folder, cached_files
 from cosim.fmi.child_process import TrialProblem, find_rollback_problems
 from cosim.fmi.reading.model_description import read
-from cosim.fmi.trial_cache import cache_folder, cached_files, keep_problems, read_problems
-from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_check import XML
+from cosim.fmi.trial_cache import keep_problems, read_problems
+from tests.fmi.compiled import with_description
+from tests.fmi.rogues import XML, compile_rogue
 
 KEY = ("rollback", "0" * 64, "cs")
 
@@ -22,7 +23,7 @@ KEY = ("rollback", "0" * 64, "cs")
 def folder(tmp_path, monkeypatch) -> Path:
     """Return the folder of a cache that is empty."""
     folder = tmp_path / "cache"
-    monkeypatch.setenv(trial_cache.VARIABLE, str(folder))
+    monkeypatch.setenv(cache.VARIABLE, str(folder))
     child_process._try_rollback.cache_clear()
     yield folder
     child_process._try_rollback.cache_clear()
@@ -47,10 +48,21 @@ def made_problems(path):
     return {"lies": ("goes back wrongly: y",), "hangs": ("hangs: here",)}.get(Path(path).stem, ())
 
 
-def archive(folder, name):
-    folder.mkdir(exist_ok=True)
-    return read(compile_fmu(folder / f"{name}.fmu", XML.replace("rogue", name), "rogue2.c",
-                            defines=("ROGUE=GOOD",)))  # fmt: skip
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> Path:
+    return compile_rogue(tmp_path_factory.mktemp("good") / "good.fmu", "GOOD")
+
+
+@pytest.fixture
+def archive(good):
+    """Return a function that reads a copy of the FMU, of another content for each name."""
+
+    def make(folder, name):
+        folder.mkdir(exist_ok=True)
+        xml = XML.replace("rogue", name)
+        return read(with_description(good, folder / f"{name}.fmu", xml))
+
+    return make
 
 
 def find(found):
@@ -60,7 +72,7 @@ def find(found):
 
 
 @pytest.mark.parametrize(("name", "count"), [("good", 1), ("lies", 1), ("hangs", 2)])
-def test_a_trial_is_made_once_for_a_content(tmp_path, trials, name, count):
+def test_a_trial_is_made_once_for_a_content(tmp_path, trials, archive, name, count):
     """Under another path too; but what may belong to the moment, a hang, is tried again."""
     first = archive(tmp_path / "one", name)
     expected = made_problems(first.path)
@@ -72,7 +84,7 @@ def test_a_trial_is_made_once_for_a_content(tmp_path, trials, name, count):
     assert len(trials) == count
 
 
-def test_another_content_is_another_trial(tmp_path, trials):
+def test_another_content_is_another_trial(tmp_path, trials, archive):
     find(archive(tmp_path / "one", "good"))
     find(archive(tmp_path / "two", "better"))
     assert len(trials) == 2
@@ -116,11 +128,11 @@ def test_a_folder_that_cannot_be_written_is_no_cache(tmp_path, monkeypatch, fold
     keep_problems(*KEY, [])
     assert read_problems(*KEY) is None
     assert list(cached_files()) == []
-    assert trial_cache.clear() == 0
+    assert cache.clear() == 0
 
 
 def test_an_empty_variable_is_no_cache(monkeypatch):
-    monkeypatch.setenv(trial_cache.VARIABLE, "")
+    monkeypatch.setenv(cache.VARIABLE, "")
     keep_problems(*KEY, [])
     assert cache_folder() is None
     assert read_problems(*KEY) is None
@@ -157,7 +169,7 @@ def test_clear_removes_what_is_kept_and_nothing_else(folder):
         file.write_text("mine")
     (folder / "trials" / f"{'0' * 64}.x_1.part").write_text("unfinished")
     assert len(list(cached_files())) == 2
-    assert trial_cache.clear() == 2
+    assert cache.clear() == 2
     assert all(file.read_text() == "mine" for file in foreign)
     assert read_problems(*KEY) is None
 
@@ -174,7 +186,7 @@ def test_clear_removes_what_is_kept_and_nothing_else(folder):
 )
 def test_the_folder_of_each_system(monkeypatch, platform, variables, expected):
     """As the XDG Base Directory Specification, Apple and Microsoft say."""
-    monkeypatch.delenv(trial_cache.VARIABLE)
+    monkeypatch.delenv(cache.VARIABLE)
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("HOME", "/home/me")
     monkeypatch.setattr(sys, "platform", platform)
@@ -187,6 +199,6 @@ def test_the_command(call, folder):
     keep_problems(*KEY, [])
     code, out, _ = call("cache")
     assert code == 0
-    assert out.startswith(f"{folder}: 1 results of trials, ")
+    assert out.startswith(f"{folder}: 1 trial results, 0 compiled files, ")
     assert call("cache", "--clear") == (0, f"{folder}: 1 removed\n", "")
     assert '"files": 0' in call("cache", "--json")[1]

@@ -11,18 +11,11 @@ from cosim.errors import FmuError
 from cosim.fmi.component import load
 from cosim.fmi.driving.tuning import check_tuning, tunable_parameters
 from cosim.fmi.options import FmuOptions
-from tests.fmi import eventful, lag
+from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
+from tests.fmi.eventful import friction
 
 STEP = 0.1
-
-
-def friction(folder, version):
-    """Compile v' = u - p while it slips, with p tunable."""
-    xml = (eventful.xml2 if version == 2 else eventful.xml3)("FRICTION")
-    xml = xml.replace('variability="fixed"', 'variability="tunable"')
-    defines = (f"FMI={version}", "MODEL=FRICTION", "NOMINAL=1.0")
-    return compile_fmu(folder / f"friction{version}.fmu", xml, "events.c", defines=defines)
 
 
 class Traced:
@@ -122,9 +115,9 @@ def test_a_parameter_that_is_not_tunable_is_refused(tmp_path):
     with load(path) as fmu:
         description = fmu.description
     assert tunable_parameters(description) == ["p"]
-    with pytest.raises(FmuError, match="FRICTION has no tunable parameter 'q'; there is: p"):
+    with pytest.raises(FmuError, match="FRICTION has no tunable parameter 'q'; available: p"):
         check_tuning(description, {"q": 1.0})
-    with pytest.raises(FmuError, match="'p': found nan, needed a finite number"):
+    with pytest.raises(FmuError, match="'p': expected a finite number, got nan"):
         check_tuning(description, {"p": float("nan")})
-    with pytest.raises(FmuError, match="'p': found a list, needed one value"):
+    with pytest.raises(FmuError, match="'p': expected one value of type Float64, got a list"):
         check_tuning(description, {"p": [1.0, 2.0]})

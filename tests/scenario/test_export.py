@@ -319,7 +319,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
         in message
     )
     twice = refused("--component", "plant", "--platform", "x86_64-linux, x86_64-linux")
-    assert "platform 'x86_64-linux' is there twice; needed once" in twice
+    assert "platform 'x86_64-linux' is given twice" in twice
     assert list(tmp_path.iterdir()) == []
 
 

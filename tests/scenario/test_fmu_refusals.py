@@ -52,7 +52,7 @@ CASES = {
     ),
     "no binary here": (
         without_binaries,
-        "no binary for this platform; found binaries for: none; needed binaries/",
+        "no binary for this platform; found binaries for: none; expected binaries/",
     ),
     "folder": (lambda path: path.mkdir(), "needed an .fmu file, found a folder"),
 }

@@ -183,7 +183,7 @@ def _check_binaries(folder: Path, description: Description) -> Iterator[Finding]
                 yield Finding(level, "binary", problem)
     if not any(platform in description.platforms for platform in native_platforms):
         platforms = ", ".join(description.platforms) or "none"
-        text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); there is: {platforms}"
+        text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); available: {platforms}"
         yield Finding("error", "binary", text)
 
 
@@ -200,7 +200,7 @@ def _binary_problems(file: Path, platform: str, machine: tuple[str, str]) -> Ite
     architecture, system = machine
     built_architecture, built_system = built
     if built_system != system or built_architecture not in (architecture, "any"):
-        yield f"{name} is for {'-'.join(built)}; needed {'-'.join(machine)}"
+        yield f"{name} is for {'-'.join(built)}; expected {'-'.join(machine)}"
 
 
 # --- trials ---

@@ -34,7 +34,7 @@ class Finding(NamedTuple):
     where : str
         Archive, XML, structure, a variable, a binary, a trial.
     text : str
-        What was found, what was needed.
+        What was found, what was expected.
     """
 
     level: Severity
@@ -169,11 +169,11 @@ def _check_start_values(variable: Variable, start: Sequence[float]) -> VariableP
     high = variable.maximum
     outside = [value for value in start if value < low or value > high]
     if outside:
-        yield "error", f"start value: found {outside[0]:g}, needed {low:g} to {high:g}"
+        yield "error", f"start value: expected {low:g} to {high:g}, got {outside[0]:g}"
     items = variable.items.values()
     if items and not set(start) <= {float(item) for item in items}:
-        needed = ", ".join(map(str, items))
-        yield "error", f"start value: found {start[0]:g}, needed one of {needed}"
+        expected = ", ".join(map(str, items))
+        yield "error", f"start value: expected one of {expected}, got {start[0]:g}"
 
 
 def _check_range(variable: Variable) -> VariableProblems:
@@ -183,7 +183,7 @@ def _check_range(variable: Variable) -> VariableProblems:
     if not low <= high:
         yield "error", f"min {low:g} is above max {high:g}"
     if nominal is not None and not (math.isfinite(nominal) and nominal != 0.0):
-        yield "warning", f"nominal: found {nominal:g}, needed a finite number that is not 0"
+        yield "warning", f"nominal: expected a finite nonzero number, got {nominal:g}"
 
 
 def _check_definitions(

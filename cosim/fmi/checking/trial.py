@@ -230,8 +230,10 @@ def _check_initial_values(log: TrialLog, description: Description, y: Vector) ->
             column += variable.size
             if variable.initial == "exact" and variable.start not in (None, values):
                 found = ", ".join(f"{value:g}" for value in values)
-                needed = ", ".join(f"{value:g}" for value in variable.start or ())
-                log.problem(f"{variable.name!r} starts at {found}; the file says exactly {needed}")
+                expected = ", ".join(f"{value:g}" for value in variable.start or ())
+                log.problem(
+                    f"{variable.name!r} starts at {found}; the declared start is {expected} (exact)"
+                )
 
 
 def _check_finite(log: TrialLog, component: FmuComponent, rows: Matrix) -> None:

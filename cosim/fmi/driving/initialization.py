@@ -229,12 +229,12 @@ def _elements(variable: Variable, value: StartValue) -> list[StartScalar]:
     """Return the elements of a value in row-major order."""
     if not variable.dimensions:
         if isinstance(value, Sequence) and not isinstance(value, str):
-            raise ValueError(f"found a list, needed one value of type {variable.type}")
+            raise ValueError(f"expected one value of type {variable.type}, got a list")
         return [value]
     scalars, shape = _flattened(value)
     flat_or_nested = len(shape) in (1, len(variable.dimensions))
     if math.prod(shape) != variable.size or not flat_or_nested:
-        raise ValueError(f"found {_counted(shape)}, needed a list of {variable.size} values")
+        raise ValueError(f"expected a list of {variable.size} values, got {_counted(shape)}")
     return scalars
 
 
@@ -249,7 +249,7 @@ def _flattened(value: StartValue) -> tuple[list[StartScalar], tuple[int, ...]]:
         scalars += part_scalars
         shapes.add(part_shape)
     if len(shapes) > 1:
-        raise ValueError("found lists of different lengths, needed equal ones")
+        raise ValueError("expected lists of equal lengths")
     part_shape = next(iter(shapes), ())
     return scalars, (len(value), *part_shape)
 
@@ -268,22 +268,20 @@ def _text(variable: Variable, scalar: StartScalar) -> str:
     if variable.type == "Binary":
         return _hexadecimal(scalar)
     if not isinstance(scalar, str):
-        raise ValueError(f"found {scalar!r}, needed a string")
+        raise ValueError(f"expected a string, got {scalar!r}")
     if "\0" in scalar:
-        raise ValueError(
-            f"found {scalar!r}, needed a string without the character 0, which ends it"
-        )
+        raise ValueError(f"expected a string without the character 0, got {scalar!r}")
     return scalar
 
 
 def _hexadecimal(scalar: StartScalar) -> str:
     if not isinstance(scalar, str):
-        raise ValueError(f"found {scalar!r}, needed a string of hexadecimal digits")
+        raise ValueError(f"expected a string of hexadecimal digits, got {scalar!r}")
     try:
         bytes.fromhex(scalar)
     except ValueError:
         raise ValueError(
-            f"found {scalar!r}, needed hexadecimal digits, two for every byte"
+            f"expected hexadecimal digits, two for each byte, got {scalar!r}"
         ) from None
     return scalar
 
@@ -294,24 +292,24 @@ def _number(variable: Variable, scalar: StartScalar) -> float:
         return float(_item(variable, scalar))
     if variable.type == "Boolean":
         if scalar not in (0, 1):
-            raise ValueError(f"found {scalar}, needed true or false")
+            raise ValueError(f"expected true or false, got {scalar}")
         return float(scalar)
     if isinstance(scalar, bool):
-        raise ValueError(f"found {str(scalar).lower()}, needed a number")
+        raise ValueError(f"expected a number, got {str(scalar).lower()}")
     if not math.isfinite(scalar):
-        raise ValueError(f"found {scalar}, needed a finite number")
+        raise ValueError(f"expected a finite number, got {scalar}")
     if variable.signal_type == "integer":
         _check_integer(variable, scalar)
     if not variable.minimum <= scalar <= variable.maximum:
-        raise ValueError(f"found {scalar}, needed {variable.minimum} to {variable.maximum}")
+        raise ValueError(f"expected {variable.minimum} to {variable.maximum}, got {scalar}")
     return float(scalar)
 
 
 def _item(variable: Variable, name: str) -> int:
     """Return the number of an enumeration's item."""
     if not variable.items:
-        needed = "true or false" if variable.type == "Boolean" else "a number"
-        raise ValueError(f"found {name!r}, needed {needed}")
+        expected = "true or false" if variable.type == "Boolean" else "a number"
+        raise ValueError(f"expected {expected}, got {name!r}")
     if name not in variable.items:
         raise ValueError(f"no item {name!r}; {nearest(name, variable.items)}")
     return variable.items[name]
@@ -320,14 +318,14 @@ def _item(variable: Variable, name: str) -> int:
 def _check_integer(variable: Variable, scalar: float) -> None:
     """Refuse what a variable of an integer type cannot take, or float64 cannot carry."""
     if scalar != int(scalar):
-        raise ValueError(f"found {scalar}, needed a whole number")
+        raise ValueError(f"expected an integer, got {scalar}")
     limits = np.iinfo(variable.type.lower())
     low = max(limits.min, -LARGEST_EXACT)
     high = min(limits.max, LARGEST_EXACT)
     if not low <= scalar <= high:
         raise ValueError(
-            f"found {scalar}, needed {low} to {high} ({variable.type}, carried exactly)"
+            f"expected {low} to {high} ({variable.type}, exactly representable), got {scalar}"
         )
     if variable.items and scalar not in variable.items.values():
         items = [f"{number} ({name})" for name, number in variable.items.items()]
-        raise ValueError(f"found {scalar}, needed one of: {', '.join(items)}")
+        raise ValueError(f"expected one of: {', '.join(items)}; got {scalar}")

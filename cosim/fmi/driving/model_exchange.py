@@ -505,7 +505,7 @@ def _choose_tolerance(name: str, solver: str, rtol: float | None) -> float:
         )
     if not CLOSEST <= rtol < 1.0:
         raise FmuError(
-            f"{name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1"
+            f"{name}: relative tolerance: expected at least {CLOSEST} and less than 1, got {rtol}"
         )
     return rtol
 

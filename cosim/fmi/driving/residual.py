@@ -84,7 +84,7 @@ def require_residual_form(description: Description) -> Dae:
         )
     if dae is None:
         raise FmuError(
-            f"{subject}: the FMU says nothing of a residual form, needed the manifest {MANIFEST}; "
+            f"{subject}: the FMU declares no residual form; expected the manifest {MANIFEST}; "
             'use "ode"'
         )
     if dae.problems:
@@ -111,13 +111,13 @@ def _check_equation(subject: str, equation: Sequence[Formulation], derivatives: 
     first = equation[0]
     if len(equation) > 1 or (first.index or 0) > 1:
         raise FmuError(
-            f"{subject}: {first.name!r} is an equation of higher index; needed index 1, without "
+            f"{subject}: {first.name!r} is an equation of higher index; expected index 1, without "
             "derivatives beside it"
         )
     if derivatives.intersection(first.dependencies or ()):
         raise FmuError(
-            f"{subject}: {first.name!r} depends on derivatives of states; needed them in explicit "
-            "form"
+            f"{subject}: {first.name!r} depends on derivatives of states; expected explicit "
+            "equations for them"
         )
 
 

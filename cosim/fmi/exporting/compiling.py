@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from cosim.errors import FmuError, nearest, option
+from cosim.fmi.compiling import compile_library
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.native import build
 from cosim.temporary import TemporaryFolder
@@ -74,7 +75,7 @@ def check_platforms(platforms: Sequence[str]) -> None:
         if name not in PLATFORMS:
             raise FmuError(f"platform {name!r}: {nearest(name, PLATFORMS)}")
         if platforms.count(name) > 1:
-            raise FmuError(f"platform {name!r} is there twice; needed once")
+            raise FmuError(f"platform {name!r} is given twice")
     if platforms and not build.cross_compiler(""):
         raise FmuError(
             f"platform {', '.join(platforms)}: other machines are compiled for with ziglang, which "
@@ -129,7 +130,7 @@ def compile_sources(
 
 def _compile_here(files: Sequence[Path], folder: Path, name: str, version: str) -> Binary:
     library = folder / f"{name}{SUFFIX}"
-    build.compile_library(files, library)
+    compile_library(files, library)
     note = _note(version, f"{ARCHITECTURE}-{SYSTEM}")
     return Binary(folders(version)[0], library.name, library.read_bytes(), note)
 
@@ -146,7 +147,7 @@ def _cross_compile(
     if machine.suffix == ".dylib":
         options.append(f"-Wl,-install_name,@rpath/{library.name}")
     command = build.cross_compiler(machine.target)
-    build.compile_library(files, library, options, command=command)
+    compile_library(files, library, options, command=command)
     short = machine.short if version == "2.0" else None
     note = _note(version, platform)
     return Binary(short or platform, library.name, library.read_bytes(), note)

@@ -207,15 +207,15 @@ def _check_names(path: Path, name: str, fmi: str) -> None:
         raise FmuError(f"FMI version {fmi!r}: {nearest(fmi, VERSIONS)}")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise FmuError(
-            f"name {quoted(name)}: needed an identifier of C: letters, digits and _, no digit first"
+            f"name {quoted(name)}: expected a C identifier: letters, digits and _, no digit first"
         )
     if len(name) > MOST_IDENTIFIER:
         raise FmuError(
-            f"name {quoted(name)}: has {len(name)} characters; needed at most {MOST_IDENTIFIER}, "
+            f"name {quoted(name)}: expected at most {MOST_IDENTIFIER} characters, got {len(name)}, "
             "as files in the FMU are named after it"
         )
     if not path.parent.is_dir():
-        raise FmuError(f"{path}: there is no folder {path.parent}; make it first")
+        raise FmuError(f"{path}: no folder {path.parent}; create it first")
 
 
 def _check_specification(specification: ExportSpecification, version: Version) -> None:
@@ -225,7 +225,7 @@ def _check_specification(specification: ExportSpecification, version: Version) -
             raise FmuError(f"matrix {letter} holds NaN or infinity; an FMU needs finite numbers")
     size = specification.memory + specification.work
     if size > LARGEST:
-        raise FmuError(f"{name}: an instance needs {size} numbers; needed at most {LARGEST}")
+        raise FmuError(f"{name}: an instance needs {size} numbers; the limit is {LARGEST}")
     if specification.n_residuals and version.number != "3.0":
         raise FmuError(
             f"{name}: FMI {version.number} has no residual form; the layered standard for it is "

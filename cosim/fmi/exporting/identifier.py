@@ -82,7 +82,7 @@ def output_error(constants: IdentifierConstants) -> Kernel:
     if constants.predictor is not None:
         raise UsageError(
             "the plant is unstable and samples of y may be missing: an identifier of such samples "
-            "cannot be exported yet; needed a sensor without dropouts, and without a period"
+            "cannot be exported yet; expected a sensor without dropouts and without a period"
         )
     step = IdentifierStep(constants)
     writer = _Writer()

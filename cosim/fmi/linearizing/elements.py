@@ -59,10 +59,10 @@ class Element:
         high = self.variable.maximum
         if isinstance(value, int | float) and math.isfinite(value) and low <= value <= high:
             return value
-        needed = f"{low} to {high}"
+        expected = f"{low} to {high}"
         if math.isinf(low) and math.isinf(high):
-            needed = "a finite number"
-        raise FmuError(f"{label}: start value of {self.name!r}: found {value!r}, needed {needed}")
+            expected = "a finite number"
+        raise FmuError(f"{label}: start value of {self.name!r}: expected {expected}, got {value!r}")
 
 
 def elements_of(port: str, variable: Variable) -> Iterator[Element]:
@@ -169,7 +169,7 @@ def _find(
         _check_continuous(label, what, name, matches)
         names_before = {e.name for e in selected}
         if any(e.name in names_before for e in matches):
-            raise FmuError(f"{label}: {what} {name!r} is named twice; needed each once")
+            raise FmuError(f"{label}: {what} {name!r} is named twice")
         selected += matches
     return tuple(selected)
 
@@ -181,8 +181,8 @@ def _check_continuous(label: str, what: str, name: str, elements: Sequence[Eleme
         variable = element.variable
         properties = f"type {variable.type}, variability {variable.variability}"
         raise FmuError(
-            f"{label}: {what} {name!r} cannot be linearized for: found {properties}, "
-            "needed a real and continuous one"
+            f"{label}: {what} {name!r} cannot be linearized for: expected a real, continuous "
+            f"variable, got {properties}"
         )
 
 

@@ -167,7 +167,9 @@ def _linearize(instance: ModelExchangeInstance, request: LinearizationRequest) -
     description = instance.description
     at = request.at
     if not (math.isfinite(at) and at >= 0.0):
-        raise FmuError(f"{description.name}: linearized at t = {at} s; needed a time from 0 on")
+        raise FmuError(
+            f"{description.name}: time to linearize at: expected 0 s or later, got {at} s"
+        )
     method = choose_method(description, request.method)
     selection = Selection.of(
         description, states=request.states, inputs=request.inputs, outputs=request.outputs

@@ -103,7 +103,7 @@ class _BoundedFile(io.FileIO):
         if size is not None and size > DIRECTORY:
             raise FmuError(
                 f"{self.name}: the archive's list of entries takes {size} bytes; "
-                f"needed at most {DIRECTORY}"
+                f"expected at most {DIRECTORY}"
             )
         content = super().read(size)
         assert content is not None
@@ -166,11 +166,11 @@ def _check_entries(
 def _check_extent(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
     """Check the number of entries and their size unpacked."""
     if len(entries) > MOST:
-        raise FmuError(f"{path}: the archive has {len(entries)} entries; needed at most {MOST}")
+        raise FmuError(f"{path}: the archive has {len(entries)} entries; expected at most {MOST}")
     size = sum(entry.file_size for entry in entries)
     if size > LARGEST:
         raise FmuError(
-            f"{path}: unpacked, the archive would have {size} bytes; needed at most {LARGEST}"
+            f"{path}: unpacked, the archive would have {size} bytes; expected at most {LARGEST}"
         )
 
 
@@ -223,8 +223,8 @@ def _type_problem(entry: zipfile.ZipInfo) -> str | None:
     if entry.flag_bits & ENCRYPTED:
         return "an encrypted entry"
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        needed = "needed 0, stored, or 8, deflated"
-        return f"an entry with compression method {entry.compress_type} ({needed})"
+        expected = "expected 0, stored, or 8, deflated"
+        return f"an entry with compression method {entry.compress_type} ({expected})"
     return None
 
 
@@ -369,6 +369,6 @@ def _copy(
             write(chunk)
     if size != entry.file_size:
         raise FmuError(
-            f"{path}: {name!r} has {size} bytes unpacked; the archive says {entry.file_size}"
+            f"{path}: {name!r} has {size} bytes unpacked; the archive declares {entry.file_size}"
         )
     return size

@@ -40,8 +40,8 @@ def read_timing(
     merged = Element(element.tag, {**declared.attrib, **element.attrib})
     variability = merged.get("intervalVariability", "")
     if variability not in VARIABILITIES:
-        needed = f"one of: {', '.join(VARIABILITIES)}"
-        attributes.report(f"{where}: intervalVariability", quoted(variability), needed)
+        expected = f"one of: {', '.join(VARIABILITIES)}"
+        attributes.report(f"{where}: intervalVariability", quoted(variability), expected)
         return None
     interval = None
     shift = Fraction(0)

@@ -141,13 +141,10 @@ def _check_variables(where: str, names: Sequence[str], reader: _ManifestReader) 
     for name in dict.fromkeys(names):
         count = names.count(name)
         if count > 1:
-            reader.problems.append(f"{where} {name!r} is listed {count} times, needed once")
+            reader.problems.append(f"{where} {name!r} is listed {count} times; expected once")
         variable = reader.named[name]
         if variable.signal_type != "real" or variable.variability != "continuous":
-            reader.problems.append(
-                f"{where} {name!r}: found a variable that is not real and continuous, "
-                "needed one that is"
-            )
+            reader.problems.append(f"{where} {name!r}: expected a real, continuous variable")
 
 
 def _check_residuals(
@@ -160,7 +157,7 @@ def _check_residuals(
     _check_variables("Formulation", names, reader)
     elements = _children(structure, "Residual")
     if not all(_children(element, "Formulation") for element in elements):
-        reader.problems.append("Residual: found no Formulation, needed one at least")
+        reader.problems.append("Residual: expected at least one Formulation, got none")
 
 
 def _check_count(
@@ -182,5 +179,5 @@ def _check_count(
     equations = sum(reader.named[residual[0].name].size for residual in residuals)
     if unknowns != equations:
         reader.problems.append(
-            f"found {equations} residuals for {unknowns} algebraic variables, needed as many"
+            f"expected as many residuals as algebraic variables ({unknowns}), got {equations}"
         )

@@ -83,7 +83,7 @@ def _structure_3(
 def _count(root: Element, key: str, attributes: Attributes) -> int:
     number = attributes.integer(root, key, root.tag)
     if number is not None and not 0 <= number < 2**31:
-        attributes.problems.append(f"found a count of {number}, needed one that is not negative")
+        attributes.problems.append(f"expected a count from 0 to {2**31 - 1}, got {number}")
         return 0
     return number or 0
 
@@ -149,7 +149,7 @@ def known_names(
     try:
         numbers = integers(text)
     except ValueError:
-        attributes.warnings.append(f"{where}: dependencies: found {quoted(text)}, needed integers")
+        attributes.warnings.append(f"{where}: dependencies: expected integers, got {quoted(text)}")
         return None
     missing = [str(number) for number in numbers if number not in names]
     if missing:

@@ -81,9 +81,9 @@ class Attributes:
         self.problems: list[str] = []
         self.warnings: list[str] = []
 
-    def report(self, where: str, found: object, needed: str) -> None:
-        """Add a problem: what was found at a place, and what was needed."""
-        self.problems.append(f"{where}: found {found}, needed {needed}")
+    def report(self, where: str, found: object, expected: str) -> None:
+        """Add a problem: what was found at a place, and what was expected."""
+        self.problems.append(f"{where}: expected {expected}, got {found}")
 
     def text(self, element: Element, name: str, where: str) -> str:
         """Read an attribute that must be there."""
@@ -104,7 +104,7 @@ class Attributes:
         try:
             return real(text)
         except ValueError:
-            self.warnings.append(f"{where}: {name}: found {quoted(text)}, needed a number")
+            self.warnings.append(f"{where}: {name}: expected a number, got {quoted(text)}")
             return None
 
     def integer(self, element: Element, name: str, where: str) -> int | None:
@@ -136,14 +136,14 @@ class Attributes:
         return self._convert(text, reals, where, "numbers")
 
     def _convert(
-        self, text: str | None, convert: Callable[[str], Value], where: str, needed: str
+        self, text: str | None, convert: Callable[[str], Value], where: str, expected: str
     ) -> Value | None:
         if text is None:
             return None
         try:
             return convert(text)
         except ValueError:
-            self.report(where, quoted(text), needed)
+            self.report(where, quoted(text), expected)
             return None
 
 

@@ -133,7 +133,7 @@ def need_file(path: Path) -> None:
     if not path.exists():
         raise FmuError(f"{path}: there is no such file")
     if path.is_dir():
-        raise FmuError(f"{path}: needed an .fmu file, found a folder")
+        raise FmuError(f"{path}: expected an .fmu file, got a folder")
 
 
 def describe_root(

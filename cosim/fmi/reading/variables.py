@@ -332,7 +332,7 @@ class _VariableReader:
         texts = tuple(text for text in values if text is not None)
         if variable_type == "Binary" and not all(_is_hexadecimal(text) for text in texts):
             self._attributes.problems.append(
-                f"{where}: start: needed hexadecimal digits, two for every byte"
+                f"{where}: start: expected hexadecimal digits, two for each byte"
             )
             return None
         return texts or None
@@ -429,7 +429,7 @@ def _with_size(
     for dimension in element.iterfind("Dimension"):
         length, parameter = _length(dimension, by_reference, f"{where}: Dimension", attributes)
         if length is None or not 0 < size * length <= LARGEST_ARRAY:
-            attributes.report(f"{where}: Dimension", f"size {length}", LENGTH)
+            attributes.report(f"{where}: Dimension", "none" if length is None else length, LENGTH)
             length = 1
         dimensions.append(length if parameter is None else parameter)
         size *= length

@@ -191,12 +191,13 @@ def _count(number: int, word: str) -> list[str]:
 
 
 def print_cache(*, clear: bool, as_json: bool) -> None:
-    """Print where results of trials are kept, and how many; remove them where ``clear``."""
-    from cosim.fmi import trial_cache
+    """Print where results of trials and compiled files are kept; remove them where ``clear``."""
+    from cosim.fmi import cache
 
-    folder = trial_cache.cache_folder()
-    removed = trial_cache.clear() if clear else 0
-    sizes = [size for _, size in trial_cache.cached_files()]
+    folder = cache.cache_folder()
+    removed = cache.clear() if clear else 0
+    n_trials = len(list(cache.cached_files(cache.TRIALS)))
+    sizes = [status.st_size for _, status in cache.cached_files()]
     content = {
         "folder": None if folder is None else str(folder),
         "files": len(sizes),
@@ -210,7 +211,9 @@ def print_cache(*, clear: bool, as_json: bool) -> None:
     elif clear:
         print_line(f"{folder}: {removed} removed")
     else:
-        print_line(f"{folder}: {len(sizes)} results of trials, {sum(sizes)} bytes")
+        n_compiled = len(sizes) - n_trials
+        counts = f"{n_trials} trial results, {n_compiled} compiled files"
+        print_line(f"{folder}: {counts}, {sum(sizes)} bytes")
 
 
 def print_linearization(linearization: Linearization, *, as_json: bool) -> None:

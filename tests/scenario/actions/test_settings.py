@@ -10,7 +10,7 @@ from cosim.core.recording import SignalEvent
 from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
-from tests.fmi.test_tuning import friction
+from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
 STEP = 0.1

@@ -10,7 +10,7 @@ from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.report.inspection import describe_scenario
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_check import XML
+from tests.fmi.rogues import XML
 
 STATELESS = XML.replace('canGetAndSetFMUstate="true"', "")
 STEP = 0.01

@@ -18,7 +18,7 @@ from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.workers.pool import WorkerPool
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 from tests.studies.cluster.processes import cluster
 from tests.studies.cluster.test_cluster_run import assert_same

@@ -19,7 +19,7 @@ from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
 from cosim.studies.running.studying import open_dataset
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 from tests.studies.dataset.outcomes import add, identity
 
 SINE = """

@@ -5,7 +5,7 @@ import pytest
 import cosim
 from cosim.studies.running import keeping
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 from tests.studies.cluster.processes import cluster
 from tests.studies.dataset.test_object_storage import bucket, server  # noqa: F401
 

@@ -11,7 +11,7 @@ from cosim.errors import DatasetError
 from cosim.studies.tables.verification import print_verification
 from cosim.studies.verification.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 LAG = """
 scenario = { name = "lag", stop = 0.2, step = 0.01 }

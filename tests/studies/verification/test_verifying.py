@@ -17,7 +17,7 @@ from cosim.studies.tables.verification import print_verification
 from cosim.studies.verification import verifying
 from cosim.studies.verification.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 from cosim.studies.contracts import FAILED, StudyMember, StudySubject
 from cosim.studies.workers.pool import WorkerPool
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 SCENARIO = """
 scenario = { name = "x", stop = 0.1, step = 0.01 }
