@@ -451,11 +451,11 @@ SETTINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 OUTSIDE: Mapping[str, str] = MappingProxyType(
     {
-        "chirp": "a sine of unknown, growing rate is outside the class: its values a delay ago are no "
-        "combination of finitely many functions of t with constant coefficients. Where the growth "
-        "k [rad/s^2] is known, give two terms of family 'sine' with the alphas sin(k*t**2/2) and "
-        "cos(k*t**2/2); where the rate is known too, two of family 'constant' with the sine and "
-        "the cosine of the whole angle as alphas",
+        "chirp": "a sine of unknown, growing rate is outside the class: its values a delay ago are "
+        "no combination of finitely many functions of t with constant coefficients. Where the "
+        "growth k [rad/s^2] is known, give two terms of family 'sine' with the alphas "
+        "sin(k*t**2/2) and cos(k*t**2/2); where the rate is known too, two of family 'constant' "
+        "with the sine and the cosine of the whole angle as alphas",
     }
 )
 

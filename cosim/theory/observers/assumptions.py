@@ -227,10 +227,7 @@ def _direct_path(reduced: ReducedSystem) -> AssumptionVerdict:
     rank = int((sizes > max(reduced.accuracy, rounding_of(len(reduced.A_a)))).sum())
     evidence = "none: delta reaches y through the states alone"
     if rank:
-        evidence = (
-            f"C5 has rank {rank} of {C5.shape[1]}: so many disturbances follow from y without a "
-            "derivative"
-        )
+        evidence = f"{rank} of {C5.shape[1]} disturbance(s) follow from y without a derivative"
     return AssumptionVerdict(
         name=DIRECT_PATH,
         fulfilled=True,

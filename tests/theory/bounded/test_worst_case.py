@@ -22,6 +22,7 @@ from cosim.theory.bounded.worst_case import (
     worst_error,
 )
 from tests.theory.exponential_plant import TRUTH, direct, example
+from tests.theory.looped import for_each
 
 ONE_EXPONENTIAL = np.array([-0.5, 1.0])  # theta, amplitude
 
@@ -38,7 +39,7 @@ def corners(samples, bound):
     return bound * np.array(list(product((-1.0, 1.0), repeat=samples)))
 
 
-@pytest.mark.parametrize(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
+@for_each(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
 def test_the_response_is_that_of_straight_lines(n, n_d, n_y):
     """scipy simulates the same plant for inputs in straight lines, from rest."""
     A, Bd, C, Dd = random_plant(n, n_d, n_y)
@@ -51,7 +52,7 @@ def test_the_response_is_that_of_straight_lines(n, n_d, n_y):
     np.testing.assert_allclose(computed, expected.reshape(60, n_y), rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
+@for_each(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
 def test_the_adjoint_is_the_transposed_response(n, n_d, n_y):
     """`a' (L delta_0) = (L' a)' delta_0` for all a and delta_0."""
     response = irregular_response(*random_plant(n, n_d, n_y), 0.1)
@@ -231,18 +232,18 @@ def test_a_refit_that_does_not_converge_is_refused(monkeypatch):
 def test_what_the_outputs_do_not_determine_is_refused():
     """A component of amplitude zero leaves no trace of its theta."""
     problem = direct(samples=21, h=0.1).problem(0.1)
-    with pytest.raises(AssumptionError, match="do not determine the 2 unknowns: least pivot"):
+    with pytest.raises(AssumptionError, match=r"do not determine the 2 unknowns: .* pivots"):
         first_order(problem, np.array([-0.5, 0.0]))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("bound", "weight", "message"),
     [
-        ([0.1, 0.1], np.eye(1), r"bounds of delta_0 are \[0.1, 0.1\]; needed 1, none negative"),
-        ([-0.1], np.eye(1), r"bounds of delta_0 are \[-0.1\]"),
-        ([np.nan], np.eye(1), r"bounds of delta_0 are \[nan\]"),
-        ([0.1], np.eye(2), r"the weight has shape \(2, 2\); needed \(1, 1\)"),
-        ([0.1], -np.eye(1), "the weight has the eigenvalue -1; needed positive ones"),
+        ([0.1, 0.1], np.eye(1), r"bounds of delta_0: expected 1, .* got \[0.1, 0.1\]"),
+        ([-0.1], np.eye(1), r"bounds of delta_0: .* got \[-0.1\]"),
+        ([np.nan], np.eye(1), r"bounds of delta_0: .* got \[nan\]"),
+        ([0.1], np.eye(2), r"weight: .* \(1, 1\), .* got \(2, 2\)"),
+        ([0.1], -np.eye(1), "weight: .* eigenvalues, got -1"),
     ],
 )
 def test_a_problem_that_does_not_fit_is_refused(bound, weight, message):
