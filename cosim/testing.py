@@ -393,11 +393,13 @@ def _check_silence(
 ) -> None:
     """Require no theta before there is information."""
     if not np.isnan(outputs["theta"][0]).all():
-        raise AssertionError(f"theta at the start: found {outputs['theta'][0]}, needed no value")
+        raise AssertionError(f"theta at the start: expected no value, got {outputs['theta'][0]}")
     zero = {name: 0.0 * values for name, values in case.signals.items()}
     theta = _estimate(make, replace(case, signals=zero), case.steps)["theta"]
     if not np.isnan(theta).all():
-        raise AssertionError(f"theta from signals that are zero: found {theta[-1]}, needed none")
+        raise AssertionError(
+            f"theta from signals that are zero: expected no value, got {theta[-1]}"
+        )
 
 
 def _check_exact(outputs: Mapping[str, Matrix], truth: Vector, accuracy: float) -> None:
@@ -410,8 +412,8 @@ def _check_exact(outputs: Mapping[str, Matrix], truth: Vector, accuracy: float) 
     wrong = np.abs(theta - truth) > allowed + rounding  # not where there is no value
     if wrong.any():
         raise AssertionError(
-            f"theta from exact signals: found {theta}, the truth is {truth}; needed it to within "
-            f"{allowed}, which the method states, or no value"
+            f"theta from exact signals: expected {truth} to within {allowed}, which the method "
+            f"states, or no value, got {theta}"
         )
 
 
@@ -428,7 +430,7 @@ def _check_scale(
     if not same.all():
         raise AssertionError(
             f"theta with y, u and delta in units of {1.0 / scale:g}: "
-            f"found {converted_theta}, needed {theta}"
+            f"expected {theta}, got {converted_theta}"
         )
 
 
@@ -450,8 +452,9 @@ def _check_noise(
     confident = errors < 3.0 / case.span
     if confident.any():
         raise AssertionError(
-            f"theta from noise alone, seed {seed}: found {outputs['theta'][-1]} with standard "
-            f"errors {errors}; needed none below {3.0 / case.span:g}, or no value"
+            f"theta from noise alone, seed {seed}: expected no standard error below "
+            f"{3.0 / case.span:g}, or no value, got {outputs['theta'][-1]} with standard errors "
+            f"{errors}"
         )
 
 
@@ -516,9 +519,9 @@ def _check_declared(bench: _Bench) -> None:
         "linearized": "linearizable",
         "prepare_substeps": "substeps",
     }
-    for method, needed in declared.items():
+    for method, required in declared.items():
         flag = flags.get(method, "rollback")
-        if needed and not callable(getattr(component, method, None)):
+        if required and not callable(getattr(component, method, None)):
             raise AssertionError(f"the interface declares {flag}, but there is no {method}")
     # Whether it can go back may depend on the instance, an FMU for example; preparing may not.
     if "prepare" in vars(type(component)) and not bench.interface.prepares:
@@ -649,8 +652,8 @@ def _check_linearized(bench: _Bench, held: Mask, expected: Matrix) -> None:
     matrices = linearized(component, bench.start, read_only(bench.u[0].copy()))
     if matrices is not None and matrices.D.shape != (bench.n_y, bench.n_u):
         raise AssertionError(
-            f"linearized fits the interface: D has shape {matrices.D.shape}, "
-            f"needed ({bench.n_y}, {bench.n_u})"
+            f"linearized fits the interface: expected D of shape ({bench.n_y}, {bench.n_u}), "
+            f"got {matrices.D.shape}"
         )
     rows = np.vstack([first, bench.advance(component, 0, bench.steps)])
     bench.compare("linearized changes nothing", rows, expected)
@@ -803,8 +806,8 @@ class _Bench:
     def _check_inputs(self, inputs: Matrix) -> None:
         if inputs.shape[1:] != (self.n_u,) or len(inputs) < 2:
             raise AssertionError(
-                f"inputs have shape {inputs.shape}, needed (steps + 1, {self.n_u}) "
-                "with at least one step"
+                f"inputs: expected shape (steps + 1, {self.n_u}) with at least one step, got "
+                f"{inputs.shape}"
             )
 
     def _types(self) -> list[str]:
@@ -920,9 +923,9 @@ class _Bench:
         label = self._labels()[column]
         time = self.t[first + row]
         value = float(rows[row, column])
-        needed = float(expected[row, column])
+        wanted = float(expected[row, column])
         raise AssertionError(
-            f"{law}: {label!r} at t = {time} s: found {value!r}, needed {needed!r}"
+            f"{law}: {label!r} at t = {time} s: expected {wanted!r}, got {value!r}"
         )
 
     def _labels(self) -> list[str]:

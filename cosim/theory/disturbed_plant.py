@@ -90,7 +90,7 @@ def disturbed_plant(reduced: ReducedSystem, elements: Sequence[int]) -> Disturbe
     for element in elements:
         if not 0 <= element < n_d:
             raise AssumptionError(
-                f"(9): the plant has {n_d} disturbances; none has number {element}"
+                f"expected one of the disturbances 0 to {n_d - 1} of the plant, got {element}"
             )
     Bd = reduced.B_2a[:, list(elements)]
     Dd = reduced.C5[:, list(elements)]
@@ -149,28 +149,29 @@ class DataSet:
         for name in ("y", "u", "alpha"):
             rows = len(getattr(self, name))
             if rows != N:
-                raise AssumptionError(f"{name}: {rows} samples; needed {N}, one for every time")
+                raise AssumptionError(
+                    f"{name}: expected {N} samples, one for every time, got {rows}"
+                )
         steps = np.diff(self.t)
         if not np.isfinite(self.t).all() or not (steps > 0.0).all():
             place = int(np.argmin(np.append(steps > 0.0, False)))
             raise AssumptionError(
-                f"time does not ascend: {self.t[place]} s at sample {place} is followed by "
-                f"{self.t[min(place + 1, N - 1)]} s; needed ascending finite times"
+                f"t: expected ascending finite times, got {self.t[place]} s at sample {place}, "
+                f"followed by {self.t[min(place + 1, N - 1)]} s"
             )
         for name in ("u", "alpha"):
             finite = np.isfinite(getattr(self, name)).all(axis=1)
             if not finite.all():
                 place = int(np.argmin(finite))
                 raise AssumptionError(
-                    f"{name} is not finite at t = {self.t[place]} s; needed a number at every time"
+                    f"{name}: expected a finite number at every time, not so at t = "
+                    f"{self.t[place]} s"
                 )
         if np.isinf(self.y).any():
-            raise AssumptionError("y: needed finite numbers, and NaN only where not measured")
+            raise AssumptionError("y: expected finite numbers, and NaN only where not measured")
         never = np.flatnonzero(~self.measured.any(axis=0))
         if len(never):
-            raise AssumptionError(
-                f"y[{never[0]}] is never measured; needed a value of every output"
-            )
+            raise AssumptionError(f"y[{never[0]}]: expected at least one measured value, got none")
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -431,7 +432,7 @@ def sample_plant(
     """
     check_sizes(plant, generators, data)
     if len(data.t) < 2:
-        raise AssumptionError(f"found a single sample, at {data.t[0]:g} s; needed a record")
+        raise AssumptionError(f"expected a record, got a single sample at {data.t[0]:g} s")
     step, interval, predictor = sample_intervals(plant.A, plant.C, data, noise.covariance)
     constants, known = discretize(
         plant,
@@ -526,14 +527,16 @@ def check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) ->
     """
     n_y, components = plant.Dd.shape
     n_u = plant.B.shape[1]
-    for name, found, needed in (
+    for name, columns, expected in (
         ("y", data.y.shape[1], n_y),
         ("u", data.u.shape[1], n_u),
         ("alpha", data.alpha.shape[1], components),
         ("families", len(generators.size), components),
     ):
-        if found != needed:
-            raise AssumptionError(f"{name}: {found} columns; the plant needs {needed}")
+        if columns != expected:
+            raise AssumptionError(
+                f"{name}: expected {expected} columns, as of the plant, got {columns}"
+            )
 
 
 def sample_intervals(

@@ -151,7 +151,7 @@ def _of_differences(differences: _Differences, scale: float) -> StepError:
         return _rounding(largest)
     if len(differences.t) < FEWEST:
         return StepError(
-            reason=f"it has values at {len(differences.t)} instants; needed {FEWEST} to see "
+            reason=f"it has values at {len(differences.t)} instants; expected {FEWEST} to see "
             "whether the ratio of the differences is steady"
         )
     order = differences.order
@@ -198,11 +198,11 @@ def _unsteady(differences: _Differences, order: float, p: int) -> str:
         )
     if not p or abs(order - p) > STEADY:
         return (
-            f"the observed order is {order:.2f}; needed a whole number from 1 on, within {STEADY}"
+            f"the observed order is {order:.2f}; expected a whole number from 1 on, within {STEADY}"
         )
-    needed = SMALL * differences.largest(2.0**p)
+    least = SMALL * differences.largest(2.0**p)
     for part in differences.parts:
-        if part.largest(2.0**p) < needed:
+        if part.largest(2.0**p) < least:
             continue
         if not _is_steady(part, p):
             return (

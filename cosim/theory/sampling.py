@@ -23,7 +23,7 @@ def equal_step(t: Vector) -> float:
         If there are fewer than two instants, or their distances differ.
     """
     if len(t) < 2:
-        raise AssumptionError(f"{len(t)} samples; needed two or more, at equal distances")
+        raise AssumptionError(f"expected two or more samples, at equal distances, got {len(t)}")
     steps = np.diff(t)
     usual = float(np.median(steps))
     deviations = np.abs(steps - usual)
@@ -31,7 +31,7 @@ def equal_step(t: Vector) -> float:
     rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(t).max())
     if not deviations[worst] <= EQUAL_STEPS * usual + rounding:
         raise AssumptionError(
-            f"needed equally spaced samples: the one after t = {t[worst]:g} s comes "
+            f"expected equally spaced samples: the one after t = {t[worst]:g} s comes "
             f"{steps[worst]:.6g} s later, half of them at most {usual:.6g} s"
         )
     return round(float(t[-1] - t[0]) / (len(t) - 1), DIGITS)

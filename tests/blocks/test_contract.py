@@ -442,9 +442,7 @@ def test_an_undeclared_initial_dependency_is_named():
 
 def test_inputs_of_the_wrong_shape_are_refused():
     """The inputs given are those of the component."""
-    with pytest.raises(
-        AssertionError, match=r"inputs have shape \(5, 3\), needed \(steps \+ 1, 1\)"
-    ):
+    with pytest.raises(AssertionError, match=r"inputs: .* \(steps \+ 1, 1\) .* got \(5, 3\)"):
         check_component(lambda: Delay(1), inputs=np.zeros((5, 3)))
 
 

@@ -63,7 +63,7 @@ def test_the_table_shows_what_was_recorded(logs, call):
         assert reason == "no test contradicts the model; if it is right, the 95 % interval holds"
     assert float(shown["correlation"][0]) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
     assert float(shown["noise"][0]) == pytest.approx(1e-3, rel=0.1)
-    assert shown["whiteness"][3].startswith("passed: noise leaves up to 55.1")
+    assert shown["whiteness"][3].startswith("passed: noise makes at most 55.1")
     assert shown[str(logs["first"].path)][3].startswith("2001 samples; x(0) ")
     for amplitude in recorded["amplitudes"][0]:
         value, error, _, text = shown[amplitude["name"]]
@@ -191,7 +191,7 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
     paths = [logs["first"].path, logs["other"].path]
     _, output, _ = call("identify", *paths)
     shown = rows(output)
-    assert shown["theta[1]"][3].startswith("INCONSISTENT: the residual is not what noise leaves")
+    assert shown["theta[1]"][3].startswith("INCONSISTENT: noise does not explain the residual")
     text = shown["contradiction"][3]
     for path in paths:
         assert f"{path} alone" in text
@@ -254,7 +254,7 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
     ("bounds", "verdict"), [(None, "IDENTIFIABLE"), ({1: (-0.5, -0.5)}, "INCONSISTENT")]
 )
 def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict):
-    """Where the residual is not what noise leaves, the titles say why there is none."""
+    """Where noise does not explain the residual, the titles say why there is none."""
     pytest.importorskip("matplotlib")
     bands = []
     monkeypatch.setattr(

@@ -107,5 +107,5 @@ def movable(reduced: ReducedSystem) -> int:
     try:
         design(reduced, poles=[])
     except AssumptionError as error:
-        return int(str(error).split("needed ")[1].split(",")[0])
+        return int(str(error).split("expected ")[1].split(" poles")[0])
     return 0

@@ -12,6 +12,7 @@ from cosim.theory.quantiles import (
     ratio_above,
     student_two_sided,
 )
+from tests.theory.looped import for_each
 
 PROBABILITIES = [1e-12, 1e-8, 0.01, 0.05, 0.5, 0.9]
 # Each of the few hundred operations of a tail rounds once, and the exponents of its density are
@@ -19,8 +20,8 @@ PROBABILITIES = [1e-12, 1e-8, 0.01, 0.05, 0.5, 0.9]
 ROUNDING = 1e-12
 
 
-@pytest.mark.parametrize("probability", PROBABILITIES)
-@pytest.mark.parametrize("degrees", [0.5, 1, 2, 7.3, 40, 1000])
+@for_each("probability", PROBABILITIES)
+@for_each("degrees", [0.5, 1, 2, 7.3, 40, 1000])
 def test_a_chi_square_exceeds_the_quantile_with_the_probability(probability, degrees):
     """The tail beyond the quantile is the probability."""
     quantile = chi_square_above(probability, degrees)
@@ -30,9 +31,9 @@ def test_a_chi_square_exceeds_the_quantile_with_the_probability(probability, deg
     assert float(tail) == pytest.approx(probability, rel=ROUNDING)
 
 
-@pytest.mark.parametrize("probability", PROBABILITIES)
-@pytest.mark.parametrize("degrees", [0.5, 1, 7.3, 400])
-@pytest.mark.parametrize("freedom", [0.7, 10, 200, 4e4])
+@for_each("probability", PROBABILITIES)
+@for_each("degrees", [0.5, 1, 7.3, 400])
+@for_each("freedom", [0.7, 10, 200, 4e4])
 def test_a_ratio_exceeds_the_quantile_with_the_probability(probability, degrees, freedom):
     """The tail beyond the quantile is the probability."""
     quantile = ratio_above(probability, degrees, freedom)
@@ -43,7 +44,7 @@ def test_a_ratio_exceeds_the_quantile_with_the_probability(probability, degrees,
     assert float(tail) == pytest.approx(probability, rel=ROUNDING)
 
 
-@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.999, 1.0 - 2.0**-20])
+@for_each("confidence", [0.5, 0.95, 0.999, 1.0 - 2.0**-20])
 def test_normal_and_student_values_are_those_of_scipy(confidence):
     """Of one value, and of several that all are within."""
     for count in (1, 3):

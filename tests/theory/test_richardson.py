@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.theory.richardson import step_error
+from tests.theory.looped import for_each
 
 T = np.linspace(0.0, 10.0, 401)
 
@@ -15,7 +16,7 @@ def runs(error):
     return [np.sin(T) + error(h) for h in (1.0, 0.5, 0.25)]
 
 
-@pytest.mark.parametrize("p", [1, 2, 3, 4])
+@for_each("p", [1, 2, 3, 4])
 def test_an_error_of_one_order_is_exact(p):
     """Without terms of higher order the extrapolation has no error but rounding."""
     found = step_error(T, *runs(lambda h: 1e-3 * h**p * np.cos(0.7 * T)))
@@ -145,4 +146,4 @@ def test_a_signal_without_values_has_no_error():
 def test_few_values_show_nothing():
     values = runs(lambda h: h * 1e-3)
     found = step_error(T[:15], *(run[:15] for run in values))
-    assert "it has values at 15 instants; needed 16" in found.reason
+    assert "it has values at 15 instants; expected 16" in found.reason

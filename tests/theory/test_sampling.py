@@ -16,9 +16,10 @@ from cosim.theory.estimators.gradient import gradient
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.sampling import distinct_steps, equal_step
 from tests.theory.lag import FAMILY, lag, record
+from tests.theory.looped import for_each
 
 
-@pytest.mark.parametrize("step", [1e-3, 1e-2 / 3.0, 7.0])
+@for_each("step", [1e-3, 1e-2 / 3.0, 7.0])
 def test_the_rounding_of_times_makes_no_other_step(step):
     """Far from 0 too, where the times have fewer digits."""
     for start in (0.0, 1e3):
@@ -55,7 +56,7 @@ def two_exponentials():
     return plan(expand((2,)), groups, [1.0, 2.0, 3.0])
 
 
-@pytest.mark.parametrize("method", EQUAL_METHODS)
+@for_each("method", EQUAL_METHODS)
 def test_a_method_for_equal_steps_refuses_others(method):
     """It names the place and the step there, and takes times that are merely rounded."""
     t = 1e4 + np.arange(100) * 1e-2

@@ -126,9 +126,9 @@ def check_step(
         enough = h * enough_shorter(float(relative[worst]))
         place = int(distances[:, worst].argmax())
         raise AssumptionError(
-            f"the communication step {h:g} s is too long: a straight line between two points is "
-            f"{relative[worst]:.2g} of alpha {names[worst]!r} off, most at t = {between[place]:g} "
-            f"s; needed at most {enough:.1g} s, or an alpha without such a place"
+            f"the communication step {h:g} s is too long: linear interpolation misses "
+            f"{relative[worst]:.2g} of alpha {names[worst]!r}, most at t = {between[place]:g} s; "
+            f"expected at most {enough:.1g} s, or an alpha without such a place"
         )
 
 
@@ -137,8 +137,8 @@ def _check_finite(values: Matrix, t: Vector, names: Sequence[str]) -> None:
     if wrong.size:
         row, column = wrong[0]
         raise AssumptionError(
-            f"alpha {names[column]!r} is {values[row, column]:g} at t = {t[row]:g} s; needed a "
-            "finite number at every instant of the run"
+            f"alpha {names[column]!r}: expected a finite number at every instant of the run, got "
+            f"{values[row, column]:g} at t = {t[row]:g} s"
         )
 
 

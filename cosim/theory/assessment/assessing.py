@@ -47,8 +47,8 @@ SAME_OPTIMUM: Final = 1e-3  # difference of two sums of squares, in variances, t
 # times the difference that noise alone makes, white or colored: beyond it an optimum is no rival
 NO_RIVAL: Final = 1e3
 HIDDEN_BY_ERRORS: Final = (
-    "its component is not larger than what straight lines between samples, or the quantization of "
-    "y, may have made it: shorter steps, or finer outputs, would show it"
+    "its component is not larger than the errors of linear interpolation between samples, or of "
+    "the quantization of y: shorter steps, or finer outputs, would show it"
 )
 APART: Final = 5.0  # standard errors between two optima that are not the same
 SAME_THETA: Final = 1e-4  # relative difference of theta by the samples that are left out

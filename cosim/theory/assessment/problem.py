@@ -74,7 +74,7 @@ class OutputErrorProblem:
     def __post_init__(self) -> None:
         """Check that all of it fits together."""
         if not self.data:
-            raise AssumptionError("no data; needed at least one record")
+            raise AssumptionError("data: expected at least one record, got none")
         for data_set in self.data:
             check_sizes(self.plant, self.generators, data_set)
         bound_vectors(self.bounds, self.generators.parameters)
@@ -84,8 +84,8 @@ class OutputErrorProblem:
         shape = (self.outputs, self.outputs)
         if stated.shape != shape or not is_covariance(stated):
             raise AssumptionError(
-                f"stated: found {quoted(stated.tolist())}; needed the covariance of the noise of "
-                f"y, a symmetric positive definite matrix of shape {shape}"
+                "stated: expected the covariance of the noise of y, a symmetric positive definite "
+                f"matrix of shape {shape}, got {quoted(stated.tolist())}"
             )
 
     @cached_property

@@ -410,8 +410,8 @@ class VerdictMaker:
         if self._with_all[j] > RESTS_ON_ABSENCE * own_error:
             times = self._with_all[j] / own_error
             return Verdict.WEAK, (
-                f"it rests on the absence of {self._names_left_out()}, which these data do not "
-                f"tell: with it the standard error is {times:.2g} times as large; leave it out if "
+                f"it assumes the absence of {self._names_left_out()}, which these data do not "
+                f"show: with it the standard error is {times:.2g} times as large; leave it out if "
                 f"it is not there"
             )
         return Verdict.IDENTIFIABLE, self._not_contradicted()
@@ -428,14 +428,14 @@ class VerdictMaker:
         reason = f"the iteration has not converged; where it stopped, at theta = {last}, "
         if self._consistency.passed:
             return reason + (
-                "the residual is what noise leaves, so these data hardly determine theta: bounds, "
-                "fewer terms or a longer record may help"
+                "noise explains the residual, so these data hardly determine theta: bounds, fewer "
+                "terms or a longer record may help"
             )
         theta = self._fit.theta
         stopping = [j for j, own in self._bounds.items() if theta[j] in own]
         bounds = "".join(f"a bound of theta[{j}], " for j in stopping)
         return reason + (
-            f"the residual is not what noise leaves: {bounds}a family, an alpha or the plant may "
+            f"noise does not explain the residual: {bounds}a family, an alpha or the plant may "
             "be wrong"
         )
 
@@ -487,20 +487,20 @@ class VerdictMaker:
             worst = int(consistency.step_error.argmax())
             relative = float(consistency.step_error[worst])
             return (
-                f"the samples are too far apart for the signals: straight lines between them cost "
-                f"{100.0 * relative:.2g} % of the deviation of y[{worst}], of which "
+                "the samples are too far apart for the signals: linear interpolation between them "
+                f"costs {100.0 * relative:.2g} % of the deviation of y[{worst}], at most "
                 f"{100.0 * LARGEST_STEP_ERROR:g} % can be allowed for; samples at "
                 f"{enough_shorter(relative):.1g} of their distances would do"
             )
         for j, state in enumerate(self._fit.states):
             if state is ParameterState.AT_BOUND:
                 return (
-                    f"{self._at_bound(j)}: widen it; where it stands, the residual is not what "
-                    "noise leaves"
+                    f"{self._at_bound(j)}: widen it; where it stands, noise does not explain the "
+                    "residual"
                 )
         found = "; ".join(_failures(consistency.tests, len(self._fit.records)))
         remark = f"; {consistency.remark}" if consistency.remark else ""
-        return f"the residual is not what noise leaves: {found}{remark}"
+        return f"noise does not explain the residual: {found}{remark}"
 
 
 def _failures(tests: Sequence[ResidualTest], data_sets: int) -> Iterator[str]:
@@ -512,6 +512,6 @@ def _failures(tests: Sequence[ResidualTest], data_sets: int) -> Iterator[str]:
         where = f" ({test.largest})" if test.largest else ""
         owner = f"data set {number // each + 1}, " if data_sets > 1 else ""
         yield (
-            f"{owner}{test.name}: {test.statistic:.3g}, noise leaves up to {test.threshold:.3g}"
+            f"{owner}{test.name}: {test.statistic:.3g}, noise makes at most {test.threshold:.3g}"
             f"{where}"
         )

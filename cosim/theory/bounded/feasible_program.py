@@ -66,8 +66,8 @@ class Cells:
     def __post_init__(self) -> None:
         if not 1 <= self.averaged <= self.samples:
             raise AssumptionError(
-                f"{self.averaged} of {self.samples} samples of a cell are averaged; needed at "
-                "least one and at most all"
+                f"averaged: expected 1 to {self.samples}, the samples of a cell, got "
+                f"{self.averaged}"
             )
 
     def count(self, recorded: int) -> int:
@@ -105,13 +105,14 @@ class RecordedOutputs:
         n_y = self.y.shape[1]
         if self.noise.shape != (n_y,) or not np.all(self.noise >= 0.0):
             raise AssumptionError(
-                f"bounds of the noise are {self.noise.tolist()}; needed {n_y}, none negative"
+                f"bounds of the noise: expected {n_y}, none negative, got {self.noise.tolist()}"
             )
         if not np.isfinite(self.y).all():
-            raise AssumptionError("the outputs are not finite; needed a number at every sample")
+            raise AssumptionError("outputs: expected a finite number at every sample")
         if self.cells.count(len(self.y)) < 1:
             raise AssumptionError(
-                f"{len(self.y)} samples; a cell needs {self.cells.samples} after the first one"
+                f"samples: expected at least {1 + self.cells.samples}, one cell after the first "
+                f"sample, got {len(self.y)}"
             )
 
 

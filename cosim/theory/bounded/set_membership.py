@@ -204,7 +204,7 @@ def least_bound(
         is the global minimum, with some a point of the profile of those.
     """
     if not problem.bound.any():
-        raise AssumptionError("all bounds of delta_0 are zero; needed a positive one to multiply")
+        raise AssumptionError("bounds of delta_0: expected a positive one, got only zeros")
     program = FeasibleProgram(problem, recorded)
     limits = np.tile([-np.inf, np.inf], (problem.n_theta, 1))
     if fixed is not None:

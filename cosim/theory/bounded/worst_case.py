@@ -174,16 +174,16 @@ class BoundedDisturbance:
         n_y, n_d = self.response.D.shape
         if self.bound.shape != (n_d,) or not np.all(self.bound >= 0.0):
             raise AssumptionError(
-                f"bounds of delta_0 are {self.bound.tolist()}; needed {n_d}, none negative"
+                f"bounds of delta_0: expected {n_d}, none negative, got {self.bound.tolist()}"
             )
         if self.weight.shape != (n_y, n_y):
             raise AssumptionError(
-                f"the weight has shape {self.weight.shape}; needed {(n_y, n_y)}, a row an output"
+                f"weight: expected shape {(n_y, n_y)}, a row an output, got {self.weight.shape}"
             )
         eigenvalues = np.linalg.eigvalsh(self.weight)
         if not eigenvalues.min() > 0.0:
             raise AssumptionError(
-                f"the weight has the eigenvalue {eigenvalues.min():g}; needed positive ones"
+                f"weight: expected positive eigenvalues, got {eigenvalues.min():g}"
             )
 
 
@@ -267,8 +267,8 @@ def least_squares_functional(
     pivots = np.abs(np.diag(R))
     if len(J) < n_p or not pivots.min() > INDEPENDENT:
         raise AssumptionError(
-            f"the outputs do not determine the {n_p} unknowns: least pivot of the Jacobian "
-            f"{pivots.min():.2g}, needed more than {INDEPENDENT:g}"
+            f"the outputs do not determine the {n_p} unknowns: expected pivots of the Jacobian "
+            f"above {INDEPENDENT:g}, got {pivots.min():.2g}"
         )
     rows = np.linalg.solve(R, Q.T) / length[:, None]
     whitened_rows = rows[:count].reshape(count, samples, n_y)

@@ -145,7 +145,7 @@ def decay_rate_of(plant: RegulatedPlant, K: Matrix, given: float | None) -> floa
     rate = 0.5 * slowest_rate(K, plant) if given is None else given
     if not 0.0 < rate < math.inf:
         raise AssumptionError(
-            f"internal model: decay_rate = {rate:g}; needed a positive finite rate [1/s]"
+            f"internal model: decay_rate: expected a positive finite rate [1/s], got {rate:g}"
         )
     return rate
 
@@ -169,7 +169,7 @@ def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector, where: str) -
     if not is_finite or error > RESIDUAL * size.max():
         raise AssumptionError(
             f"internal model: {where}a mode of the disturbance is one of the state feedback, too",
-            cure="needed another state feedback",
+            cure="choose another state feedback",
         )
     return np.asarray(X / units, np.float64)
 
@@ -200,8 +200,8 @@ def _least_effort(S: Matrix, B: Matrix, shift: float, where: str) -> Matrix:
         raise AssumptionError(
             f"internal model: {where}{_unreached(S, B)} (NOT_STABILIZABLE)",
             "NOT_STABILIZABLE",
-            "needed an interval without that theta, components of the disturbance whose intervals "
-            "are apart, or another decay_rate",
+            "choose an interval without that theta, components of the disturbance with separate "
+            "intervals, or another decay_rate",
         )
     rows = V.T / per_row
     of_modes = np.linalg.solve(correlation, rows)
@@ -371,9 +371,9 @@ def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
             "derivative of y later than the part of it that u makes"
         )
     raise AssumptionError(
-        f"the sampled loop of {what} is not stable: an eigenvalue of modulus {radius:.9g}, needed "
-        "below 1",
-        cure=f"needed {cure}",
+        f"the sampled loop of {what} is not stable: expected eigenvalues of modulus below 1, got "
+        f"{radius:.9g}",
+        cure=f"choose {cure}",
     )
 
 
@@ -500,7 +500,7 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Cer
             return CertifiedCompensator(
                 attempt.schedule, base_rate, certificate.rate, certificate.theta, certificate.cells
             )
-    cure = "needed another decay_rate or state feedback"
+    cure = "choose another decay_rate or state feedback"
     if len(gains.box.lower):
         factor = _largest_factor(gains, system)
         largest = gains.box.scaled(factor).text if factor > 0.0 else "none"

@@ -45,10 +45,10 @@ class ParameterBox:
         same = self.lower.shape == self.upper.shape
         if not same or not np.isfinite(self.upper - self.lower).all():
             raise AssumptionError(
-                f"interval of theta: found {self.text}; needed finite ends, two a parameter"
+                f"interval of theta: expected two finite ends for each parameter, got {self.text}"
             )
         if (self.lower > self.upper).any():
-            raise AssumptionError(f"interval of theta: found {self.text}; needed lower <= upper")
+            raise AssumptionError(f"interval of theta: expected lower <= upper, got {self.text}")
 
     @property
     def center(self) -> Vector:
@@ -143,7 +143,7 @@ def internal_model(families: Sequence[Family], outputs: int) -> InternalModel:
         If there is no family.
     """
     if not families:
-        raise AssumptionError("internal model: no families; needed those of the disturbance class")
+        raise AssumptionError("internal model: expected the families of the disturbance, got none")
     kept = _distinct(families)
     sizes = [family.v for family in kept]
     ends = np.cumsum(sizes)

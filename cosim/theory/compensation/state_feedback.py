@@ -103,12 +103,12 @@ def regulated_plant(reduced: ReducedSystem, outputs: Sequence[int]) -> Regulated
     in_range = all(0 <= output < n_y for output in chosen)
     if not chosen or not in_range or len(set(chosen)) < len(chosen):
         raise AssumptionError(
-            f"regulated = {chosen}; needed different elements of y, from 0 to {n_y - 1}"
+            f"regulated: expected different elements of y, from 0 to {n_y - 1}, got {chosen}"
         )
     if n_u < len(chosen):
         raise AssumptionError(
-            f"{n_u} input(s) for {len(chosen)} regulated outputs, needed as many inputs "
-            "(FEWER_INPUTS_THAN_REGULATED_OUTPUTS)",
+            f"expected at least {len(chosen)} inputs for {len(chosen)} regulated outputs, got "
+            f"{n_u} (FEWER_INPUTS_THAN_REGULATED_OUTPUTS)",
             "FEWER_INPUTS_THAN_REGULATED_OUTPUTS",
             "regulate fewer elements of y, or add an input",
         )
@@ -163,9 +163,9 @@ def state_feedback(
     given = [name for name, value in (("K", K), ("poles", poles), ("Q", Q)) if value is not None]
     if len(given) != 1:
         found = " and ".join(given) or "none"
-        raise AssumptionError(f"state feedback: found {found}; needed one of K, poles and Q")
+        raise AssumptionError(f"state feedback: expected one of K, poles and Q, got {found}")
     if R is not None and Q is None:
-        raise AssumptionError("state feedback: found R, the weight of u, without Q, that of x")
+        raise AssumptionError("state feedback: R, the weight of u, needs Q, the weight of x")
     reachable = _stabilizable_part(A, B)
     if poles is not None:
         gain = _placed(A, B, poles, reachable)
@@ -177,8 +177,8 @@ def state_feedback(
     unstable = closed[closed.real >= 0.0].astype(np.complex128)
     if len(unstable):
         raise AssumptionError(
-            f"state feedback: A - B K is not Hurwitz: eigenvalue {modes(unstable)}; needed another "
-            "K, or poles, or Q"
+            f"state feedback: A - B K is not Hurwitz: eigenvalue {modes(unstable)}; choose another "
+            "K, other poles, or another Q"
         )
     return frozen(gain, 2)
 
@@ -242,7 +242,7 @@ def _stabilizable_part(A: Matrix, B: Matrix) -> Matrix:
             f"state feedback: u does not reach the mode {modes(unstable)}, which is not stable "
             "(NOT_STABILIZABLE)",
             "NOT_STABILIZABLE",
-            "needed another input",
+            "add an input",
         )
     return unreached
 
@@ -305,15 +305,15 @@ def _regulator(A: Matrix, B: Matrix, Q: ArrayLike, R: ArrayLike | None) -> Matri
     state_weight = weight_matrix("Q", Q, n)
     input_weight = np.eye(n_u) if R is None else weight_matrix("R", R, n_u)
     if np.linalg.eigvalsh(input_weight).min() <= 0.0:
-        raise AssumptionError("state feedback: R is not positive definite; needed weights above 0")
+        raise AssumptionError("state feedback: R: expected a positive definite matrix")
     from scipy.linalg import solve_continuous_are  # takes long to import, and is rarely needed
 
     try:
         P = solve_continuous_are(A, B, state_weight, input_weight)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise AssumptionError(
-            f"state feedback: no regulator for these weights ({error}); needed Q that weighs every "
-            "mode which is not stable"
+            f"state feedback: no regulator for these weights ({error}); choose a Q that weighs "
+            "every mode that is not stable"
         ) from error
     gain = np.linalg.solve(input_weight, B.T @ P)
     return np.asarray(gain, np.float64)
@@ -335,8 +335,8 @@ def weight_matrix(name: str, values: ArrayLike, size: int) -> Matrix:
     least = 1e-14 * _size(weight)
     if not fits or not np.allclose(weight, weight.T, rtol=1e-12, atol=least):
         raise AssumptionError(
-            f"state feedback: {name} = {np.asarray(values).tolist()}; needed {size} numbers, its "
-            f"diagonal, or a symmetric matrix of {size} rows"
+            f"state feedback: {name}: expected {size} numbers, its diagonal, or a symmetric matrix "
+            f"of {size} rows, got {np.asarray(values).tolist()}"
         )
     eigenvalues = np.linalg.eigvalsh(weight)
     if eigenvalues.min() < -1e-12 * _size(weight):
@@ -353,8 +353,8 @@ def _given_gain(K: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
     gain = np.atleast_2d(np.asarray(K, np.float64))
     if gain.shape != shape or not np.isfinite(gain).all():
         raise AssumptionError(
-            f"state feedback: K has shape {gain.shape}; needed {shape}, finite: a row for each "
-            "input, a column for each state"
+            f"state feedback: K: expected finite numbers of shape {shape}, a row for each input, "
+            f"a column for each state, got shape {gain.shape}"
         )
     return gain
 

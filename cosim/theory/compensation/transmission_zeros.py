@@ -71,7 +71,7 @@ def check_zeros(
                 f"outputs is a mode of the disturbance{where}, where no controller rejects it "
                 "(TRANSMISSION_ZERO)",
                 "TRANSMISSION_ZERO",
-                "needed an interval of theta without it, or other regulated outputs",
+                "choose an interval of theta without it, or other regulated outputs",
             )
         if nearest is None or abs(mode - zero) < abs(nearest.mode - nearest.zero):
             nearest = NearestZero(zero, mode, tuple(theta.tolist()))

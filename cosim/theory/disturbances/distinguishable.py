@@ -126,8 +126,8 @@ def _check_rates(first: _Term, second: _Term, span: float, both: str) -> None:
     if of_first or of_second:
         raise AssumptionError(
             f"{both}, and the rate is bounded by {min(first.rate, second.rate):g} rad/s: such a "
-            f"sine is a straight line in the {span:g} s of the run; needed a larger bound than "
-            f"{STRAIGHT / span:.3g} rad/s, a longer run, or one of the two"
+            f"sine is a straight line in the {span:g} s of the run; choose a bound above "
+            f"{STRAIGHT / span:.3g} rad/s, a longer run, or one of the two terms"
         )
 
 
@@ -163,7 +163,7 @@ def check_exchangeable(
         rate = _rate_of_ratio(t, alpha[:, a], alpha[:, b]) if shared else None
         if rate is not None:
             raise AssumptionError(
-                f"(21): alpha {names[a]!r} is a multiple of exp({rate:.4g} t) times alpha "
+                f"alpha {names[a]!r} is a multiple of exp({rate:.4g} t) times alpha "
                 f"{names[b]!r}, so that the terms of family {shared[0]!r} fit the same data with "
                 f"their parameters exchanged; give them one alpha, which shifts the exponent by "
                 f"{rate:.4g}"

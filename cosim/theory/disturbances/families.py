@@ -351,7 +351,7 @@ def generators(families: Sequence[Family]) -> Generators:
         If there is no component.
     """
     if not families:
-        raise AssumptionError("(4): no components; needed at least one")
+        raise AssumptionError("disturbance: expected at least one component, got none")
     constant_parts = []
     slopes = []
     for family in families:
@@ -451,11 +451,11 @@ SETTINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 OUTSIDE: Mapping[str, str] = MappingProxyType(
     {
-        "chirp": "a sine of unknown, growing rate is outside (5): its values a delay ago are no "
-        "combination of finitely many functions of t with constant coefficients. Where the growth "
-        "k [rad/s^2] is known, give two terms of family 'sine' with the alphas sin(k*t**2/2) and "
-        "cos(k*t**2/2); where the rate is known too, two of family 'constant' with the sine and "
-        "the cosine of the whole angle as alphas",
+        "chirp": "a sine of unknown, growing rate is outside the class: its values a delay ago are "
+        "no combination of finitely many functions of t with constant coefficients. Where the "
+        "growth k [rad/s^2] is known, give two terms of family 'sine' with the alphas "
+        "sin(k*t**2/2) and cos(k*t**2/2); where the rate is known too, two of family 'constant' "
+        "with the sine and the cosine of the whole angle as alphas",
     }
 )
 
@@ -474,7 +474,7 @@ def family_named(name: str) -> Family:
         raise AssumptionError(f"family {name!r}: {OUTSIDE[name]}")
     if name in SETTINGS:
         listed = ", ".join(SETTINGS[name])
-        raise AssumptionError(f"family {name!r}: found its name alone; it has settings: {listed}")
+        raise AssumptionError(f"family {name!r}: expected its settings too: {listed}")
     nearest_name = nearest(name, [*FAMILIES, *SETTINGS])
     raise AssumptionError(f"no disturbance family {name!r} in this package; {nearest_name}")
 
@@ -498,11 +498,11 @@ def K(family: Family, theta: ArrayLike, D: float) -> Vector:
     """
     parameters = np.atleast_1d(np.asarray(theta, dtype=np.float64))
     shape = parameters.shape
-    needed = (len(family.parameters),)
-    if shape != needed:
+    expected = (len(family.parameters),)
+    if shape != expected:
         names = ", ".join(family.parameters)
         raise AssumptionError(
-            f"theta of family {family.name!r} has shape {shape}; needed {needed}: {names}"
+            f"theta of family {family.name!r}: expected shape {expected}: {names}; got {shape}"
         )
     exponent = -family.G(parameters) * D
     from scipy.linalg import expm  # takes long to import, and is rarely needed

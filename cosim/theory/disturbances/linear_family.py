@@ -160,7 +160,8 @@ class LinearFamily:
         v = self.v
         if not 1 <= v <= MOST_STATES:
             raise AssumptionError(
-                f"family 'linear': c has {v} numbers; needed 1 to {MOST_STATES}, one for each state"
+                f"family 'linear': c: expected 1 to {MOST_STATES} numbers, one for each state, got "
+                f"{v}"
             )
         named = [("G0", self.G0), *((f"G[{j}]", rows) for j, rows in enumerate(self.slopes))]
         for name, rows in named:
@@ -168,28 +169,28 @@ class LinearFamily:
             if len(rows) != v or lengths != {v}:
                 found = " and ".join(map(str, sorted(lengths)))
                 raise AssumptionError(
-                    f"family 'linear': {name} has {len(rows)} rows of {found or 'no'} numbers; "
-                    f"needed {v} rows of {v}, as c has {v}"
+                    f"family 'linear': {name}: expected {v} rows of {v} numbers, as c has {v}, got "
+                    f"{len(rows)} rows of {found or 'no'} numbers"
                 )
         if not np.isfinite([*np.ravel(self.G0), *np.ravel(self.slopes), *self.row]).all():
-            raise AssumptionError("family 'linear': found NaN or infinity; needed finite numbers")
+            raise AssumptionError("family 'linear': expected finite numbers, got NaN or infinity")
 
     def _check_names(self) -> None:
         names = self.parameters
         if len(names) != len(self.slopes):
             raise AssumptionError(
-                f"family 'linear': parameters has {len(names)} names; needed {len(self.slopes)}, "
-                "one for each matrix of G"
+                f"family 'linear': parameters: expected {len(self.slopes)} names, one for each "
+                f"matrix of G, got {len(names)}"
             )
         for name in names:
             if not name.isidentifier() or name in self.constants:
                 raise AssumptionError(
-                    f"family 'linear': parameters: found {name!r}; needed a word of letters, "
-                    f"digits and '_' that is none of {', '.join(self.constants)}"
+                    "family 'linear': parameters: expected a word of letters, digits and '_' "
+                    f"other than {', '.join(self.constants)}, got {name!r}"
                 )
         if len(set(names)) < len(names):
             raise AssumptionError(
-                f"family 'linear': parameters: found {', '.join(names)}; needed different names"
+                f"family 'linear': parameters: expected different names, got {', '.join(names)}"
             )
 
     def _check_ranges(self) -> None:
@@ -197,14 +198,14 @@ class LinearFamily:
             return
         if len(self.ranges) != len(self.slopes):
             raise AssumptionError(
-                f"family 'linear': search has {len(self.ranges)} ranges; needed "
-                f"{len(self.slopes)}, [lower, upper] for each matrix of G"
+                f"family 'linear': search: expected {len(self.slopes)} ranges, [lower, upper] for "
+                f"each matrix of G, got {len(self.ranges)}"
             )
         for name, (lower, upper) in zip(self.parameters, self.ranges, strict=True):
             if not -math.inf < lower < upper < math.inf:
                 raise AssumptionError(
-                    f"family 'linear': search of {name}: found [{lower:g}, {upper:g}]; needed "
-                    "[lower, upper], finite and lower first"
+                    f"family 'linear': search of {name}: expected [lower, upper], finite and lower "
+                    f"first, got [{lower:g}, {upper:g}]"
                 )
 
     def _check_observable(self) -> None:

@@ -68,8 +68,8 @@ def expand(sizes: tuple[int, ...]) -> tuple[Term, ...]:
     """
     if not sizes or min(sizes) < 1:
         raise AssumptionError(
-            f"(21): group sizes {list(sizes)}; needed at least one group, each with at least one "
-            "basis function"
+            "group sizes: expected at least one group, each with at least one basis function, got "
+            f"{list(sizes)}"
         )
     last_row = sum(sizes)
     rows = range(last_row + 1)
@@ -174,7 +174,9 @@ def eta(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
     constants = chi(terms, K)
     normalizer = constants[0]
     if normalizer == 0.0:
-        raise AssumptionError("(26): chi_0 = 0, so eta is not defined; choose other delays")
+        raise AssumptionError(
+            "the coefficient that normalizes the regression, chi_0, is zero; choose other delays"
+        )
     ratios: Vector = constants[1:] / normalizer
     return ratios
 
@@ -189,19 +191,20 @@ def check_delays(delays: Sequence[float], needed: int) -> None:
     """
     if len(delays) != needed:
         raise AssumptionError(
-            f"Assumption 3 (5): {len(delays)} delays; needed l + 1 = {needed} for "
-            f"l = {needed - 1} basis functions"
+            f"delays: expected {needed}, one more than the {needed - 1} basis functions, got "
+            f"{len(delays)} (Assumption 3)"
         )
     numbered = list(enumerate(delays, start=1))
     for j, D in numbered:
         if not 0.0 <= D < math.inf:
             raise AssumptionError(
-                f"Assumption 3 (5): D_{j} = {D:g} s; needed a finite delay, not negative"
+                f"delay {j}: expected a finite time of 0 or more, got {D:g} s (Assumption 3)"
             )
     for (i, first), (j, second) in combinations(numbered, 2):
         if first == second:
             raise AssumptionError(
-                f"Assumption 3 (5): D_{i} = D_{j} = {first:g} s; needed pairwise distinct delays"
+                f"delays {i} and {j}: expected distinct delays, got {first:g} s twice "
+                "(Assumption 3)"
             )
 
 
@@ -246,7 +249,7 @@ def check_proportional(alpha: Matrix, names: Sequence[str]) -> None:
         pair = alpha[:, :, [a, b]].reshape(-1, 2)
         if _rank(pair) < 2:
             raise AssumptionError(
-                f"(21): alpha {names[a]!r} and alpha {names[b]!r} are proportional; merge their "
+                f"alpha {names[a]!r} and alpha {names[b]!r} are proportional; merge their "
                 "components into one group (give them the same alpha)"
             )
 
@@ -321,13 +324,13 @@ def _check_independent(columns: Matrix, row: int, names: Sequence[str]) -> None:
     times, needed = columns.shape
     if times < needed:
         raise AssumptionError(
-            f"(26): {times} times; needed at least {needed} to distinguish the alpha products"
+            f"expected at least {needed} instants to distinguish the alpha products, got {times}"
         )
     independent = _rank(columns)
     if independent < needed:
         listed = ", ".join(map(repr, names))
         raise AssumptionError(
-            f"(26): the {needed} alpha products with delta(t - D_{row + 1}) of {listed} have rank "
+            f"the {needed} alpha products of {listed} at delay {row + 1} have rank "
             f"{independent}; choose delays that are no multiples of a period of alpha, and alphas "
             'that a delay does not merely scale, or method = "output-error", which needs neither'
         )

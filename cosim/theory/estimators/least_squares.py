@@ -118,7 +118,7 @@ def plan(terms: Sequence[Term], groups: Sequence[AlphaGroup], delays: Sequence[f
     n_theta = sum(map(len, places.values()))
     if not n_theta:
         raise AssumptionError(
-            "(35): the terms have no parameter, so there is no theta to recover; "
+            "the terms have no parameter, so there is no theta to recover; "
             'method = "output-error" estimates their amplitudes'
         )
     return Recovery(tuple(recoveries), n_eta, n_theta)
@@ -251,7 +251,7 @@ def _recovery_kind(group: AlphaGroup) -> RecoveryKind:
         components = list(group.components)
         listed = ", ".join(names)
         raise AssumptionError(
-            f"(35): no formula for theta of the components {components} that share "
+            f"no formula for theta of the components {components} that share "
             f"alpha {group.alpha!r} ({listed}); possible for one alpha: one exponential, two "
             "exponentials, one sine, one damped-sine, or one t-exponential; for others "
             'method = "output-error"'
@@ -274,8 +274,8 @@ def _equally_spaced_rows(
     needed = group.size + 1
     listed = ", ".join(f"{D:g}" for D in delays)
     raise AssumptionError(
-        f"(35): the components {components} that share alpha {group.alpha!r} need "
-        f"{needed} equally spaced delays; found {listed} s"
+        f"the components {components} that share alpha {group.alpha!r}: expected {needed} equally "
+        f"spaced delays, got {listed} s"
     )
 
 

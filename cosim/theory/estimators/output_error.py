@@ -153,7 +153,7 @@ def fit_output_error(
         If the response at the start is not finite.
     """
     if not data:
-        raise AssumptionError("no data; needed at least one record")
+        raise AssumptionError("data: expected at least one record, got none")
     matrices = generators(families)
     noise = noise or white_noise(plant.C.shape[0])
     records = response_records(
@@ -162,8 +162,8 @@ def fit_output_error(
     start = np.asarray(theta, np.float64)
     if start.shape != (matrices.parameters,):
         raise AssumptionError(
-            f"theta: found a start of shape {start.shape}; needed {(matrices.parameters,)}, one "
-            "for each parameter of the families"
+            f"theta: expected a start of shape {(matrices.parameters,)}, one for each parameter "
+            f"of the families, got {start.shape}"
         )
     lower, upper = bound_vectors(bounds, matrices.parameters)
     result = minimize(
@@ -259,7 +259,7 @@ def bound_vectors(
         if not 0 <= j < parameters:
             raise AssumptionError(f"bounds: no theta[{j}]; there are {parameters} parameters")
         if not low <= high:
-            raise AssumptionError(f"bounds of theta[{j}]: {low} > {high}; needed lower first")
+            raise AssumptionError(f"bounds of theta[{j}]: expected lower first, got {low} > {high}")
         lower[j] = low
         upper[j] = high
     return lower, upper
@@ -276,9 +276,11 @@ def _no_information(data: Sequence[DataSet], unknowns: int, theta: Vector) -> As
     measured = sum(int(data_set.measured.sum()) for data_set in data)
     if measured > unknowns:
         return StartError(
-            f"the response at theta = {theta.tolist()} is not finite; needed another start"
+            f"the response at theta = {theta.tolist()} is not finite; choose another start"
         )
-    return AssumptionError(f"{measured} measured values for {unknowns} unknowns; needed more")
+    return AssumptionError(
+        f"expected at least {unknowns} measured values for {unknowns} unknowns, got {measured}"
+    )
 
 
 def _longest_steps(data: Sequence[DataSet], families: Sequence[Family]) -> Vector:

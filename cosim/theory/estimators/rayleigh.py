@@ -151,7 +151,7 @@ def rayleigh(
     status, minimizer, variance = model.minimize(triangle(mu), N, theta)
     if status == NO_INFORMATION:
         raise AssumptionError(
-            "(25): the quotient of the regression has no value; the alphas vanish on this window, "
+            "the quotient of the regression has no value; the alphas vanish on this window, "
             "or delta is not finite"
         )
     return RayleighEstimate(minimizer, status == 0, variance)

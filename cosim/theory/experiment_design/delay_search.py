@@ -67,8 +67,8 @@ def search_delays(
     """
     if count < 2 or longest < count - 1:
         raise AssumptionError(
-            f"{count} distinct delays of whole samples from 0 to {longest}; needed at least 2, and "
-            "room for them"
+            f"expected at least 2 distinct delays of whole samples, and room for them from 0 to "
+            f"{longest}, got {count}"
         )
     known: dict[tuple[int, ...], float] = {}
 

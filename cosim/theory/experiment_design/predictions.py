@@ -117,11 +117,11 @@ class RegressionExperiment:
         shape = (len(self.delta), len(self.families))
         if self.alpha.shape != shape or len(self.names) != len(self.families):
             raise AssumptionError(
-                f"alpha has shape {self.alpha.shape}, with {len(self.names)} names; needed {shape}"
+                f"alpha: expected shape {shape}, got {self.alpha.shape} and {len(self.names)} names"
             )
         needed = generators(self.families).parameters
         if self.theta.shape != (needed,):
-            raise AssumptionError(f"theta has shape {self.theta.shape}; needed ({needed},)")
+            raise AssumptionError(f"theta: expected shape ({needed},), got {self.theta.shape}")
 
     @cached_property
     def groups(self) -> tuple[AlphaGroup, ...]:
@@ -158,15 +158,15 @@ class RegressionExperiment:
         begin = self.settled + max(steps) if self.start is None else self.start
         if begin < max(steps):
             raise AssumptionError(
-                f"start: found {begin * self.step:g} s, needed at least the longest delay, "
-                f"{max(steps) * self.step:g} s"
+                f"start: expected at least the longest delay, {max(steps) * self.step:g} s, got "
+                f"{begin * self.step:g} s"
             )
         rows = (len(self.delta) - begin) // block
         needed = 2 * count_terms(self.sizes)
         if rows < needed:
             raise AssumptionError(
-                f"delays of up to {max(steps) * self.step:g} s leave {max(rows, 0)} rows of the "
-                f"regression; needed at least {needed}"
+                f"delays of up to {max(steps) * self.step:g} s: expected at least {needed} rows of "
+                f"the regression, got {max(rows, 0)}"
             )
         delayed = [slice(begin - count, begin - count + rows * block) for count in steps]
         delta = np.array([self.delta[part] for part in delayed])
@@ -214,7 +214,9 @@ class RegressionExperiment:
             change = recover(recovery, ahead) - recover(recovery, behind)
             slopes[:, k] = change / (2.0 * difference)
         if not np.isfinite(slopes).all():
-            raise AssumptionError("no estimate: the formulas (35) have no theta for what it finds")
+            raise AssumptionError(
+                "no estimate: the coefficients of the regression belong to no theta"
+            )
         d = np.hstack([np.zeros((len(theta), 1)), -slopes @ inverse])
         g = np.concatenate([[1.0], eta])
         return PredictedEstimate(theta - self.theta, regression.covariance(d, g))

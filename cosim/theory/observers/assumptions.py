@@ -189,9 +189,8 @@ def _observer_verdicts(reduced: ReducedSystem) -> tuple[AssumptionVerdict, ...]:
     n_y, n_d = reduced.C5.shape
     if not n_d:
         none = AssumptionError(
-            "Assumption 5 (14): the model has no disturbance, and the observer is for an unknown "
-            "one",
-            cure="needed a model with Bd, or with B and disturbances",
+            "the model has no disturbance, and the observer is for an unknown one (Assumption 5)",
+            cure="give a model with Bd, or with B and disturbances",
         )
         reason = "there is no disturbance"
         return (
@@ -226,12 +225,9 @@ def _direct_path(reduced: ReducedSystem) -> AssumptionVerdict:
     sizes = np.linalg.svd(C5, compute_uv=False)
     largest = float(sizes.max(initial=0.0))
     rank = int((sizes > max(reduced.accuracy, rounding_of(len(reduced.A_a)))).sum())
-    evidence = "C5 = 0: delta reaches y through the states alone"
+    evidence = "none: delta reaches y through the states alone"
     if rank:
-        evidence = (
-            f"C5 has rank {rank} of {C5.shape[1]}: so many disturbances follow from y without a "
-            "derivative"
-        )
+        evidence = f"{rank} of {C5.shape[1]} disturbance(s) follow from y without a derivative"
     return AssumptionVerdict(
         name=DIRECT_PATH,
         fulfilled=True,
@@ -249,8 +245,8 @@ def _decoupled(reduced: ReducedSystem, error: observer.ErrorDynamics) -> Assumpt
     else:
         values["smallest_singular_value"] = float(sizes.min())
         evidence = (
-            f"rank C3 B_2a = {len(sizes)}, as needed, with {n_y} output(s): smallest singular "
-            f"value {sizes.min():.2g} where all is of size one"
+            f"an integrator leads from {len(sizes)} disturbance(s) to {n_y} output(s): smallest "
+            f"singular value {sizes.min():.2g} where all is of size one"
         )
     return AssumptionVerdict(name=DECOUPLING, fulfilled=True, evidence=evidence, values=values)
 

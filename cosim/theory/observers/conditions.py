@@ -114,8 +114,8 @@ def check_outputs(n_y: int, n_d: int) -> None:
     """
     if n_d > n_y:
         raise AssumptionError(
-            f"Assumption 5 (14): {n_y} output(s) for {n_d} disturbances, needed at least {n_d} "
-            "outputs: the disturbance is not decoupled (FEWER_OUTPUTS_THAN_DISTURBANCES)",
+            f"the disturbance is not decoupled (Assumption 5): expected at least {n_d} outputs for "
+            f"{n_d} disturbances, got {n_y} (FEWER_OUTPUTS_THAN_DISTURBANCES)",
             "FEWER_OUTPUTS_THAN_DISTURBANCES",
             f"measure {n_d - n_y} more output(s), or merge disturbances that act together",
         )
@@ -134,8 +134,10 @@ def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
     directions = rank_between(columns, np.abs(columns), max(RANK_TOLERANCE, tolerance))
     if directions == n_d:
         return
-    matrix = "[B_2a; C5]" if reduced.C5.any() else "B_2a"
-    problem = f"Assumption 5 (14): rank {matrix} = {directions} for {n_d} disturbances: "
+    problem = (
+        f"the disturbance is not decoupled (Assumption 5): {n_d} disturbances act in {directions} "
+        "independent directions: "
+    )
     without_effect = np.flatnonzero(~columns.any(axis=0))
     if len(without_effect):
         raise AssumptionError(
@@ -165,8 +167,8 @@ def _check_transfer(reduced: ReducedSystem, tolerance: float) -> None:
     if rank == n_d:
         return
     problem = (
-        f"Assumption 5 (14): the transfer C (s E - A)^-1 Bd + Dd from delta to y has rank {rank} "
-        f"at every s, needed {n_d} (NO_TRANSFER): "
+        "the disturbance is not decoupled (Assumption 5): expected a transfer from delta to y of "
+        f"rank {n_d}, got rank {rank} at every s (NO_TRANSFER): "
     )
     absent = [j for j in range(n_d) if not _rank_of_transfer(reduced, [j], tolerance)]
     if absent:
@@ -240,14 +242,14 @@ def _relative_degree(reduced: ReducedSystem, split: _Split, reached: int, tolera
     n_d = reduced.B_2a.shape[1]
     if split.rank:
         what = (
-            f"rank C5 = {split.rank} of {n_d} disturbances reach y directly; for the others "
-            f"rank C3 B_2a = {reached}, needed {n_d - split.rank}: they are"
+            f"{split.rank} of {n_d} disturbances reach y directly, and {reached} of the other "
+            f"{n_d - split.rank} through one integrator"
         )
     else:
-        what = f"rank C3 B_2a = {reached}, needed rank B_2a = {n_d}: the disturbance is"
+        what = f"{reached} of {n_d} disturbance(s) reach y through one integrator"
     return (
-        f"Assumption 5 (14): {what} not decoupled; only more integrators lead to y "
-        f"(RELATIVE_DEGREE): {_markov_parameters(reduced, split, tolerance)}"
+        f"the disturbance is not decoupled (Assumption 5): {what}; only more integrators lead to "
+        f"y for the rest (RELATIVE_DEGREE): {_markov_parameters(reduced, split, tolerance)}"
     )
 
 

@@ -346,7 +346,7 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     """
     rate = observer.filter_rate
     if rate is None and not observer.is_direct:
-        raise AssumptionError("(19): no filter_rate; needed a positive finite rate [rad/s]")
+        raise AssumptionError("filter_rate: expected a positive rate [rad/s], got none")
     n_y, n_a = reduced.C3.shape
     n_q = 0 if rate is None else n_y
     identity = np.eye(n_a + n_q)
@@ -528,12 +528,12 @@ def identification_start_time(
         If a rate or the window is not positive, a fraction not in (0, 1), or there is no delay.
     """
     if filter_rate is not None and window is not None:
-        raise AssumptionError("(36)-(38): found filter_rate and window; needed one of them")
+        raise AssumptionError("expected filter_rate or window, got both")
     _check_positive("rate", {"lambda_obs": lambda_obs, "filter_rate": filter_rate})
     _check_positive("time", {"window": window})
     _check_fractions({"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter})
     if not delays:
-        raise AssumptionError("(36): no delays; needed at least one")
+        raise AssumptionError("delays: expected at least one, got none")
     T_obs = math.log(1.0 / epsilon_observer) / lambda_obs
     T_f = window or 0.0
     if filter_rate is not None:
@@ -547,16 +547,14 @@ def _check_positive(quantity: str, values: Mapping[str, float | None]) -> None:
     """Check that those that are given are positive and finite."""
     for name, value in values.items():
         if value is not None and not 0.0 < value < math.inf:
-            raise AssumptionError(
-                f"(36)-(38): {name} = {value:g}; needed a positive finite {quantity}"
-            )
+            raise AssumptionError(f"{name}: expected a positive finite {quantity}, got {value:g}")
 
 
 def _check_fractions(fractions: Mapping[str, float]) -> None:
     """Check that all of them are in (0, 1)."""
     for name, fraction in fractions.items():
         if not 0.0 < fraction < 1.0:
-            raise AssumptionError(f"(36)-(38): {name} = {fraction:g}; needed a fraction in (0, 1)")
+            raise AssumptionError(f"{name}: expected a fraction in (0, 1), got {fraction:g}")
 
 
 def _freeze(matrices: ObserverDesign | StateSpace, names: Sequence[str]) -> None:
@@ -570,12 +568,12 @@ def _check_options(
 ) -> None:
     if filter_rate is not None and not 0.0 < filter_rate < math.inf:
         raise AssumptionError(
-            f"(19): filter_rate = {filter_rate:g}; needed a positive finite rate [rad/s]"
+            f"filter_rate: expected a positive finite rate [rad/s], got {filter_rate:g}"
         )
     if L is None and poles is None:
-        raise AssumptionError("(17): neither L nor poles given; needed one of them")
+        raise AssumptionError("observer: expected L or poles, got neither")
     if L is not None and poles is not None:
-        raise AssumptionError("(17): give either L or poles, not both")
+        raise AssumptionError("observer: expected L or poles, got both")
 
 
 def _unobservable_subspace(M: Matrix, C3: Matrix) -> Matrix:
@@ -623,11 +621,11 @@ def _given_gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
         gain = gain[:, None]
     if gain.shape != shape:
         raise AssumptionError(
-            f"(17): L has shape {gain.shape}; needed {shape}: one row per dynamic state, one "
-            "column per output"
+            f"L: expected shape {shape}, one row per dynamic state, one column per output, got "
+            f"{gain.shape}"
         )
     if not np.isfinite(gain).all():
-        raise AssumptionError(f"(17): L = {gain.tolist()}; needed finite numbers")
+        raise AssumptionError(f"L: expected finite numbers, got {gain.tolist()}")
     return gain
 
 
@@ -641,7 +639,7 @@ def _sorted_eigenvalues(matrix: Matrix) -> ComplexVector:
 def _initial_vector(name: str, values: ArrayLike, size: int) -> Vector:
     vector = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if vector.shape != (size,):
-        raise AssumptionError(f"(18): {name} has shape {vector.shape}; needed ({size},)")
+        raise AssumptionError(f"{name}: expected shape ({size},), got {vector.shape}")
     if not np.isfinite(vector).all():
-        raise AssumptionError(f"(18): {name} = {vector.tolist()}; needed finite numbers")
+        raise AssumptionError(f"{name}: expected finite numbers, got {vector.tolist()}")
     return vector

@@ -31,7 +31,7 @@ class PlacementWords:
     rows: str
 
 
-OBSERVER: Final = PlacementWords("(17)", "L", "outputs")
+OBSERVER: Final = PlacementWords("observer", "L", "outputs")
 STATE_FEEDBACK: Final = PlacementWords("state feedback", "K", "inputs")
 
 
@@ -101,14 +101,14 @@ def _check_poles(
     if len(poles) != n:
         fixed = modes(fixed_modes)
         raise AssumptionError(
-            f"{words.design}: {len(poles)} poles given; needed {n}, as many as {words.gain} can "
-            f"place; fixed: {fixed}"
+            f"{words.design}: expected {n} poles, as many as {words.gain} can place, got "
+            f"{len(poles)}; fixed: {fixed}"
         )
     finite = np.isfinite(poles)
     stable = poles.real < 0.0
     if not (finite & stable).all():
         raise AssumptionError(
-            f"{words.design}: poles {modes(poles)}; needed finite poles with negative real parts"
+            f"{words.design}: expected finite poles with negative real parts, got {modes(poles)}"
         )
     given = Counter(poles.tolist())
     conjugates = Counter(poles.conj().tolist())
@@ -130,7 +130,7 @@ def _check_placed(A: Matrix, closed: Matrix, wanted: ComplexVector, words: Place
     if not np.allclose(reached, needed, rtol=PLACED, atol=PLACED):
         open_loop = modes(np.linalg.eigvals(A).astype(np.complex128))
         raise AssumptionError(
-            f"{words.design}: poles {modes(wanted)} cannot be placed accurately, found "
+            f"{words.design}: poles {modes(wanted)} cannot be placed accurately, got "
             f"{modes(placed)}; choose poles further apart or closer to {open_loop}"
         )
 
@@ -167,8 +167,8 @@ def _place_with_several_outputs(
     if multiplicity > k:
         repeated = modes([pole])
         raise AssumptionError(
-            f"{words.design}: pole {repeated} is given {multiplicity} times; needed at most {k}, "
-            f"the number of independent {words.rows}"
+            f"{words.design}: expected a pole at most {k} times, the number of independent "
+            f"{words.rows}, got {repeated} {multiplicity} times"
         )
     from scipy.signal import place_poles  # takes 0.5 s to import, and is rarely needed
 

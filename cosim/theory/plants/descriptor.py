@@ -105,9 +105,9 @@ class DescriptorSystem:
         _check_feedthrough("Dd", self.Dd, n_y, self.Bd)
         if self.n_a is None:
             return
-        needed = _diagonal_E(self.n_a, n)
-        if not np.array_equal(self.E, needed):
-            raise AssumptionError(f"Assumption 1 (1): E is not diag(I, 0) with n_a = {self.n_a}")
+        diagonal = _diagonal_E(self.n_a, n)
+        if not np.array_equal(self.E, diagonal):
+            raise AssumptionError(f"E is not diag(I, 0) with n_a = {self.n_a} (Assumption 1)")
 
     @classmethod
     def partitioned(
@@ -117,8 +117,8 @@ class DescriptorSystem:
         n = len(_finite_matrix("A", A))
         if not 1 <= n_a <= n:
             raise AssumptionError(
-                f"Assumption 1 (1): n_a = {n_a}; needed 1..{n}, the number of dynamic states "
-                f"among the {n} rows of A"
+                f"n_a: expected 1 to {n}, the number of dynamic states among the {n} rows of A, "
+                f"got {n_a} (Assumption 1)"
             )
         of_u = _finite_matrix("Bu", Bu)
         of_delta = _finite_matrix("Bd", Bd)
@@ -565,28 +565,28 @@ def _no_feedthrough(C: Matrix, B: Matrix) -> Matrix:
 
 def _check_feedthrough(name: str, D: Matrix, n_y: int, B: Matrix) -> None:
     m = B.shape[1]
-    is_as_needed = D.shape == (n_y, m)
-    needed = f"({n_y}, {m}): one row per row of C, one column per column of B{name[1]}"
-    _check_shape(name, D, is_as_needed, needed)
+    fits = D.shape == (n_y, m)
+    expected = f"({n_y}, {m}): one row per row of C, one column per column of B{name[1]}"
+    _check_shape(name, D, fits, expected)
 
 
 def _finite_matrix(name: str, values: ArrayLike) -> Matrix:
     try:
         matrix = frozen(values, 2)
     except ValueError as error:
-        raise AssumptionError(f"{name} is not a matrix: {error}") from error
+        raise AssumptionError(f"{name}: expected a matrix: {error}") from error
     finite = np.isfinite(matrix)
     not_finite = np.argwhere(~finite)
     if len(not_finite):
         row, column = not_finite[0]
         value = matrix[row, column]
-        raise AssumptionError(f"{name}[{row}, {column}] is {value}; needed a finite number")
+        raise AssumptionError(f"{name}[{row}, {column}]: expected a finite number, got {value}")
     return matrix
 
 
-def _check_shape(name: str, matrix: Matrix, fits: bool, needed: str) -> None:
+def _check_shape(name: str, matrix: Matrix, fits: bool, expected: str) -> None:
     if not fits:
-        raise AssumptionError(f"{name} has shape {matrix.shape}; needed {needed}")
+        raise AssumptionError(f"{name}: expected shape {expected}; got {matrix.shape}")
 
 
 def _diagonal_E(n_a: int, n: int) -> Matrix:

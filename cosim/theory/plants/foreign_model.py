@@ -27,8 +27,7 @@ def state_space_matrices(system: object) -> dict[str, Matrix]:
     sample_time = getattr(system, "dt", None)
     if sample_time is not None and (sample_time is True or sample_time != 0):
         raise AssumptionError(
-            f"{kind}: dt = {quoted(sample_time)}, so it is in discrete time; needed a model in "
-            "continuous time, dt = 0"
+            f"{kind}: expected a model in continuous time, dt = 0, got dt = {quoted(sample_time)}"
         )
     matrices = {}
     for name in ("A", "B", "C", "D", "E"):
@@ -37,8 +36,8 @@ def state_space_matrices(system: object) -> dict[str, Matrix]:
             matrices[name] = _real_matrix(f"{kind}.{name}", values)
         elif name != "E":
             raise AssumptionError(
-                f"{kind} has no {name}; needed a state-space model with A, B, C and D (a transfer "
-                "function becomes one by control.ss, or scipy's to_ss)"
+                f"{kind}: expected a state-space model with A, B, C and D, got one without {name} "
+                "(a transfer function becomes one by control.ss, or scipy's to_ss)"
             )
     return matrices
 
@@ -52,7 +51,9 @@ def disturbance_columns(system: object, disturbances: Iterable[int | str]) -> tu
         If one of them is none of the inputs, or is given twice, or they are no list.
     """
     if isinstance(disturbances, str):
-        raise AssumptionError(f"disturbances: found {disturbances!r}; needed [{disturbances!r}]")
+        raise AssumptionError(
+            f"disturbances: expected a list, [{disturbances!r}], got {disturbances!r}"
+        )
     labels = list(getattr(system, "input_labels", None) or [])
     count = np.shape(getattr(system, "B", np.zeros((0, 0))))[1]
     columns: list[int] = []
@@ -67,10 +68,10 @@ def disturbance_columns(system: object, disturbances: Iterable[int | str]) -> tu
             column = int(disturbance)
         if not 0 <= column < count:
             raise AssumptionError(
-                f"disturbance {column} is no input; needed 0 to {count - 1}, a column of B"
+                f"disturbances: expected 0 to {count - 1}, a column of B, got {column}"
             )
         if column in columns:
-            raise AssumptionError(f"disturbance {disturbance!r} is given twice; needed each once")
+            raise AssumptionError(f"disturbances: {disturbance!r} is given twice")
         columns.append(column)
     return tuple(columns)
 
@@ -110,6 +111,6 @@ def _real_matrix(name: str, values: object) -> Matrix:
     array = np.asarray(values)
     if array.dtype.kind not in "fiub" or array.ndim != 2:
         raise AssumptionError(
-            f"{name}: found {array.dtype} of shape {array.shape}; needed a matrix of real numbers"
+            f"{name}: expected a matrix of real numbers, got {array.dtype} of shape {array.shape}"
         )
     return frozen(array, 2)

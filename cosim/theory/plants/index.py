@@ -41,9 +41,9 @@ def check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None:
     dynamic = len(decomposition.values)
     if dynamic == 0:
         raise AssumptionError(
-            f"Assumption 1 (1): E = 0 ({n} x {n}): there are no dynamic states, and all equations "
-            "are algebraic",
-            cure="needed a model with dynamics (a static one is the gain of a connection)",
+            f"E = 0 ({n} x {n}): there are no dynamic states, all equations are algebraic "
+            "(Assumption 1)",
+            cure="give a model with dynamics (a static one is the gain of a connection)",
         )
     determined = determined_rank(decomposition, A)
     condition = _condition_of_A22(A, decomposition)
@@ -54,8 +54,8 @@ def check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None:
     check_rank(A, decomposition)
     evidence = f"rank {determined} of {n - dynamic}, condition {condition:.3g}"
     problem = (
-        f"Assumption 2 (3): A22 is singular ({evidence}), so x_b is not determined by the "
-        "algebraic equation; "
+        "the algebraic equations do not determine the algebraic states: A22 is singular "
+        f"({evidence}; Assumption 2); "
     )
     try:
         structure = shuffle(E, A, decomposition)
@@ -66,11 +66,11 @@ def check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None:
     ranks = ", ".join(map(str, structure.ranks))
     dynamics = "" if structure.finite else ", and no finite eigenvalue: no dynamics at all"
     raise AssumptionError(
-        f"{problem}INDEX_{index}: the pencil s E - A has index {index}, needed 1 (ranks of E by "
-        f"shuffles: {ranks} of {n}){dynamics}",
+        f"{problem}INDEX_{index}: expected a pencil s E - A of index 1, got index {index} (ranks "
+        f"of E by shuffles: {ranks} of {n}){dynamics}",
         f"INDEX_{index}",
-        f"differentiate the algebraic equations that do not determine x_b {index - 1} time(s) and "
-        "substitute them, or model what was neglected there (a small mass, capacity or resistance)",
+        f"differentiate these algebraic equations {index - 1} time(s) and substitute them, or "
+        "model what was neglected there (a small mass, capacity or resistance)",
     )
 
 
@@ -103,9 +103,9 @@ def check_accuracy(accuracy: float, A: Matrix, decomposition: RankDecomposition)
         raise _unclear_rank(decomposition, accuracy)
     condition = _condition_of_A22(A, decomposition)
     raise AssumptionError(
-        f"Assumption 2 (3): A22 is nearly singular (condition {condition:.3g}), and the reduced "
-        f"system would be known only up to {accuracy:.1g} of its size, needed "
-        f"{LEAST_ACCURACY:g} (INDEX_UNCLEAR)",
+        "the algebraic equations hardly determine the algebraic states: A22 is nearly singular "
+        f"(condition {condition:.3g}; Assumption 2): expected a relative accuracy of the reduced "
+        f"system of {LEAST_ACCURACY:g}, got {accuracy:.1g} (INDEX_UNCLEAR)",
         "INDEX_UNCLEAR",
         "give the algebraic equations exactly, or in other units, or model what was neglected in "
         "them (a small mass, capacity or resistance)",
@@ -133,11 +133,11 @@ def _unclear_rank(
     loss = "the coordinates in which E is diag(I, 0) are known too badly to tell the index"
     if accuracy is not None:
         loss = (
-            f"the reduced system would be known only up to {accuracy:.1g} of its size, needed "
-            f"{LEAST_ACCURACY:g}"
+            f"expected a relative accuracy of the reduced system of {LEAST_ACCURACY:g}, got "
+            f"{accuracy:.1g}"
         )
     return AssumptionError(
-        f"Assumption 1 (1): the rank of E is not clear: {rank} of its {len(everything)} singular "
+        f"the rank of E is not clear (Assumption 1): {rank} of its {len(everything)} singular "
         f"values, {listed}, count as not zero, {gap}, where the system is of size one; {loss} "
         "(RANK_OF_E_UNCLEAR)",
         "RANK_OF_E_UNCLEAR",

@@ -44,7 +44,7 @@ def within_range() -> Iterator[None]:
             yield
     except FloatingPointError as error:
         raise AssumptionError(
-            f"the matrices have numbers too large or too small to compute with ({error}); needed "
+            f"the matrices have numbers too large or too small to compute with ({error}); choose "
             "other units"
         ) from error
 

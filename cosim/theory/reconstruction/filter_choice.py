@@ -48,15 +48,17 @@ class Conditions:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.noise < math.inf:
-            raise AssumptionError(f"noise = {self.noise:g}; needed a finite deviation, 0 or more")
+            raise AssumptionError(
+                f"noise: expected a finite deviation of 0 or more, got {self.noise:g}"
+            )
         for name in ("amplitude", "bandwidth", "step"):
             value = getattr(self, name)
             if not 0.0 < value < math.inf:
-                raise AssumptionError(f"{name} = {value:g}; needed a positive finite number")
+                raise AssumptionError(f"{name}: expected a positive finite number, got {value:g}")
         if self.bandwidth * self.step >= WIDEST / 2.0:
             raise AssumptionError(
-                f"bandwidth = {self.bandwidth:g} rad/s with samples every {self.step:g} s; needed "
-                f"less than {WIDEST / 2.0 / self.step:g} rad/s"
+                f"bandwidth: expected less than {WIDEST / 2.0 / self.step:g} rad/s with samples "
+                f"every {self.step:g} s, got {self.bandwidth:g} rad/s"
             )
 
     def error(self, reconstruction: DisturbanceFilter) -> PredictedError:
@@ -107,9 +109,9 @@ def choose(conditions: Conditions) -> Choice:
     best = min(choices, key=lambda choice: (choice.error.total, choice.window.half_width))
     if best.error.total >= conditions.amplitude:
         raise AssumptionError(
-            f"noise of {conditions.noise:g} in G w at every sample leaves an error of "
-            f"{best.error.total:.3g} in delta with the best window; needed less than its "
-            f"amplitude, {conditions.amplitude:g}: less noise, more samples, or a smaller bandwidth"
+            f"noise of {conditions.noise:g} at every sample leaves an error of "
+            f"{best.error.total:.3g} in delta with the best window, not less than its amplitude, "
+            f"{conditions.amplitude:g}; use less noise, more samples, or a smaller bandwidth"
         )
     return best
 

@@ -259,17 +259,17 @@ class SavitzkyGolay:
     def __post_init__(self) -> None:
         if not 1 <= self.half_width <= MOST_SAMPLES:
             raise AssumptionError(
-                f"Savitzky-Golay: half width of {self.half_width} samples; needed 1 to "
-                f"{MOST_SAMPLES}"
+                f"Savitzky-Golay: half width: expected 1 to {MOST_SAMPLES} samples, got "
+                f"{self.half_width}"
             )
         if not 1 <= self.order <= min(HIGHEST_ORDER, 2 * self.half_width):
             raise AssumptionError(
-                f"Savitzky-Golay: order {self.order} with {2 * self.half_width + 1} samples; "
-                f"needed 1 to {HIGHEST_ORDER}, and less than there are samples"
+                f"Savitzky-Golay: order: expected 1 to {HIGHEST_ORDER}, and less than the "
+                f"{2 * self.half_width + 1} samples, got {self.order}"
             )
         if not 0.0 < self.step < math.inf:
             raise AssumptionError(
-                f"Savitzky-Golay: step = {self.step:g}; needed a positive finite time [s]"
+                f"Savitzky-Golay: step: expected a positive finite time [s], got {self.step:g}"
             )
 
     @property
@@ -368,7 +368,7 @@ class SavitzkyGolay:
 
 def _check_positive(name: str, value: float, what: str) -> None:
     if not 0.0 < value < math.inf:
-        raise AssumptionError(f"(19): {name} = {value:g}; needed a positive finite {what}")
+        raise AssumptionError(f"{name}: expected a positive finite {what}, got {value:g}")
 
 
 def _solve(rows: list[list[Fraction]], right: list[Fraction]) -> tuple[Fraction, ...]:

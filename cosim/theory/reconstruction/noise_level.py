@@ -36,10 +36,10 @@ def noise_level(samples: Vector) -> float:
     """
     if len(samples) < _FEWEST_SAMPLES:
         raise AssumptionError(
-            f"noise level: {len(samples)} samples; needed at least {_FEWEST_SAMPLES}"
+            f"noise level: expected at least {_FEWEST_SAMPLES} samples, got {len(samples)}"
         )
     if not np.isfinite(samples).all():
-        raise AssumptionError("noise level: found samples that are not finite; needed numbers")
+        raise AssumptionError("noise level: expected finite samples")
     estimates: list[float] = []
     differences = samples
     for order in range(1, _HIGHEST_ORDER + 1):
@@ -53,6 +53,6 @@ def noise_level(samples: Vector) -> float:
             return level
     shown = ", ".join(f"{estimate:.3g}" for estimate in estimates)
     raise AssumptionError(
-        f"noise level: differences of order 1, 2, ... leave {shown}; needed values that settle: "
+        f"noise level: differences of order 1, 2, ... do not converge: {shown}; "
         "the signal is too fast for its samples, or its noise is not white"
     )

@@ -114,11 +114,11 @@ def test_a_plant_without_disturbance_has_no_such_port(tmp_path):
         ("A = [[1, 2]]\nC = [[1]]", r"models\.m: A has shape \(1, 2\); needed \(n, n\)"),
         (
             "E = [[0, 1], [0, 0]]\nA = [[1, 0], [0, 1]]\nC = [[1, 0]]",
-            r"components\.plant: Assumption 2 \(3\): .*INDEX_2",
+            r"components\.plant: .*Assumption 2.*INDEX_2",
         ),
         (
             "E = [[0, 0], [0, 0]]\nA = [[1, 0], [0, 1]]\nC = [[1, 0]]",
-            r"components\.plant: Assumption 1 \(1\): E = 0 \(2 x 2\): there are no dynamic states",
+            r"components\.plant: E = 0 \(2 x 2\): there are no dynamic states",
         ),
     ],
 )

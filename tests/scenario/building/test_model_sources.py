@@ -189,15 +189,19 @@ def test_a_state_space_is_a_table_and_a_descriptor_system(tmp_path):
 @pytest.mark.parametrize(
     ("system", "disturbances", "message"),
     [
-        (control_system(dt=0.1), [], r"dt = 0\.1, so it is in discrete time; needed a model in"),
-        (control_system(dt=True), [], r"dt = True, so it is in discrete time"),
-        (control_system(D=None), [], r"SimpleNamespace has no D; needed a state-space model"),
-        (scipy.signal.TransferFunction([1], [1, 1]), [], r"no A; .*a transfer function becomes"),
-        (control_system(A=np.eye(2) * 1j), [], r"\.A: found complex128 of shape \(2, 2\)"),
+        (control_system(dt=0.1), [], r"continuous time, .* got dt = 0\.1"),
+        (control_system(dt=True), [], r"got dt = True"),
+        (control_system(D=None), [], r"SimpleNamespace: .* got one without D"),
+        (
+            scipy.signal.TransferFunction([1], [1, 1]),
+            [],
+            r"without A .*a transfer function becomes",
+        ),
+        (control_system(A=np.eye(2) * 1j), [], r"\.A: .* got complex128 of shape \(2, 2\)"),
         (control_system(), ["wind"], r"disturbance 'wind' is no input; .*u, delta"),
-        (control_system(), [2], r"disturbance 2 is no input; needed 0 to 1, a column of B"),
-        (control_system(), "delta", r"disturbances: found 'delta'; needed \['delta'\]$"),
-        (control_system(), [1, "delta"], r"disturbance 'delta' is given twice"),
+        (control_system(), [2], r"disturbances: expected 0 to 1, a column of B, got 2"),
+        (control_system(), "delta", r"disturbances: .* \['delta'\], got 'delta'$"),
+        (control_system(), [1, "delta"], r"disturbances: 'delta' is given twice"),
     ],
 )
 def test_what_is_no_model_in_continuous_time_is_refused(system, disturbances, message):

@@ -200,11 +200,11 @@ CASES = {
     ),
     "singular A22": (
         [("[1, 0, 1]]\nBu", "[1, 0, 0]]\nBu")],
-        r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1",
+        r"A22 is singular \(rank 0 of 1",
     ),
     "disturbance not decoupled": (
         [("Bd = [[1], [0], [0]]", "Bd = [[0], [1], [0]]")],
-        r"Assumption 5 \(14\): rank C3 B_2a = 0, needed rank B_2a = 1: "
+        r"not decoupled \(Assumption 5\): 0 of 1 disturbance"
         r"the disturbance is not decoupled",
     ),
     "observer not Hurwitz because of a zero": (
@@ -217,14 +217,14 @@ CASES = {
     ),
     "gain of wrong shape": (
         [("L = [4.0, 0.0]", "L = [4.0]")],
-        r"\(17\): L has shape \(1, 1\); needed \(2, 1\)",
+        r"L.* shape .*\(1, 1\)",
     ),
-    "neither gain nor poles": ([("L = [4.0, 0.0] ", "# ")], r"\(17\): neither L nor poles given"),
+    "neither gain nor poles": ([("L = [4.0, 0.0] ", "# ")], r"L or poles, got neither"),
     "equal delays": (
         [("[1.0, 2.0, 3.0]", "[1.0, 2.0, 2.0]")],
-        r"D_2 = D_3 = 2 s; needed pairwise distinct delays",
+        r"delays 2 and 3: .* got 2 s twice",
     ),
-    "too few delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0]")], r"2 delays; needed l \+ 1 = 3"),
+    "too few delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0]")], r"delays: expected 3, .* got 2"),
     "proportional alphas": (
         [
             (
@@ -540,11 +540,11 @@ def test_what_is_off_the_grid_or_too_large_is_refused(changes, pattern):
 @pytest.mark.parametrize(
     ("component", "alpha", "text"),
     [
-        ("regressor", "1/(t - 5)", r"alpha '1/\(t - 5\)' is -?inf at t = 5 s"),
-        ("regressor", "1/(t - 4.015)", r"is -?inf at t = 4.015 s|off, most at t = 4.01"),
-        ("regressor", "log(t - 1)", r"alpha 'log\(t - 1\)' is nan at t = 0 s"),
-        ("delta", "1/(t - 5)", r"alpha '1/\(t - 5\)' is -?inf at t = 5 s"),
-        ("delta", "log(t - 1)", r"alpha 'log\(t - 1\)' is nan at t = 0 s"),
+        ("regressor", "1/(t - 5)", r"alpha '1/\(t - 5\)'.* -?inf at t = 5 s"),
+        ("regressor", "1/(t - 4.015)", r"-?inf at t = 4.015 s|most at t = 4.01"),
+        ("regressor", "log(t - 1)", r"alpha 'log\(t - 1\)'.* nan at t = 0 s"),
+        ("delta", "1/(t - 5)", r"alpha '1/\(t - 5\)'.* -?inf at t = 5 s"),
+        ("delta", "log(t - 1)", r"alpha 'log\(t - 1\)'.* nan at t = 0 s"),
     ],
 )
 def test_an_alpha_that_is_not_finite_is_refused_before_the_run(component, alpha, text):

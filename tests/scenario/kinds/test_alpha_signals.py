@@ -415,7 +415,7 @@ def test_terms_that_name_one_signal_share_their_alpha(tmp_path):
         (
             EXPRESSION.replace("1.7*t", "170*t"),
             BOTH,
-            r"a straight line between two points is 0.\d+ of alpha 'schedule.y\[0\]' off",
+            r"linear interpolation misses 0.\d+ of alpha 'schedule.y\[0\]'",
         ),
     ],
 )

@@ -86,7 +86,7 @@ def test_terms_are_added_in_their_elements(tmp_path):
     ("term", "message"),
     [
         ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
-        ('family = "chirp", theta = 1.0', r"'chirp': .* is outside \(5\)"),
+        ('family = "chirp", theta = 1.0', r"'chirp': .* is outside the class"),
         ('family = "exponential"', r"theta of family 'exponential': found 0 numbers; needed 1"),
         ('family = "sine", theta = [1.0, 2.0]', r"found 2 numbers: 1, 2; needed 1: rate"),
         ('family = "damped-sine", theta = 1.0', r"found 1 number: 1; needed 2: decay, rate"),
@@ -271,7 +271,7 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
         steps = round(delay / 0.02)
         np.testing.assert_array_equal(mu[200:, j], delta[200 - steps : len(delta) - steps])
     scenario = identified(tmp_path, exponentials(*theta), delays, 'method = "rayleigh"')
-    with pytest.raises(CosimError, match=r'"rayleigh": \(25\) has 720 terms, at most 128'):
+    with pytest.raises(CosimError, match=r'"rayleigh": .*has 720 terms, at most 128'):
         cosim.run(scenario)
 
 
@@ -383,9 +383,7 @@ def test_output_error_needs_no_independent_products(terms, tmp_path):
 def test_methods_on_the_regression_refuse_dependent_products(tmp_path):
     """By the identifier, which says that output error needs none."""
     scenario = identified(tmp_path, PERIODIC, [1.0, 2.0, 3.0], 'method = "least-squares"')
-    message = (
-        r"identifier: \(26\).* have rank 1; .*or method = \"output-error\", which needs neither"
-    )
+    message = r"identifier: .* have rank 1; .*or method = \"output-error\", which needs neither"
     with pytest.raises(CosimError, match=message):
         cosim.run(scenario)
 

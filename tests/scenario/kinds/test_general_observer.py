@@ -228,7 +228,7 @@ def test_an_exported_observer_is_the_component(direct, tmp_path, name):
         (
             DIRECT.replace("disturbances = [0, 2]", "disturbances = [0, 1, 2]"),
             "poles = []\nfilter_rate = 1.0",
-            "2 output(s) for 3 disturbances, needed at least 3 outputs",
+            "expected at least 3 outputs for 3 disturbances, got 2",
         ),
         (
             GENERAL,

@@ -75,7 +75,7 @@ def test_what_the_scenario_takes_is_right(tmp_path):
                 },
                 "samples": 9,
             },
-            r"\Aobserver.filter_rate = -1.0: .*needed a positive finite rate",
+            r"\Aobserver.filter_rate = -1.0: .*positive finite rate.*",
         ),
         (
             {"vary": {"observer.L": [[4.0, 0.0], [-50.0, 0.0]]}},
@@ -145,7 +145,7 @@ def test_every_word_of_cases_is_checked(tmp_path):
     with pytest.raises(UsageError, match=message):
         check(cases=path)
     path.write_text("observer.filter_rate\n1.0\n2.0\n-3.0\n4.0\n")
-    with pytest.raises(UsageError, match=r"filter_rate = -3.0: .*needed a positive"):
+    with pytest.raises(UsageError, match=r"filter_rate = -3.0: .*a positive"):
         check(cases=path)
 
 

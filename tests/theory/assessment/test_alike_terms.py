@@ -69,7 +69,7 @@ def test_an_absent_term_takes_nothing_from_another_wherever_it_started(start):
     assert len(told) == 1
     assert told[0].value == pytest.approx(rate, abs=0.05 * error)
     assert told[0].standard_error == pytest.approx(error, rel=0.01)
-    assert "rests on the absence of terms[" in told[0].reason
+    assert "assumes the absence of terms[" in told[0].reason
 
 
 def test_an_estimate_that_rests_on_the_absence_of_another_term_is_weak():
@@ -88,7 +88,7 @@ def test_an_estimate_that_rests_on_the_absence_of_another_term_is_weak():
     assert assessment.terms[0].verdict is Verdict.NOT_IDENTIFIABLE
     assert abs(theta.value + 0.07) > 5.0 * theta.standard_error
     assert theta.verdict is Verdict.WEAK
-    assert "rests on the absence of terms[0]" in theta.reason
+    assert "assumes the absence of terms[0]" in theta.reason
 
 
 def test_one_order_of_terms_that_are_interchangeable():
@@ -123,7 +123,7 @@ def test_a_term_that_errors_of_the_step_hide_is_said_to_be_so():
     ).parameters
     assert {one.verdict for one in found} == {Verdict.NOT_IDENTIFIABLE}
     for one in found:
-        assert "straight lines between samples" in one.reason
+        assert "linear interpolation between samples" in one.reason
         assert "less noise" not in one.reason
     shorter = assess_near(
         OutputErrorProblem([coarse(0.02)], plant(2), (Exponential(),) * 2), start

@@ -22,6 +22,7 @@ from tests.theory.assessment.test_verdicts import COARSE, solved
 from tests.theory.experiments import FAMILIES, design, exact, times
 from tests.theory.experiments import record as example_record
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states
+from tests.theory.looped import for_each
 
 START = np.array([-0.12])
 GRID = np.arange(2001) * 1e-2
@@ -141,8 +142,8 @@ UNEQUAL = np.concatenate([np.arange(0.0, 5.0, 0.005), np.arange(5.0, 20.0, 0.02)
 JITTERED = GRID + 1e-3 * np.random.default_rng(8).random(len(GRID))
 
 
-@pytest.mark.parametrize("held", [False, True])
-@pytest.mark.parametrize("t", [UNEQUAL, JITTERED], ids=["two steps", "jitter"])
+@for_each("held", [False, True])
+@for_each("t", [UNEQUAL, JITTERED])
 def test_the_states_of_a_fit_are_those_at_the_samples(t, held):
     """Whatever their distances, and whether the input is held between them."""
     u = staircase(len(t), 3)
@@ -153,8 +154,8 @@ def test_the_states_of_a_fit_are_those_at_the_samples(t, held):
     np.testing.assert_allclose(response.states[:, 0], x, atol=1e-9)
 
 
-@pytest.mark.parametrize("held", [False, True])
-@pytest.mark.parametrize("t", [UNEQUAL, JITTERED], ids=["two steps", "jitter"])
+@for_each("held", [False, True])
+@for_each("t", [UNEQUAL, JITTERED])
 def test_a_wrong_gain_leaves_its_own_trace_at_any_samples(t, held):
     """The direction of a wrong B is the response of the plant to u."""
     u = staircase(len(t), 3)
@@ -195,8 +196,8 @@ def test_the_error_of_long_steps_among_short_ones_is_computed():
     np.testing.assert_allclose(found[:, 0], true - chord, rtol=2e-2, atol=1e-3 * np.ptp(found))
 
 
-@pytest.mark.parametrize("feedthrough", [0.0, 0.5])
-@pytest.mark.parametrize("place", [0, 10, 25])
+@for_each("feedthrough", [0.0, 0.5])
+@for_each("place", [0, 10, 25])
 def test_samples_between_the_points_of_an_input_have_the_error_of_its_lines(place, feedthrough):
     """Where u is known at other instants than y: it is wrong at the samples themselves too."""
     fine = np.arange(20001) * 1e-3

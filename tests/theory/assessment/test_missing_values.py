@@ -17,6 +17,7 @@ from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import simulate
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, states
+from tests.theory.looped import for_each
 
 START = np.array([-0.12])
 GRID = np.arange(2001) * 1e-2
@@ -129,8 +130,8 @@ def test_an_output_that_is_never_measured_is_refused():
         missing(pattern, 1)
 
 
-@pytest.mark.parametrize("outputs", [1, 2, 8, 9, 17])
-@pytest.mark.parametrize("lost", [0.0, 0.3])
+@for_each("outputs", [1, 2, 8, 9, 17])
+@for_each("lost", [0.0, 0.3])
 def test_values_of_a_sample_are_whitened_by_the_covariance_of_those_that_are_there(outputs, lost):
     """Sample by sample, by the inverse factor of their part of it; of any number of outputs."""
     rng = np.random.default_rng(outputs)

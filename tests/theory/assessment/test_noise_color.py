@@ -20,6 +20,7 @@ from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above
+from tests.theory.looped import for_each
 
 RATE = -0.3
 SIGMA = 1e-3
@@ -107,7 +108,7 @@ def test_gaps_end_the_windows_of_a_model():
     np.testing.assert_allclose(model.a, a, atol=4.0 * np.sqrt((1.0 - 0.36) / (0.5 * N)))
 
 
-@pytest.mark.parametrize("a", [0.0, 0.5, 0.95, -0.6])
+@for_each("a", [0.0, 0.5, 0.95, -0.6])
 def test_the_memory_of_noise_is_that_of_its_autocorrelations(a):
     """Of a first order their squares are a geometric series, (1 + a^2)/(1 - a^2)."""
     expected = (1.0 + a**2) / (1.0 - a**2)

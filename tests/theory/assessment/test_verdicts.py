@@ -33,6 +33,7 @@ from tests.theory.experiments import (
     simulate,
     times,
 )
+from tests.theory.looped import for_each
 
 START = np.array([-0.05, -0.5])
 COARSE = 1e-2  # s: a tenth of the samples, for tests that run every time
@@ -92,7 +93,7 @@ def test_the_bias_of_the_step_is_computed():
     np.testing.assert_allclose(assessment.consistency.bias, error, rtol=1e-2)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2])
+@for_each("sigma", [0.0, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2])
 def test_twelve_bits_are_identifiable(sigma):
     """The lattice of a converter is found, and what it leaves in the residual is allowed."""
     level = 8.0 / 4096
@@ -111,7 +112,7 @@ def test_a_wrong_model_is_inconsistent(case, sigma):
     """Whatever of it is wrong by 5 %, or a constant disturbance beside the class."""
     assessment, found = verdicts(noisy(case, sigma, seed=2, h=COARSE))
     assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
-    assert "the residual is not what noise leaves" in assessment.parameters[0].reason
+    assert "noise does not explain the residual" in assessment.parameters[0].reason
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3])

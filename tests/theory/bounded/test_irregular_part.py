@@ -20,9 +20,9 @@ START = np.array([-0.05, -0.5])
 H = 1e-2
 
 
-def recording(delta_0):
+def recording(delta_0, h=H):
     """Return the example's data without its input u, 40 s; its model is another than the tested."""
-    model = example(H)
+    model = example(h)
     y = model(TRUTH).output + model.irregular.respond(delta_0)
     no_input = np.zeros((len(y), 1))
     return DataSet(model.t, y, no_input, alpha(model.t))
@@ -91,7 +91,7 @@ def uncertain(seed):
 
 
 @pytest.mark.parametrize("seed", [1, 10])
-def test_no_end_is_of_another_branch_where_the_first_order_says_little(seed):
+def test_no_end_is_of_another_branch_where_the_first_order_says_little(seed, monkeypatch):
     """Both intervals contain what they must: the truth, and around the estimate itself.
 
     An irregular part of 0.05 leaves the faster theta a half width of 3 to 6: Newton's method finds
@@ -106,6 +106,7 @@ def test_no_end_is_of_another_branch_where_the_first_order_says_little(seed):
         D=np.zeros((1, 0)),
         Dd=np.zeros((1, 2)),
     )
+    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 50)
     truth = np.array([-0.2, -1.5])
     data = uncertain(seed)
     fit = fit_output_error([data], lag, FAMILIES, truth)
@@ -120,11 +121,12 @@ def test_no_end_is_of_another_branch_where_the_first_order_says_little(seed):
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3])
 def test_a_recording_gives_an_interval_that_contains_the_truth(sigma, monkeypatch):
-    """Where the irregular part moves the estimate, with noise and without; in 50 cells."""
-    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 50)
-    t = np.arange(4001) * H
+    """Where the irregular part moves the estimate, with noise and without; in 25 cells."""
+    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 25)
+    h = 4e-2
+    t = np.arange(1001) * h
     delta_0 = 0.02 * np.sign(np.sin(0.4 * t))[:, np.newaxis]
-    exact = recording(delta_0)
+    exact = recording(delta_0, h)
     noise = sigma * np.random.default_rng(1).standard_normal(exact.y.shape)
     data = DataSet(exact.t, exact.y + noise, exact.u, exact.alpha)
     fit = fit_output_error([data], plant(), FAMILIES, START)
@@ -143,7 +145,7 @@ def test_a_recording_gives_an_interval_that_contains_the_truth(sigma, monkeypatc
 
 def test_much_noise_leaves_the_interval_around_the_estimate(monkeypatch):
     """Noise of 1e-3 beside 0.0002: the data bound theta less than the estimate's own errors do."""
-    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 50)
+    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 25)
     rng = np.random.default_rng(2)
     exact = recording(rng.uniform(-2e-4, 2e-4, (4001, 1)))
     data = DataSet(

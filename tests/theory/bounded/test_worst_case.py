@@ -22,6 +22,7 @@ from cosim.theory.bounded.worst_case import (
     worst_error,
 )
 from tests.theory.exponential_plant import TRUTH, direct, example
+from tests.theory.looped import for_each
 
 ONE_EXPONENTIAL = np.array([-0.5, 1.0])  # theta, amplitude
 
@@ -38,7 +39,7 @@ def corners(samples, bound):
     return bound * np.array(list(product((-1.0, 1.0), repeat=samples)))
 
 
-@pytest.mark.parametrize(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
+@for_each(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
 def test_the_response_is_that_of_straight_lines(n, n_d, n_y):
     """scipy simulates the same plant for inputs in straight lines, from rest."""
     A, Bd, C, Dd = random_plant(n, n_d, n_y)
@@ -51,7 +52,7 @@ def test_the_response_is_that_of_straight_lines(n, n_d, n_y):
     np.testing.assert_allclose(computed, expected.reshape(60, n_y), rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
+@for_each(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
 def test_the_adjoint_is_the_transposed_response(n, n_d, n_y):
     """`a' (L delta_0) = (L' a)' delta_0` for all a and delta_0."""
     response = irregular_response(*random_plant(n, n_d, n_y), 0.1)
@@ -138,7 +139,7 @@ def test_the_search_finds_the_worst_of_all_corners(direction):
 
 def test_the_first_order_holds_up_to_0_002_and_not_at_0_02():
     """What it misses is of second order: it grows with d, 0.1 % at 0.0002, a third at 0.02."""
-    model = example(h=2e-2)
+    model = example(h=4e-2)
     missed = [departure(model.problem(d), TRUTH) for d in (2e-4, 2e-3, 2e-2)]
     assert missed[0].max() < 0.002
     assert missed[1].max() < 0.02
@@ -149,7 +150,7 @@ def test_the_first_order_holds_up_to_0_002_and_not_at_0_02():
 
 def test_random_starts_find_no_worse_disturbance():
     """Bang-bang signals of random switching times all lead to the same worst one."""
-    model = example(h=2e-2)
+    model = example(h=4e-2)
     problem = model.problem(0.02)
     default = worst_error(problem, TRUTH, 1, -1)
     rng = np.random.default_rng(4)
@@ -187,7 +188,7 @@ def test_the_interval_around_an_estimate_is_that_of_all_corners():
 @pytest.mark.parametrize("d", [pytest.param(2e-4, marks=pytest.mark.campaign), 2e-3, 2e-2])
 def test_the_interval_around_the_worst_estimates_contains_the_truth(d):
     """The first order at the estimate misses the truth by a little; up to 0.002 it is the width."""
-    model = example(h=2e-2)
+    model = example(h=4e-2)
     problem = model.problem(d)
     for parameter in (0, 1):
         for direction in (-1, 1):
@@ -231,18 +232,18 @@ def test_a_refit_that_does_not_converge_is_refused(monkeypatch):
 def test_what_the_outputs_do_not_determine_is_refused():
     """A component of amplitude zero leaves no trace of its theta."""
     problem = direct(samples=21, h=0.1).problem(0.1)
-    with pytest.raises(AssumptionError, match="do not determine the 2 unknowns: least pivot"):
+    with pytest.raises(AssumptionError, match=r"do not determine the 2 unknowns: .* pivots"):
         first_order(problem, np.array([-0.5, 0.0]))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("bound", "weight", "message"),
     [
-        ([0.1, 0.1], np.eye(1), r"bounds of delta_0 are \[0.1, 0.1\]; needed 1, none negative"),
-        ([-0.1], np.eye(1), r"bounds of delta_0 are \[-0.1\]"),
-        ([np.nan], np.eye(1), r"bounds of delta_0 are \[nan\]"),
-        ([0.1], np.eye(2), r"the weight has shape \(2, 2\); needed \(1, 1\)"),
-        ([0.1], -np.eye(1), "the weight has the eigenvalue -1; needed positive ones"),
+        ([0.1, 0.1], np.eye(1), r"bounds of delta_0: expected 1, .* got \[0.1, 0.1\]"),
+        ([-0.1], np.eye(1), r"bounds of delta_0: .* got \[-0.1\]"),
+        ([np.nan], np.eye(1), r"bounds of delta_0: .* got \[nan\]"),
+        ([0.1], np.eye(2), r"weight: .* \(1, 1\), .* got \(2, 2\)"),
+        ([0.1], -np.eye(1), "weight: .* eigenvalues, got -1"),
     ],
 )
 def test_a_problem_that_does_not_fit_is_refused(bound, weight, message):

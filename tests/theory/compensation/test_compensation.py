@@ -44,6 +44,7 @@ from cosim.theory.disturbances.linear_family import LinearFamily
 from cosim.theory.observers.observer import StateSpace, design, realize
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
+from tests.theory.looped import for_each
 
 H = 1e-2
 SLOW = 0.2  # a step at which the loop is unstable from 5.1 rad/s on
@@ -74,7 +75,7 @@ def test_the_regulator_of_a_double_integrator_is_that_of_the_textbooks():
     assert np.allclose(K, [[1.0, np.sqrt(3.0)]], rtol=1e-12)
 
 
-@pytest.mark.parametrize("m", [1, 2])
+@for_each("m", [1, 2])
 def test_poles_are_placed(m):
     """With one input also a double one; with several against scipy's placement."""
     plant = random_plant(3, n=3, m=m)
@@ -87,7 +88,7 @@ def test_poles_are_placed(m):
         assert np.allclose(np.poly(np.linalg.eigvals(plant.A - plant.B @ other)), reached)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@for_each("seed", range(4))
 def test_a_constant_disturbance_and_reference_leave_no_error(seed):
     """The static gain of the closed loop, by scipy, is 0 from delta and 1 from r."""
     plant = random_plant(seed)
@@ -110,18 +111,18 @@ def test_a_matched_disturbance_is_cancelled_exactly():
     assert np.allclose(feedforward(matched, K).gain, -M, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("options", "message"),
     [
-        ({}, "found none; needed one of K, poles and Q"),
-        ({"K": [[1.0, 1.0]], "Q": [1.0, 1.0]}, "found K and Q; needed one of"),
-        ({"K": [[1.0, 1.0]], "R": [1.0]}, "found R, the weight of u, without Q"),
+        ({}, "one of K, poles and Q, got none"),
+        ({"K": [[1.0, 1.0]], "Q": [1.0, 1.0]}, "one of K, poles and Q, got K and Q"),
+        ({"K": [[1.0, 1.0]], "R": [1.0]}, "R, the weight of u, needs Q"),
         ({"K": [[0.0, 0.0]]}, r"not Hurwitz: eigenvalue \+1"),
-        ({"K": [[1.0]]}, r"K has shape \(1, 1\); needed \(1, 2\)"),
-        ({"Q": [1.0]}, "Q = .*; needed 2 numbers"),
+        ({"K": [[1.0]]}, r"K: .* \(1, 2\), .* got shape \(1, 1\)"),
+        ({"Q": [1.0]}, "Q: expected 2 numbers"),
         ({"Q": [-1.0, 1.0]}, "Q is not positive semidefinite"),
-        ({"Q": [1.0, 1.0], "R": [0.0]}, "R is not positive definite"),
-        ({"poles": [-1.0, -2.0, -3.0]}, "state feedback: 3 poles given; needed 2, as many as K"),
+        ({"Q": [1.0, 1.0], "R": [0.0]}, "R: expected a positive definite"),
+        ({"poles": [-1.0, -2.0, -3.0]}, "state feedback: expected 2 poles, as many as K .* got 3"),
     ],
 )
 def test_a_state_feedback_that_is_none_is_refused(options, message):
@@ -145,7 +146,7 @@ def test_regulated_outputs_that_no_controller_holds_are_refused():
     reduced = drive()
     with pytest.raises(AssumptionError, match="FEWER_INPUTS_THAN_REGULATED_OUTPUTS"):
         regulated_plant(reduced, [0, 1])
-    with pytest.raises(AssumptionError, match=r"regulated = \[2\]; needed .* from 0 to 1"):
+    with pytest.raises(AssumptionError, match=r"regulated: .* from 0 to 1, got \[2\]"):
         regulated_plant(reduced, [2])
     velocity = regulated_plant(reduced, [1])
     with pytest.raises(AssumptionError, match=r"feedforward of delta: .* zero at 0"):
@@ -290,7 +291,7 @@ def test_of_several_transmission_zeros_the_one_that_is_a_mode_is_named():
         check_zeros(plant, model, box)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@for_each("seed", range(4))
 def test_a_transmission_zero_at_0_is_refused_under_a_constant_in_any_coordinates(seed):
     """The velocity of a mass, where rounding moves the zero; no theta is named without one."""
     A = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 1.0], [0.0, 0.0, -3.0]])
@@ -318,7 +319,7 @@ def rate_at(reduced, gains, schedule, theta, *, h=H, delta=False):
     return growth(loop_matrix(reduced, gains, theta, h, at=at, delta=delta), h)
 
 
-@pytest.mark.parametrize("delta", [False, True])
+@for_each("delta", [False, True])
 def test_the_loop_is_that_of_other_tools(delta):
     """Written step by step with scipy's exponential, its gains between two nodes."""
     reduced = drive()
@@ -389,7 +390,7 @@ def test_a_proof_with_one_cell_holds_for_a_theta_that_varies():
     assert np.abs(state).max() < 1e-2 * largest
 
 
-@pytest.mark.parametrize("scale", [(1e6, 1.0, 1e-3, 1.0), (1.0, 1e-4, 1.0, 1e3)])
+@for_each("scale", [(1e6, 1.0, 1e-3, 1.0), (1.0, 1e-4, 1.0, 1e3)])
 def test_the_proof_succeeds_whatever_the_units_of_the_states(scale):
     """The same loop in units a million times larger and smaller."""
     units = np.array(scale)
@@ -402,7 +403,7 @@ def test_the_proof_succeeds_whatever_the_units_of_the_states(scale):
     assert certificate.rate == pytest.approx(same.rate, rel=1e-3)
 
 
-@pytest.mark.parametrize(("of_u", "of_y"), [(1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
+@for_each(("of_u", "of_y"), [(1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
 def test_the_proof_does_not_depend_on_the_units_of_u_and_y(of_u, of_y):
     """What drives the internal model, e and the rest of u, is as large as its units make it."""
     inner = drive()
@@ -414,7 +415,7 @@ def test_the_proof_does_not_depend_on_the_units_of_u_and_y(of_u, of_y):
     assert certified.cells <= 8 * expected.cells
 
 
-@pytest.mark.parametrize(("slower", "steps"), [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3), (1e3, 1e3)])
+@for_each(("slower", "steps"), [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3), (1e3, 1e3)])
 def test_the_proof_depends_neither_on_the_unit_of_time_nor_on_the_step(slower, steps):
     """A vibration and a ramp, all rates a thousand times lower, the step a thousandth, or both.
 
@@ -442,8 +443,8 @@ def test_the_proof_depends_neither_on_the_unit_of_time_nor_on_the_step(slower, s
     assert certified.cells <= 2 * expected.cells
 
 
-@pytest.mark.parametrize("rate", [0.4, 2e-3])
-@pytest.mark.parametrize("degree", [1, 5])
+@for_each("rate", [0.4, 2e-3])
+@for_each("degree", [1, 5])
 def test_the_gain_of_a_polynomial_is_accurate_at_any_rate(degree, rate):
     """All modes at 0 move to minus the rate: the coefficients of (s + rate)^(degree + 1)."""
     n = degree + 1

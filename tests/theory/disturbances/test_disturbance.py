@@ -23,6 +23,7 @@ from cosim.theory.disturbances.families import (
 )
 from cosim.theory.disturbances.linear_family import LinearFamily
 from tests.theory.closed_forms import FORMS, OSCILLATOR
+from tests.theory.looped import for_each
 
 KNOWN = st.sampled_from(sorted(FORMS)).flatmap(FORMS.__getitem__)
 
@@ -131,14 +132,14 @@ def test_families_are_found_by_name():
         assert "x" in family.formula.format(**filled)
     with pytest.raises(
         AssumptionError,
-        match=r"no disturbance family 'sinus' in this package; did you mean 'sine'\? There is: ",
+        match=r"no disturbance family 'sinus' in this package; did you mean 'sine'\?",
     ):
         family_named("sinus")
 
 
 def test_a_chirp_is_refused_with_what_can_be_done():
     """A sine of unknown, growing rate is outside (5); one of known growth is two alphas."""
-    with pytest.raises(AssumptionError, match=r"'chirp'.*outside \(5\).*sin\(k\*t\*\*2/2\)"):
+    with pytest.raises(AssumptionError, match=r"'chirp'.*outside the class.*sin\(k\*t\*\*2/2\)"):
         family_named("chirp")
 
 
@@ -154,9 +155,9 @@ def test_a_chirp_of_known_growth_is_two_sines_with_alphas(rate, growth, phase):
 
 def test_families_with_settings_are_no_names_alone():
     """A polynomial has a degree, a linear family its matrices."""
-    with pytest.raises(AssumptionError, match=r"'polynomial': found its name alone.*degree"):
+    with pytest.raises(AssumptionError, match=r"'polynomial': expected its settings.*degree"):
         family_named("polynomial")
-    with pytest.raises(AssumptionError, match=r"'linear': found its name alone.*G0, G, c"):
+    with pytest.raises(AssumptionError, match=r"'linear': expected its settings.*G0, G, c"):
         family_named("linear")
 
 
@@ -164,16 +165,16 @@ SQUARE = ((0.0, 1.0), (-1.0, 0.0))
 ONE = (((0.0, 0.0), (-1.0, 0.0)),)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("arguments", "message"),
     [
-        ((SQUARE, ONE, (1.0, 0.0, 0.0), ("a",)), r"G0 has 2 rows of 2 numbers; needed 3 rows"),
-        ((SQUARE, (((1.0,),),), (1.0, 0.0), ("a",)), r"G\[0\] has 1 rows of 1 numbers; needed 2"),
-        ((SQUARE, ONE, (1.0, 0.0), ()), r"parameters has 0 names; needed 1"),
-        ((SQUARE, ONE, (1.0, 0.0), ("beta_1",)), r"found 'beta_1'; needed a word"),
-        ((SQUARE, ONE * 2, (1.0, 0.0), ("a", "a")), r"found a, a; needed different names"),
-        ((SQUARE, ONE, (0.0, math.inf), ("a",)), r"found NaN or infinity"),
-        ((SQUARE, ONE, (), ("a",)), r"c has 0 numbers; needed 1 to 16"),
+        ((SQUARE, ONE, (1.0, 0.0, 0.0), ("a",)), r"G0: expected 3 rows of 3 .* got 2 rows of 2"),
+        ((SQUARE, (((1.0,),),), (1.0, 0.0), ("a",)), r"G\[0\]: expected 2 rows .* got 1 rows of 1"),
+        ((SQUARE, ONE, (1.0, 0.0), ()), r"parameters: expected 1 names, .* got 0"),
+        ((SQUARE, ONE, (1.0, 0.0), ("beta_1",)), r"parameters: .* got 'beta_1'"),
+        ((SQUARE, ONE * 2, (1.0, 0.0), ("a", "a")), r"parameters: .* got a, a"),
+        ((SQUARE, ONE, (0.0, math.inf), ("a",)), r"got NaN or infinity"),
+        ((SQUARE, ONE, (), ("a",)), r"c: expected 1 to 16 numbers, .* got 0"),
         (
             (((0.0, 0.0), (0.0, -1.0)), (((1.0, 0.0), (0.0, 0.0)),), (1.0, 0.0), ("a",)),
             r"does not observe the state of G that goes with the eigenvalue -1",
@@ -183,8 +184,8 @@ ONE = (((0.0, 0.0), (-1.0, 0.0)),)
             r"a does not move the eigenvalues of G",
         ),
         ((SQUARE, ONE * 2, (1.0, 0.0), ("a", "b")), r"the 2 parameters a, b move the 2 eig"),
-        ((SQUARE, ONE, (1.0, 0.0), ("a",), ((2.0, 1.0),)), r"search of a: found \[2, 1\]"),
-        ((SQUARE, ONE, (1.0, 0.0), ("a",), ()), r"search has 0 ranges; needed 1"),
+        ((SQUARE, ONE, (1.0, 0.0), ("a",), ((2.0, 1.0),)), r"search of a: .* got \[2, 1\]"),
+        ((SQUARE, ONE, (1.0, 0.0), ("a",), ()), r"search: expected 1 ranges, .* got 0"),
     ],
 )
 def test_a_generator_that_is_none_is_refused(arguments, message):
@@ -196,7 +197,7 @@ def test_a_generator_that_is_none_is_refused(arguments, message):
 def test_a_theta_of_the_wrong_size_is_refused():
     """K names the parameters."""
     with pytest.raises(
-        AssumptionError, match=r"theta of family 'sine' has shape \(2,\); needed \(1,\): rate"
+        AssumptionError, match=r"theta of family 'sine': .* \(1,\): rate; got \(2,\)"
     ):
         K(Sine(), [1.0, 2.0], 1.0)
 

@@ -1,9 +1,9 @@
 import numpy as np
-import pytest
 
 from cosim.theory.disturbances.excitation import describe_excitation, information
 from cosim.theory.disturbances.regression import expand, mu
 from tests.theory.academic import delayed
+from tests.theory.looped import for_each
 
 
 def papers_information(case, steps):
@@ -40,7 +40,7 @@ def test_the_verdict_names_the_prior_that_decides(case):
     )
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("eigenvalues", "prior", "message"),
     [
         (

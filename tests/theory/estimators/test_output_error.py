@@ -22,6 +22,7 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
+from tests.theory.looped import for_each
 
 FAMILIES = (Exponential(), Exponential())
 START = np.array([-0.05, -0.5])
@@ -269,16 +270,19 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
     np.testing.assert_allclose(fit.standard_error, 1e-3 * BOUND, rtol=0.02)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("change", "text"),
     [
-        ({"t": np.array([0.0, 2.0, 1.0])}, "time does not ascend: 2.0 s at sample 1"),
-        ({"u": np.array([[0.0], [np.nan], [0.0]])}, "u is not finite at t = 1.0 s"),
-        ({"y": np.full((3, 1), np.nan)}, r"y\[0\] is never measured"),
-        ({"y": np.zeros((2, 1))}, "y: 2 samples; needed 3"),
-        ({"y": np.zeros(3)}, "y: found an array of shape (3,), needed one with 2 axes"),
+        (
+            {"t": np.array([0.0, 2.0, 1.0])},
+            r"t: .* ascending .* got 2.0 s at sample 1",
+        ),
+        ({"u": np.array([[0.0], [np.nan], [0.0]])}, r"u: .* at t = 1.0 s"),
+        ({"y": np.full((3, 1), np.nan)}, r"y\[0\]: expected at least one"),
+        ({"y": np.zeros((2, 1))}, "y: expected 3 samples, one for every time, got 2"),
+        ({"y": np.zeros(3)}, "y: "),
         ({"t": "late"}, "t: could not convert string to float"),
-        ({"alpha": np.full((3, 2), np.inf)}, "alpha is not finite at t = 0.0 s"),
+        ({"alpha": np.full((3, 2), np.inf)}, r"alpha: .* at t = 0.0 s"),
     ],
 )
 def test_samples_that_are_none_are_refused(change, text):
@@ -297,30 +301,28 @@ def test_fewer_samples_than_unknowns_are_refused():
     """Six unknowns need seven values."""
     t = np.arange(5.0)
     record = data(t, np.sin(t)[:, np.newaxis])
-    with pytest.raises(AssumptionError, match="5 measured values for 6 unknowns"):
+    with pytest.raises(AssumptionError, match="6 measured values for 6 unknowns, got 5"):
         fit_output_error([record], plant(), FAMILIES, START)
 
 
 @pytest.mark.parametrize("start", [[-0.1], [-0.1, -0.3, 0.0], -0.1])
 def test_a_start_of_another_size_is_refused(exact, start):
     """One number would be taken for both theta."""
-    with pytest.raises(
-        AssumptionError, match=r"theta: found a start of shape \(.*\); needed \(2,\)"
-    ):
+    with pytest.raises(AssumptionError, match=r"theta: .* \(2,\), .* got \(.*\)"):
         fit_output_error([data(*exact)], plant(), FAMILIES, np.array(start))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("change", "text"),
     [
-        ({"data": []}, "no data; needed at least one record"),
-        ({"stated": np.array([[-1.0]])}, r"stated: found \[\[-1.0\]\]; needed the covariance"),
-        ({"stated": np.array([[np.nan]])}, "stated: found"),
-        ({"stated": np.eye(2)}, r"stated: found .*; needed .* of shape \(1, 1\)"),
-        ({"stated": np.array([1.0])}, "stated: found"),
+        ({"data": []}, "data: .* got none"),
+        ({"stated": np.array([[-1.0]])}, r"stated: .* covariance .* got \[\[-1.0\]\]"),
+        ({"stated": np.array([[np.nan]])}, "stated: expected"),
+        ({"stated": np.eye(2)}, r"stated: .* of shape \(1, 1\), got"),
+        ({"stated": np.array([1.0])}, "stated: expected"),
         ({"bounds": {2: (0.0, 1.0)}}, r"bounds: no theta\[2\]"),
-        ({"bounds": {0: (1.0, 0.0)}}, r"bounds of theta\[0\]: 1.0 > 0.0"),
-        ({"families": FAMILIES[:1]}, "families: 1 columns; the plant needs 2"),
+        ({"bounds": {0: (1.0, 0.0)}}, r"bounds of theta\[0\]: .* 1.0 > 0.0"),
+        ({"families": FAMILIES[:1]}, "families: expected 2 columns, as of the plant, got 1"),
     ],
 )
 def test_a_problem_that_does_not_fit_together_is_refused(exact, change, text):
@@ -330,7 +332,7 @@ def test_a_problem_that_does_not_fit_together_is_refused(exact, change, text):
         OutputErrorProblem(**{**good, **change})
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("matrix", "is_one"),
     [
         ([[1e-12, 0.0], [0.0, 1e12]], True),

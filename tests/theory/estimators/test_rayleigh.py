@@ -15,6 +15,7 @@ from cosim.theory.estimators.rayleigh import (
     rayleigh_constants,
 )
 from tests.theory.academic import DELAYS, THETA, delayed
+from tests.theory.looped import for_each
 
 FAMILIES = (Exponential(), Exponential())
 TERMS = expand((1, 1))
@@ -45,7 +46,7 @@ def test_the_search_finds_theta_of_exact_rows():
     assert found.variance < 1e-20
 
 
-@pytest.mark.parametrize("start", [(-2.5, -2.5), (-0.3, -0.1), (0.0, -1.0), (-1.0, 0.0)])
+@for_each("start", [(-2.5, -2.5), (-0.3, -0.1), (0.0, -1.0), (-1.0, 0.0)])
 def test_starts_far_away_reach_theta(start):
     """Also those where both are exchanged, or equal."""
     rows, factors = regression()

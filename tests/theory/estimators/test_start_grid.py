@@ -22,6 +22,7 @@ from cosim.theory.estimators.start_grid import (
     search_starts,
     start_grid,
 )
+from tests.theory.looped import for_each
 
 T = np.arange(401) * 0.02
 LOWER = np.array([-3.0, 0.2])
@@ -218,7 +219,7 @@ def test_a_rate_beyond_the_box_is_found_within_bounds(bounds):
     assert (abs(start[0] - 100.0) < 0.1) == (box.lower[0] <= 100.0 <= box.upper[0])
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("bounds", "expected"),
     [
         ((5.0, np.inf), (5.0, None)),
@@ -266,7 +267,7 @@ def test_two_sines_are_found_up_to_twenty_five_periods():
     np.testing.assert_allclose(np.sort(start), [3.0, 7.5], atol=1e-2)
 
 
-@pytest.mark.parametrize("parameters", range(1, 13))
+@for_each("parameters", range(1, 13))
 def test_a_grid_has_all_the_points_that_are_searched(parameters):
     """One more in every direction is more than 4096 in all, or than an axis has; exact roots."""
     points = grid_points(parameters)

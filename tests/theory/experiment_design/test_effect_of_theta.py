@@ -5,6 +5,7 @@ import pytest
 
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.experiment_design.effect_of_theta import effect_of_theta
+from tests.theory.looped import for_each
 
 T = np.linspace(0.0, 8.0, 10001)  # more than one block
 
@@ -40,7 +41,7 @@ def test_the_weakest_direction_of_two_sines_counts():
     assert found == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.parametrize("second", [0.0, 1.0])
+@for_each("second", [0.0, 1.0])
 def test_a_sine_that_is_absent_or_twice_there_has_no_effect(second):
     """Nothing but rounding: the amplitude is 0, or each of the two may be either."""
     delta = (1.0 + second) * np.sin(2.0 * T)

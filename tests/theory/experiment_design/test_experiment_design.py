@@ -322,9 +322,9 @@ def test_a_prior_pulls_least_squares_away():
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        ((0, 50), "2 delays; needed l . 1 = 3"),
-        ((0, 50, 50), "needed pairwise distinct delays"),
-        ((0, 50, 1499), "leave . rows of the regression; needed at least 12"),
+        ((0, 50), "delays: expected 3, .* got 2"),
+        ((0, 50, 50), "expected distinct delays"),
+        ((0, 50, 1499), "at least 12 rows of the regression, got [0-9]"),
     ],
 )
 def test_delays_that_do_not_fit_are_refused(steps, words):
@@ -364,5 +364,5 @@ def test_the_search_tries_the_delays_that_it_is_given():
     assert search_delays(only, count=3, longest=100, starts=[(40, 17, 34)]).steps == (0, 17, 23)
     with pytest.raises(AssumptionError, match=r"none of .* sets of 3 delays"):
         search_delays(only, count=3, longest=100)
-    with pytest.raises(AssumptionError, match="needed at least 2, and room for them"):
+    with pytest.raises(AssumptionError, match="at least 2 distinct delays"):
         search_delays(only, count=4, longest=2)

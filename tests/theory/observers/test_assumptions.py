@@ -22,6 +22,7 @@ from cosim.theory.observers.assumptions import (
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.known_systems import GOOD, KnownSystem, matrices, systems
+from tests.theory.looped import for_each
 
 SYSTEMS = systems()
 
@@ -66,7 +67,7 @@ def in_coordinates(known: KnownSystem, coordinates: str, seed: int):
 
 
 @pytest.mark.parametrize("coordinates", ["as it is", "mixed", "units"])
-@pytest.mark.parametrize("known", SYSTEMS, ids=lambda known: known.name)
+@for_each("known", SYSTEMS)
 def test_verdicts_are_those_that_are_known(known, coordinates):
     """Of every system the one verdict, by its name; its zeros; and of good ones nothing fails."""
     for seed in range(1 if coordinates == "as it is" else 3):
@@ -104,10 +105,10 @@ def test_there_are_30_systems():
     [
         (
             "a tank that flows nowhere",
-            r"rank 0 at every s, needed 1 .*: delta\[0\] never reaches y",
+            r"rank 1, got rank 0 at every s .*: delta\[0\] never reaches y",
         ),
-        ("the second of two flows nowhere", r"rank 1 at every s, needed 2 .*: delta\[1\] never"),
-        ("two in one path", "rank 1 at every s, needed 2 .*: some disturbances .* same paths"),
+        ("the second of two flows nowhere", r"rank 2, got rank 1 at every s .*: delta\[1\] never"),
+        ("two in one path", "rank 2, got rank 1 at every s .*: some disturbances .* same paths"),
     ],
 )
 def test_a_disturbance_that_never_reaches_y_needs_another_output(name, words):
@@ -120,7 +121,7 @@ def test_a_disturbance_that_never_reaches_y_needs_another_output(name, words):
     assert "offline" not in str(caught.value)
 
 
-@pytest.mark.parametrize("known", SYSTEMS, ids=lambda known: known.name)
+@for_each("known", SYSTEMS)
 def test_a_report_says_what_the_errors_say(known):
     """Where the observer is refused, its error is the evidence and the cure of the verdict."""
     verdicts = model_verdicts(known.matrices.system)

@@ -93,8 +93,8 @@ def not_detectable_directly(rng):
 VERDICTS = {
     fewer_outputs: "FEWER_OUTPUTS_THAN_DISTURBANCES",
     dependent: "DEPENDENT_DISTURBANCES",
-    relative_degree: r"rank C3 B_2a = 0, .*RELATIVE_DEG.*: C A\^0 B .* of rank 0, .* of rank 1; m",
-    relative_degree_of_the_rest: r"rank C5 = 1 of 2 .* rank C3 B_2a = 0, needed 1: .*RELATIVE_DEG",
+    relative_degree: r"decoupled .*: 0 of .*RELATIVE_DEG.*: C A\^0 B .* of rank 0, .* of rank 1; m",
+    relative_degree_of_the_rest: r"1 of 2 disturb.*, and 0 of the other 1 .*RELATIVE_DEG",
     not_detectable: r"the invariant zero at \+1(\.0*\d*)? cannot be moved .*NOT_DETECTABLE",
     at_the_border: r"the invariant zero at (\S*e-\S*|[+-]0) cannot be moved .*\(NOT_DETECTABLE\)",
     not_detectable_directly: r"the invariant zero at \+1(\.0*\d*)? cannot .*NOT_DETECTABLE",

@@ -31,6 +31,7 @@ from cosim.theory.reconstruction.filters import (
 from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_gain
 from cosim.theory.reconstruction.noise_level import noise_level
 from tests.theory.academic import academic, ordinary
+from tests.theory.looped import for_each
 
 H = 1e-3
 FREE = np.zeros(1, np.bool_)
@@ -67,8 +68,8 @@ def test_a_window_of_200_ms_leaves_noise_of_about_1():
         assert np.sqrt(np.sum(window.taps**2)) == pytest.approx(gain, rel=1e-13)
 
 
-@pytest.mark.parametrize("rate", [1.0, 200.0, 1e4])
-@pytest.mark.parametrize("held", [False, True])
+@for_each("rate", [1.0, 200.0, 1e4])
+@for_each("held", [False, True])
 def test_the_noise_gain_of_the_filter_is_that_of_its_discretization(rate, held):
     """The sum of the squared responses of q' = rate (w - q) to one sample."""
     discrete = first_order_hold(np.array([[-rate]]), np.array([[rate]]), H, HELD if held else FREE)
@@ -129,7 +130,7 @@ RECONSTRUCTIONS = [
 ]
 
 
-@pytest.mark.parametrize("reconstruction", RECONSTRUCTIONS, ids=repr)
+@for_each("reconstruction", RECONSTRUCTIONS)
 def test_the_bias_is_what_slow_sines_lose(reconstruction):
     """The response is 1 + coefficient (i rate)^n + ..., with n lower by 1 where w is meant."""
     bias = reconstruction.bias
@@ -153,9 +154,9 @@ def test_the_response_of_a_window_is_that_of_its_taps():
 def test_what_cannot_be_reconstructed_so_is_refused():
     """A window needs samples, a polynomial as many as it has coefficients, a filter a rate."""
     for arguments, message in (
-        ((0, 1, H), "half width of 0 samples; needed 1 to 100000"),
-        ((100_001, 1, H), "half width of 100001 samples"),
-        ((1, 3, H), "order 3 with 3 samples; needed 1 to 10, and less"),
+        ((0, 1, H), "half width: .* 1 to 100000 samples, got 0"),
+        ((100_001, 1, H), "half width: .* got 100001"),
+        ((1, 3, H), "order: .* 1 to 10, and less than the 3 samples, got 3"),
         ((20, 0, H), "order 0"),
         ((20, 11, H), "order 11"),
         ((20, 2, 0.0), "step = 0"),
@@ -163,9 +164,9 @@ def test_what_cannot_be_reconstructed_so_is_refused():
         with pytest.raises(AssumptionError, match=message):
             SavitzkyGolay(*arguments)
     for kind in (FirstOrderFilter, ConsistentFilter):
-        with pytest.raises(AssumptionError, match="filter_rate = 0; needed a positive"):
+        with pytest.raises(AssumptionError, match=r"filter_rate: .* got 0"):
             kind(0.0, H)
-        with pytest.raises(AssumptionError, match="step = inf; needed a positive"):
+        with pytest.raises(AssumptionError, match=r"step: .* got inf"):
             kind(1.0, math.inf)
 
 
@@ -186,7 +187,7 @@ def of_delta(reduced, rate):
     return x_a, x_b, reduced.C3 @ x_a
 
 
-@pytest.mark.parametrize("rate", [0.3, 7.0, 500.0])
+@for_each("rate", [0.3, 7.0, 500.0])
 def test_the_papers_filter_makes_an_error_of_w(rate):
     """Through the plant to the estimate: delta + G (F(s) - 1) s w, whatever delta is."""
     reduced = reduce(academic())
@@ -199,7 +200,7 @@ def test_the_papers_filter_makes_an_error_of_w(rate):
     assert estimates[2] == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("rate", [0.3, 7.0])
+@for_each("rate", [0.3, 7.0])
 def test_rate_and_level_of_the_window_are_delta(rate):
     """rate + level' is delta, and x_b where that depends on it."""
     for reduced in (reduce(academic()), all_of_x_b()):
@@ -232,7 +233,7 @@ def test_a_consistent_filter_starts_without_a_transient_of_x_b():
 def test_an_observer_without_a_filter_has_no_realization_with_one():
     """Only a window does without."""
     reduced = reduce(academic())
-    with pytest.raises(AssumptionError, match="no filter_rate; needed a positive finite rate"):
+    with pytest.raises(AssumptionError, match=r"filter_rate: .* got none"):
         realize(reduced, design(reduced, poles=[-4.0]))
 
 
@@ -254,7 +255,7 @@ def run_average(reconstruction, delta, y, n):
     return estimated, delta(t - reconstruction.lag)
 
 
-@pytest.mark.parametrize(("order", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (6, 5)])
+@for_each(("order", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (6, 5)])
 def test_a_polynomial_delta_has_no_error_up_to_the_order(order, degree):
     """The output is one degree higher; there is no value until the window is full."""
     window = SavitzkyGolay(20, order, H)
@@ -269,10 +270,9 @@ def test_a_polynomial_delta_has_no_error_up_to_the_order(order, degree):
     assert np.abs(estimated[40:] - true[40:]).max() > 10 * bound
 
 
-@pytest.mark.parametrize(
+@for_each(
     "reconstruction",
     [SavitzkyGolay(20, 4, H), ConsistentFilter(200.0, H), ConsistentFilter(3e3, H)],
-    ids=repr,
 )
 def test_the_error_of_a_sine_is_the_predicted_one(reconstruction):
     """The response, the lag taken out, on a plant without dynamics; y is held between samples."""
@@ -337,17 +337,17 @@ def test_what_a_window_adds_to_the_start_time_is_its_length():
     unfiltered = identification_start_time(**options, **fractions)
     assert unfiltered.T_f == 0.0
     assert unfiltered.T_id == math.log(1e3) / 2.0 + 3.0
-    with pytest.raises(AssumptionError, match="found filter_rate and window; needed one of them"):
+    with pytest.raises(AssumptionError, match="filter_rate or window, got both"):
         identification_start_time(window=0.4, filter_rate=1.0, **options, **fractions)
-    with pytest.raises(AssumptionError, match="window = 0; needed a positive finite time"):
+    with pytest.raises(AssumptionError, match=r"window: .* time, got 0"):
         identification_start_time(window=0.0, **options, **fractions)
 
 
 # --- the choice ---
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-5, 1e-2, 0.3])
-@pytest.mark.parametrize("bandwidth", [0.05, 0.3, 2.0])
+@for_each("noise", [0.0, 1e-9, 1e-5, 1e-2, 0.3])
+@for_each("bandwidth", [0.05, 0.3, 2.0])
 def test_the_choice_is_the_best_of_all_windows(noise, bandwidth):
     """Against every length up to the widest, by the response and the noise of each."""
     conditions = Conditions(noise, 2.0, bandwidth, 1.0)
@@ -365,8 +365,8 @@ def test_the_choice_is_the_best_of_all_windows(noise, bandwidth):
     assert choice.error.total == conditions.error(choice.window).total
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-5, 1e-2, 0.3])
-@pytest.mark.parametrize("bandwidth", [1e-3, 0.05, 0.3, 2.0])
+@for_each("noise", [0.0, 1e-9, 1e-5, 1e-2, 0.3])
+@for_each("bandwidth", [1e-3, 0.05, 0.3, 2.0])
 def test_no_filter_is_as_good_as_the_chosen_window(noise, bandwidth):
     """At no rate up to 1/step; so a filter is no candidate."""
     conditions = Conditions(noise, 2.0, bandwidth, 1.0)
@@ -380,10 +380,10 @@ def test_a_choice_needs_conditions_that_it_can_meet():
     with pytest.raises(AssumptionError, match=r"leaves an error of .* in delta with the best"):
         choose(Conditions(100.0, 1.0, 0.5, 1.0))
     for change, message in (
-        ({"noise": -1.0}, "noise = -1; needed a finite deviation, 0 or more"),
-        ({"amplitude": 0.0}, "amplitude = 0; needed a positive"),
-        ({"bandwidth": math.nan}, "bandwidth = nan; needed a positive"),
-        ({"bandwidth": 2.3}, "samples every 1 s; needed less than 2.2 rad/s"),
+        ({"noise": -1.0}, "noise: .* got -1"),
+        ({"amplitude": 0.0}, "amplitude: .* got 0"),
+        ({"bandwidth": math.nan}, "bandwidth: .* got nan"),
+        ({"bandwidth": 2.3}, "bandwidth: .* less than 2.2 rad/s .* every 1 s, got 2.3"),
     ):
         numbers = {"noise": 0.0, "amplitude": 1.0, "bandwidth": 1.0, "step": 1.0}
         with pytest.raises(AssumptionError, match=message):
@@ -393,7 +393,7 @@ def test_a_choice_needs_conditions_that_it_can_meet():
 # --- the noise in a signal ---
 
 
-@pytest.mark.parametrize("deviation", [1e-12, 1e-6, 1e-3, 1.0])
+@for_each("deviation", [1e-12, 1e-6, 1e-3, 1.0])
 def test_the_deviation_of_white_noise_is_found_under_a_smooth_signal(deviation):
     """The standard error of differences of order 4 is 3 % at most with 4000 samples."""
     t = np.arange(4000) * H
@@ -413,9 +413,9 @@ def test_what_is_not_smooth_against_its_samples_is_refused():
     """Nothing is guessed: estimates that do not settle, samples that are none, too few of them."""
     fast = np.sin(1.5 * np.arange(400))
     for samples, message in (
-        (fast, "needed values that settle: the signal is too fast"),
-        (np.zeros(199), "199 samples; needed at least 200"),
-        (np.full(300, np.nan), "samples that are not finite"),
+        (fast, "noise level: .* the signal is too fast"),
+        (np.zeros(199), "at least 200 samples, got 199"),
+        (np.full(300, np.nan), "expected finite samples"),
     ):
         with pytest.raises(AssumptionError, match=message):
             noise_level(samples)
