@@ -36,7 +36,7 @@ class ReservedAddress:
 
     def __init__(self, host: str, port: int) -> None:
         if not 0 <= port <= _LARGEST_PORT:
-            raise UsageError(f"{option('port')}: found {port}; needed 0 to {_LARGEST_PORT}")
+            raise UsageError(f"{option('port')}: expected 0 to {_LARGEST_PORT}, got {port}")
         self._host = host
         self._port = port
         try:
@@ -74,8 +74,8 @@ class ReservedAddress:
     def refusal(self, reason: str) -> UsageError:
         """Return the error of an address that cannot be listened on."""
         return UsageError(
-            f"{option('port')}: {self._host}:{self._port} cannot be listened on: {reason}; choose "
-            f"another port, or 0 for any free one"
+            f"{option('port')}: cannot listen on {self._host}:{self._port}: {reason}; choose "
+            "another port, or 0 for any free one"
         )
 
 

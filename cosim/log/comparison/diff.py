@@ -142,7 +142,7 @@ def _check_recording(name: str, run: object) -> None:
     if getattr(type(run), "blocks", None) is None:
         found = type(run).__name__
         raise LogError(
-            f"{name}: found {found} {run!r}, needed a recording; open a log with "
+            f"{name}: expected a recording, got {found} {run!r}; open a log with "
             "cosim.open_log(path)"
         )
 
@@ -170,7 +170,7 @@ def _expanded(a: Recording, b: Recording, signals: Sequence[str]) -> list[str]:
             own = [name for name in known if matches(signal, name)]
             if not own:
                 raise UnknownSignalError(
-                    f"no signal of the two runs matches {signal!r}; {nearest(signal, known)}"
+                    f"no signal of either run matches {signal!r}; {nearest(signal, known)}"
                 )
         names |= dict.fromkeys(own)
     return list(names)
@@ -190,7 +190,7 @@ def _chosen(
     columns_b: dict[str, slice] = {}
     for signal in signals:
         if not isinstance(signal, str):
-            raise LogError(f"found {signal!r}, needed the name of a signal, such as 'plant.y'")
+            raise LogError(f"expected the name of a signal, such as 'plant.y', got {signal!r}")
         problem: LogError | None = None
         for run, columns in ((a, columns_a), (b, columns_b)):
             try:

@@ -71,7 +71,7 @@ class MessageSchema:
             return self.message.FromString(data)
         # The error's type depends on which of its three implementations protobuf runs on.
         except Exception as error:
-            raise ValueError(f"no {self.name} message: {error}") from error
+            raise ValueError(f"not a {self.name} message: {error}") from error
 
 
 def _log_descriptors() -> descriptor_pb2.FileDescriptorSet:
@@ -187,7 +187,9 @@ def decode_event(time_ns: int, data: bytes) -> SignalEvent:
         if message.cause == cause:
             values = tuple(message.values)
             return SignalEvent(time_ns, cause, message.signal, values, tuple(message.parameters))
-    raise ValueError(f"an event has the cause {quoted(message.cause)}; needed one of {CAUSES}")
+    raise ValueError(
+        f"event cause: expected one of {', '.join(CAUSES)}, got {quoted(message.cause)}"
+    )
 
 
 def encode_substep(substep: Substep) -> bytes:
@@ -215,8 +217,7 @@ def decode_substep(data: bytes) -> Substep:
     message = STEP_SCHEMA.parsed(data)
     if not -math.inf < message.begin < message.end < math.inf:
         raise ValueError(
-            f"no {STEP_SCHEMA.name} message: a part of a step from {message.begin} s to "
-            f"{message.end} s"
+            f"not a {STEP_SCHEMA.name} message: a substep from {message.begin} s to {message.end} s"
         )
     return Substep(
         message.begin,

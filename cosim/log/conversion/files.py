@@ -31,8 +31,8 @@ def check_target(out: Path, *, force: bool = False) -> None:
     """
     ending = out.suffix.lower()
     if ending not in ENDINGS:
-        found = f"the ending {out.suffix!r}" if out.suffix else "no ending"
-        raise UsageError(f"{out}: found {found}; needed one of {', '.join(ENDINGS)}")
+        found = repr(out.suffix) if out.suffix else "none"
+        raise UsageError(f"{out}: expected a file extension of {', '.join(ENDINGS)}, got {found}")
     if ending == ".parquet":
         need_pyarrow()
     check_new_log(log_path(out), force=force, numbered=False)

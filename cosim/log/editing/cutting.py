@@ -61,7 +61,7 @@ def cut(
 
     def end(_: str) -> PartEnd:
         if span.first_row is None:
-            raise LogError(f"{RecordedWindow(log, first_ns, last_ns).label}: there is no row there")
+            raise LogError(f"{RecordedWindow(log, first_ns, last_ns).label}: no rows in this span")
         steps = pieces.steps_to(span.last_row)
         return PartEnd(
             PARTIAL_STATUS, part_text(span.first_row, span.last_row), steps, span.last_row

@@ -131,7 +131,7 @@ def _fields(message: str, body: str) -> Iterator[RosField]:
             continue
         match = _FIELD.fullmatch(code)
         if match is None:
-            raise FieldProblem(f"its schema has a line in {message} that is no field: {code!r}")
+            raise FieldProblem(f"its schema has a line in {message} that is not a field: {code!r}")
         if match["rest"].lstrip().startswith("="):
             continue  # a constant
         type_name = match["type"]

@@ -128,7 +128,8 @@ class UnfinishedLog:
                 _move(self._hidden_path, self.path)
         except FileExistsError as error:
             raise LogError(
-                f"{self.path} exists by now; choose another path, or {flag('force')} to replace it"
+                f"{self.path} was created in the meantime; choose another path, or {flag('force')} "
+                "to replace it"
             ) from error
         except OSError as error:
             reason = error.strerror or error
@@ -150,9 +151,9 @@ class UnfinishedLog:
         try:
             status = os.stat(self.path)
         except FileNotFoundError as error:
-            raise OSError(errno.ENOENT, "it has been removed, or its folder has") from error
+            raise OSError(errno.ENOENT, "it or its folder was removed") from error
         if not os.path.samestat(status, os.fstat(self._stream.fileno())):
-            raise OSError(errno.ESTALE, "another file has taken its place")
+            raise OSError(errno.ESTALE, "another file took its place")
 
     def discard(self) -> None:
         """Remove the file if it was not published."""
@@ -173,7 +174,9 @@ def check_not_written(path: Path) -> None:
         If one does.
     """
     if is_locked(path):
-        raise LogError(f"{path} is written by another run; choose another path, or end that one")
+        raise LogError(
+            f"{path} is being written by another run; choose another path, or stop that run"
+        )
 
 
 def is_locked(path: Path) -> bool:

@@ -29,7 +29,7 @@ def replaced_parts(first: Path) -> list[Path]:
         check_not_written(path)
         if not _is_later_part(path):
             raise LogError(
-                f"{path} is called like a part of a log at {first}, and is none, so that it is not "
+                f"{path} is named like a part of the log {first}, but is not one, so it is not "
                 "replaced; move it, or choose another path"
             )
     return paths
@@ -46,7 +46,7 @@ def check_no_parts(first: Path, *, force: bool) -> None:
     parts = replaced_parts(first) if force else further_parts(first)
     if parts and not force:
         raise LogError(
-            f"{parts[0]} exists, as a part of an earlier log at {first} is called; choose another "
+            f"{parts[0]} exists, named like a part of an earlier log {first}; choose another "
             f"path, or {flag('force')} to replace that log with its parts"
         )
 

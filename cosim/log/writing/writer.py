@@ -261,9 +261,7 @@ class McapRecorder:
             If the file cannot be written to, or a time is negative.
         """
         if block.time_ns[0] < 0:
-            raise LogWriteError(
-                f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0"
-            )
+            raise LogWriteError(f"{self.path}: expected a time >= 0, got {block.time_ns[0]} ns")
         is_first = not self._file.published
         if is_first:
             start_ns = int(block.time_ns[0]) - block.index * self._plan.step_ns

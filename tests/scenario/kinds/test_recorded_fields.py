@@ -201,13 +201,13 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
     [
         ({}, {}, "found no field to take; needed a map, map={'PORT': '/topic.field'}, or columns"),
         ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
-        ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
+        ({"plant.y": "/drive/stat.x"}, {}, "no topic for '/drive/stat.x'"),
         (
             {"plant.y": "/drive/state"},
             {},
-            "'/drive/state' is a topic; needed a field of it, /drive",
+            "expected /drive/state.FIELD, got the topic '/drive/state'",
         ),
-        ({"plant.y": "/drive/state.name"}, {}, "it is text; needed a number"),
+        ({"plant.y": "/drive/state.name"}, {}, "expected a number, got text"),
         (PLANT, {"scenario.stop": 5.0}, "needed 0.0 s to 5.0 s, the whole run: start_time = 0.0"),
         (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
         (PLANT, {"plant.maximum_gap": 1e-3}, "needed at most maximum_gap = 0.001 s"),
