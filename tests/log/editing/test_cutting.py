@@ -14,7 +14,7 @@ from cosim.log.editing.cutting import cut
 from cosim.log.editing.merging import merge
 from cosim.report.verification import verify
 from tests.log.crafting import put_together, take_apart
-from tests.log.recordings import STEP_NS, layout, record, same_bits, table
+from tests.log.recordings import STEP_NS, record, same_bits
 
 MESSAGES = [(k * 100 * STEP_NS, "info", "run", f"message {k}") for k in range(11)]
 
@@ -57,26 +57,6 @@ def test_a_cut_of_all_rows_is_the_log_of_the_run(whole, tmp_path):
     assert part.results == open_log(path).results
 
 
-def test_parts_that_are_merged_are_the_log_again(whole, tmp_path):
-    """In any order; with the result of the run, whose content hash theirs is."""
-    path, _ = whole
-    cut(path, None, 0.1234, tmp_path / "b.mcap")
-    cut(path, 0.124, 0.7, tmp_path / "c.mcap")
-    cut(path, 0.701, None, tmp_path / "d.mcap")
-    names = ["c", "d", "b"]
-    merged = merge([tmp_path / f"{name}.mcap" for name in names], tmp_path / "e.mcap")
-    source = open_log(path)
-    assert merged.status == "complete"
-    assert merged.content_hash() == merged.recorded_hash == source.recorded_hash
-    assert merged.messages() == source.messages()
-    assert cosim.diff(merged, source).equal
-    assert merged.results == source.results
-    two = merge([tmp_path / "d.mcap", tmp_path / "c.mcap"], tmp_path / "f.mcap")
-    assert (two.status, two.reason) == ("partial", "the part from 0.124 s to 1.0 s")
-    again = merge([tmp_path / "f.mcap", tmp_path / "b.mcap"], tmp_path / "g.mcap")
-    assert again.results == source.results
-
-
 @pytest.mark.parametrize(
     ("last", "first"), [(0.3, 0.301), (0.3004, 0.301), (0.3008, 0.3009), (0.3, 0.3005)]
 )
@@ -114,33 +94,6 @@ def test_the_steps_of_a_replay_of_a_span_are_counted_from_its_beginning(tmp_path
     assert cut(span.path, 0.3, None, tmp_path / "d.mcap").steps == 200
 
 
-def test_slow_components_may_have_no_row_in_a_part(tmp_path):
-    """They go on where they were."""
-    rows = table(layout(period=500), 1000)
-    record(tmp_path / "a.mcap", lay=layout(period=500), rows=rows)
-    bounds = [(None, 0.3), (0.301, 0.4), (0.401, None)]
-    parts = []
-    for number, (first, last) in enumerate(bounds):
-        parts.append(tmp_path / f"{number}.mcap")
-        cut(tmp_path / "a.mcap", first, last, parts[-1])
-    assert len(open_log(parts[1]).time_ns("identifier")) == 0
-    assert merge(parts, tmp_path / "b.mcap").status == "complete"
-
-
-def test_a_log_whose_run_has_not_ended_is_cut_and_merged(whole, tmp_path):
-    """It has no result; its rows say where it ends."""
-    path, rows = whole
-    content = take_apart(path)
-    content.metadata = [item for item in content.metadata if item[0] != "cosim.result"]
-    put_together(content, tmp_path / "b.mcap")
-    first = cut(tmp_path / "b.mcap", None, 0.4, tmp_path / "c.mcap")
-    second = cut(tmp_path / "b.mcap", 0.401, None, tmp_path / "d.mcap")
-    assert (first.steps, second.steps) == (400, 1000)
-    merged = merge([first.path, second.path], tmp_path / "e.mcap")
-    assert (merged.status, merged.steps) == ("partial", 1000)
-    assert same_bits(merged["plant.u"], rows[:, 0])
-
-
 def test_logs_of_other_tools_are_cut_and_merged(whole, tmp_path):
     """With channels mixed in their chunks."""
     path, rows = whole
@@ -159,41 +112,6 @@ def test_a_cut_without_rows_is_refused(whole, tmp_path):
     with pytest.raises(UsageError, match=r"found start = 2\.0 s after stop = 1\.0 s"):
         cut(path, 2.0, 1.0, tmp_path / "b.mcap")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
-
-
-def test_parts_that_do_not_follow_each_other_are_refused(whole, tmp_path):
-    """Overlapping ones, and those that leave rows out."""
-    path, _ = whole
-    cut(path, None, 0.5, tmp_path / "b.mcap")
-    cut(path, 0.5, None, tmp_path / "c.mcap")
-    cut(path, 0.502, None, tmp_path / "d.mcap")
-    with pytest.raises(LogError, match=r"'plant' up to 0\.5 s, .* begins at 0\.5 s: they overlap"):
-        merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "e.mcap")
-    with pytest.raises(LogError, match=r"rows are missing between them; needed the one at 0\.501"):
-        merge([tmp_path / "b.mcap", tmp_path / "d.mcap"], tmp_path / "e.mcap")
-    with pytest.raises(UsageError, match="found 1 log to merge; needed at least two"):
-        merge([path], tmp_path / "e.mcap")
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"lay": layout(period=10)}, "what their channels are differs"),
-        ({"kinds": {"plant": "lag"}}, "what their channels are differs"),
-        ({"metadata": {"cosim.connections": {"a": "b"}}}, "the metadata 'cosim.connections' diff"),
-        ({"rows": table(layout(), 1000, seed=2)}, "the result of the run differs"),
-    ],
-)
-def test_parts_of_other_runs_are_refused(whole, tmp_path, options, text):
-    """What they declare, what was recorded of the run, and how it ended must be the same."""
-    path, _ = whole
-    lay = options.get("lay", layout())
-    record(tmp_path / "other.mcap", steps=1000, **{"lay": lay, **options})
-    cut(path, None, 0.5, tmp_path / "b.mcap")
-    cut(tmp_path / "other.mcap", 0.501, None, tmp_path / "c.mcap")
-    with pytest.raises(LogError, match=text):
-        merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "e.mcap")
-    assert not (tmp_path / "e.mcap").exists()
 
 
 def test_a_log_that_exists_is_not_replaced_unless_asked(whole, tmp_path):

@@ -18,7 +18,7 @@ import cosim
 from cosim.errors import LogError
 from cosim.log import open_log
 from cosim.log.editing.cutting import cut
-from cosim.log.editing.lost import Interval, missing_rows
+from cosim.log.editing.lost import Interval
 from cosim.log.editing.recovering import recover
 from cosim.log.editing.salvage import salvage
 from cosim.log.writing import encoding
@@ -323,16 +323,6 @@ def test_a_killed_run_is_recovered(tmp_path):
     assert recovery.log.status == ("interrupted" if is_whole else "partial")
     log = recovery.log if is_whole else killed
     assert cosim.diff(log, cosim.replay(log)).equal
-
-
-def test_missing_rows_are_told_by_their_instants():
-    """The closed form of a few cases."""
-    times = np.array([0, 10, 40, 50])
-    assert missing_rows(times, 10, 0, 50).lost == (Interval(20, 30, 2),)
-    assert missing_rows(times, 10, 0, 75).lost == (Interval(20, 30, 2), Interval(60, 70, 2))
-    assert missing_rows(np.array([20]), 10, 0, 29).lost == (Interval(0, 10, 2),)
-    none = missing_rows(np.empty(0, np.int64), 10, 5, 25)
-    assert (none.count, none.lost) == (0, (Interval(5, 25, 3),))
 
 
 def test_a_crc_of_nothing_vouches_for_nothing(tmp_path, written):
