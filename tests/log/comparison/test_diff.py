@@ -16,6 +16,7 @@ from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.log.comparison.difference import ElementDifference
 from tests.log.comparison.runs import Run
+from tests.log.mismatches import Mismatches
 from tests.log.recordings import STEP_NS, layout, record
 
 
@@ -25,17 +26,16 @@ def only_row(a, b, **tolerance):
     return row
 
 
-@pytest.fixture
-def pair(tmp_path):
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
     """Record a run, and another that differs in two elements; return logs and rows."""
-    rows = record(tmp_path / "a.mcap", steps=100)
+    folder = tmp_path_factory.mktemp("pair")
+    rows = record(folder / "a.mcap", steps=100)
     changed = rows.copy()
     changed[60, 0] += 1.0
     changed[40, 6] = np.nextafter(rows[40, 6], np.inf)
-    record(tmp_path / "b.mcap", rows=changed)
-    a = open_log(tmp_path / "a.mcap")
-    b = open_log(tmp_path / "b.mcap")
-    return a, b, rows, changed
+    record(folder / "b.mcap", rows=changed)
+    return open_log(folder / "a.mcap"), open_log(folder / "b.mcap"), rows, changed
 
 
 def test_a_log_equals_itself(pair):
@@ -68,9 +68,10 @@ def test_a_difference_of_one_bit_is_within_a_tolerance(pair):
     assert status["identifier.y"] == "within"
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "tolerance", "status", "largest"),
-    [
+def test_tolerances_are_absolute_plus_relative_to_the_signals_scale():
+    """|a - b| <= atol + rtol max|a|, here with max|a| = 4 from another row."""
+    wrong = Mismatches()
+    for a, b, tolerance, status, largest in [
         (0.0, -0.0, {}, "outside", 0.0),
         (0.0, -0.0, {"atol": 1e-300}, "within", 0.0),
         (np.nan, np.nan, {}, "equal", 0.0),
@@ -83,16 +84,13 @@ def test_a_difference_of_one_bit_is_within_a_tolerance(pair):
         (1.0, 1.5, {"rtol": 0.125}, "within", 0.5),
         (1.0, 1.5, {"rtol": 0.12}, "outside", 0.5),
         (1.0, 1.5, {"atol": 0.25, "rtol": 0.0625}, "within", 0.5),
-    ],
-)
-def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(
-    a, b, tolerance, status, largest
-):
-    """|a - b| <= atol + rtol max|a|, here with max|a| = 4 from another row."""
-    row = only_row(Run({"y": [4.0, a]}), Run({"y": [4.0, b]}), **tolerance)
-    assert (row.status, row.largest, row.scale) == (status, largest, 4.0)
-    assert row.ratio == largest / 4
-    assert (row.first is not None) == (status == "outside")
+    ]:
+        row = only_row(Run({"y": [4.0, a]}), Run({"y": [4.0, b]}), **tolerance)
+        with wrong.of((a, b, tolerance)):
+            assert (row.status, row.largest, row.scale) == (status, largest, 4.0)
+            assert row.ratio == largest / 4
+            assert (row.first is not None) == (status == "outside")
+    assert not wrong
 
 
 def test_runs_of_other_length_compare_where_both_have_values():
@@ -174,9 +172,9 @@ def test_signals_that_neither_run_has_are_refused():
     b = Run({"p": np.zeros(4), "x": np.zeros((4, 2)), "q": np.zeros(4)})
     rows = diff(a, b, signals=["c.q", "c.x[2]", "c.x"]).rows
     assert [row.status for row in rows] == ["only in b", "only in a", "other size"]
-    with pytest.raises(LogError, match=r"the first run has no 'c\.y': .*; there is: p, x"):
+    with pytest.raises(LogError, match=r"'c\.y'.*: p, x"):
         diff(a, b, signals=["c.p", "c.y"])
-    with pytest.raises(LogError, match="has no component 'd'"):
+    with pytest.raises(LogError, match="component 'd'"):
         diff(a, b, signals=["d.p"])
-    with pytest.raises(LogError, match=r"'c\.x' has 3 elements"):
+    with pytest.raises(LogError, match=r"'c\.x'.*3 elements"):
         diff(a, b, signals=["c.x[3]"])

@@ -16,6 +16,7 @@ from cosim.log.comparison.event_difference import (
     EventsDifference,
 )
 from tests.log.comparison.runs import Run
+from tests.log.mismatches import Mismatches
 from tests.log.recordings import STEP_NS
 
 VALUES = {"u": [[1.0, 2.0], [3.0, 4.0]], "y": [0.0, 5.0]}
@@ -38,9 +39,10 @@ def test_runs_with_the_same_events_are_equal():
     assert difference.events == EventsDifference((2, 2), 3, 0, True, None)
 
 
-@pytest.mark.parametrize(
-    ("other", "signal", "a", "b"),
-    [
+def test_another_event_is_a_difference_that_is_named():
+    """Of runs with equal rows: one that is missing, of another value, cause, element or time."""
+    wrong = Mismatches()
+    for other, signal, a, b in [
         ([], "c.u[0]", ElementEvent("override", 0.5), None),
         (
             [override((0.5, 0.75))],
@@ -56,18 +58,17 @@ def test_runs_with_the_same_events_are_equal():
         ),
         ([override((0.5,), signal="c.u[0]")], "c.u[1]", ElementEvent("override", 0.25), None),
         ([override((0.5, 0.25), time=0)], "c.u[0]", None, ElementEvent("override", 0.5)),
-    ],
-)
-def test_another_event_is_a_difference_that_is_named(other, signal, a, b):
-    """Of runs with equal rows: one that is missing, of another value, cause, element or time."""
-    difference = events_of([override((0.5, 0.25))], other)
-    assert difference.same_rows
-    assert not difference.equal
-    assert not difference.within
-    time = 0 if a is None else STEP_NS
-    assert difference.events.first == ElementEventDifference(signal, time, a, b)
-    as_json = json.loads(json.dumps(difference.to_dict()))
-    assert as_json["events"]["first"]["signal"] == signal
+    ]:
+        difference = events_of([override((0.5, 0.25))], other)
+        time = 0 if a is None else STEP_NS
+        as_json = json.loads(json.dumps(difference.to_dict()))
+        with wrong.of(other):
+            assert difference.same_rows
+            assert not difference.equal
+            assert not difference.within
+            assert difference.events.first == ElementEventDifference(signal, time, a, b)
+            assert as_json["events"]["first"]["signal"] == signal
+    assert not wrong
 
 
 def test_an_element_is_the_same_in_an_event_of_its_signal_and_of_its_own():
@@ -96,5 +97,5 @@ def test_only_events_of_chosen_elements_are_compared():
 
 def test_an_event_that_does_not_fit_its_run_is_refused():
     """Of a log that was changed."""
-    with pytest.raises(LogError, match=r"the event of 'c\.u' at t = .* has 1 values; needed 2"):
+    with pytest.raises(LogError, match=r"'c\.u' at t = .* expected 2 values, got 1"):
         events_of([override((0.5,))], [])

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 from google.protobuf import json_format
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.log.contents.layout import (
@@ -42,7 +42,6 @@ NASTY = [
 names = st.lists(st.one_of(st.sampled_from(NASTY), st.text(max_size=6)), unique=True, max_size=12)
 
 
-@settings(max_examples=30)
 @given(names)
 def test_identifiers_differ_even_without_underscores_and_case(signal_names):
     """Every name has a legal identifier of its own, also in protobuf's JSON."""
@@ -63,7 +62,6 @@ def test_legal_names_are_kept_and_the_others_stay_readable():
     ]
 
 
-@settings(max_examples=30)
 @given(names)
 def test_any_names_make_a_schema_that_protobuf_takes(signal_names):
     """Stock protobuf decodes the records of a channel with any names, and writes them as JSON."""
