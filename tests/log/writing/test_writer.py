@@ -21,7 +21,7 @@ from cosim.core.recording import Recorder
 from cosim.errors import Interrupted, LogError, LogWriteError
 from cosim.log import Attachment, McapRecorder, open_log
 from cosim.log.mcap_file import unfinished
-from tests.log.contents.test_layout import message_class
+from tests.log.decoding import message_class
 from tests.log.disks import FullDisk
 from tests.log.mismatches import Mismatches
 from tests.log.recordings import (
