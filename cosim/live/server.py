@@ -56,7 +56,7 @@ class LiveServer:
         Raises
         ------
         UsageError
-            If foxglove-sdk is not installed, or the address cannot be listened on.
+            If foxglove-sdk is not installed, or the address cannot be used.
         """
         self._connection = ViewerConnection(self._host, self._port, "cosim")
         return self

@@ -233,9 +233,9 @@ def test_signals_that_the_log_has_not_cannot_be_selected(log):
     wrong = Mismatches()
     for name, text in [
         ("plan", "'plan'; did you mean 'plant'"),
-        ("plant.x", "'plant' has no signal 'x'"),
+        ("plant.x", "'plant'.*'x'"),
         ("plant.x_a[2]", "2 elements"),
-        ("*.delta", r"no signal matches '\*\.delta'"),
+        ("*.delta", r"'\*\.delta'"),
     ]:
         with (
             LiveServer(signals=[name]) as server,

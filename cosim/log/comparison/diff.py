@@ -54,7 +54,7 @@ def diff(
     rtol : float
         As a part of each signal's largest |a|.
     tol : mapping of signal or pattern to float, optional
-        Absolute tolerances in the place of both, for signals of a name or pattern (``*.delta``); of
+        Absolute tolerances instead of both, for signals of a name or pattern (``*.delta``); of
         several that match the last. 0: the bits are compared.
     signals : sequence of str
         The signals to compare, elements of them, ``plant.x_a[0:2]``, or patterns; none: all.
@@ -64,10 +64,10 @@ def diff(
     Raises
     ------
     LogError
-        If a or b is no recording, or one of ``signals`` is in neither; names the nearest. If an
+        If a or b is not a recording, or one of ``signals`` is in neither; names the nearest. If an
         event is of no signal.
     UsageError
-        If a tolerance is no number from 0 on, or is of no signal that is compared.
+        If a tolerance is not a number >= 0, or is of no signal that is compared.
     """
     _check_recording("a", a)
     _check_recording("b", b)

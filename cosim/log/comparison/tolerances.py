@@ -25,13 +25,13 @@ class Tolerances:
     rtol : float
         As a part of each signal's largest |a|.
     own : mapping of name or pattern to float
-        In the place of both for the signals that it matches; of several the last. 0: their bits are
+        Instead of both for the signals that it matches; of several the last. 0: their bits are
         compared.
 
     Raises
     ------
     UsageError
-        If one is no finite number from 0 on.
+        If one is not a finite number >= 0.
     """
 
     atol: float = 0.0

@@ -65,7 +65,7 @@ class MessageSchema:
         Raises
         ------
         ValueError
-            If ``data`` is no such message.
+            If ``data`` is not such a message.
         """
         try:
             return self.message.FromString(data)
@@ -158,7 +158,7 @@ def decode_log(data: bytes) -> tuple[MessageLevel, str, str]:
     Raises
     ------
     ValueError
-        If ``data`` is no such message.
+        If ``data`` is not such a message.
     """
     message = LOG_SCHEMA.parsed(data)
     # Other tools may write levels that foxglove.Log does not have, such as UNKNOWN, 0.
@@ -180,7 +180,7 @@ def decode_event(time_ns: int, data: bytes) -> SignalEvent:
     Raises
     ------
     ValueError
-        If ``data`` is no such message.
+        If ``data`` is not such a message.
     """
     message = EVENT_SCHEMA.parsed(data)
     for cause in CAUSES:
@@ -212,7 +212,7 @@ def decode_substep(data: bytes) -> Substep:
     Raises
     ------
     ValueError
-        If ``data`` is no such message, or it does not end after its begin.
+        If ``data`` is not such a message, or it does not end after its begin.
     """
     message = STEP_SCHEMA.parsed(data)
     if not -math.inf < message.begin < message.end < math.inf:

@@ -25,9 +25,9 @@ def check_target(out: Path, *, force: bool = False) -> None:
     Raises
     ------
     UsageError
-        If its ending is of no known format, or a library for that is missing.
+        If its ending is not that of a known format, or a library for that is missing.
     LogError
-        If a file stands there and shall not be replaced, or none can.
+        If a file exists there and is not to be replaced, or none can be written.
     """
     ending = out.suffix.lower()
     if ending not in ENDINGS:
@@ -47,7 +47,7 @@ def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
     out : Path
         Ends in .csv, .parquet, .mat or .npz.
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------

@@ -42,12 +42,12 @@ def cut(
     names : tuple of str
         What the times are called in messages.
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
     UsageError
-        If the times are no span.
+        If ``start`` is after ``stop``.
     LogError
         If the log cannot be read, has no row in that time, or ``out`` cannot be written or is that
         log.

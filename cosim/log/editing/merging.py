@@ -51,14 +51,14 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
         In any order.
     out : Path
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
     UsageError
-        If there are less than two.
+        If there are fewer than two.
     LogError
-        If they are no spans of one run, overlap, or rows are missing between them; if the rows of
+        If they are not spans of one run, overlap, or rows are missing between them; if the rows of
         one, or of all, are not those that were recorded; if one cannot be read, or ``out`` cannot
         be written or is one of them.
     """

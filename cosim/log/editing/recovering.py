@@ -95,7 +95,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         Of a damaged or truncated log of cosim.
     out : Path
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def _times(
 ) -> tuple[dict[str, Nanoseconds], dict[int, int]]:
     """Return when all parts of a component have rows, by its name, and how many messages there are.
 
-    The instants ascend; the messages are those that are no rows, by their channels, each once.
+    The instants ascend; the messages are those that are not rows, by their channels, each once.
     """
     messages: dict[int, set[bytes]] = defaultdict(set)
     known: dict[int, list[Nanoseconds]] = {number: [] for number in pieces.parts}
@@ -208,7 +208,7 @@ def _times(
 class _Selection:
     """Says of the messages of intact chunks, in their order, which are to be written.
 
-    Each row once, and only where all parts of its component have one; of messages that are no rows
+    Each row once, and only where all parts of its component have one; of messages that are not rows
     each once.
     """
 

@@ -76,7 +76,7 @@ class CdrFormat:
         Raises
         ------
         FieldProblem
-            If there is no such field, or it is no number.
+            If there is no such field, or it is not a number.
         """
         wanted = Wanted()
         stamps = []

@@ -15,7 +15,7 @@ def format_of(channel: ForeignChannel) -> MessageFormat:
     Raises
     ------
     FieldProblem
-        If nothing here decodes them, or their schema cannot be understood.
+        If nothing here decodes them, or their schema cannot be parsed.
     """
     schema = channel.schema or ForeignSchema("", "", b"")
     match channel.encoding, schema.encoding:

@@ -77,7 +77,7 @@ class ProtobufFormat:
         Raises
         ------
         FieldProblem
-            If there is no such field, or it is no number.
+            If there is no such field, or it is not a number.
         """
         getters = [self._getter(path) for path in paths]
 
@@ -166,7 +166,7 @@ def _getter(descriptor: Any, path: FieldPath, before: FieldPath) -> Getter:
     Raises
     ------
     FieldProblem
-        If there is no such field, or it is no number.
+        If there is no such field, or it is not a number.
     """
     name, *rest = path
     place = (*before, name)

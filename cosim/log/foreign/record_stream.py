@@ -40,7 +40,7 @@ def read_records(path: Path, stream: BinaryIO) -> Iterator[RecordBounds]:
     Raises
     ------
     LogError
-        If the file is no MCAP, empty, truncated or damaged, or has a record that is too large.
+        If the file is not MCAP, empty, truncated or damaged, or has a record that is too large.
     """
     size = os.fstat(stream.fileno()).st_size
     check_magic(path, stream, size)

@@ -106,7 +106,7 @@ def read_ros2msg(name: str, text: str) -> RosMessages:
     Raises
     ------
     FieldProblem
-        If it cannot be understood; says the line.
+        If it cannot be parsed; says the line.
     """
     messages: dict[str, tuple[RosField, ...]] = dict(TIME_FIELDS)
     current = short_name(name)

@@ -69,7 +69,7 @@ def read_ros2idl(name: str, text: str) -> RosMessages:
     Raises
     ------
     FieldProblem
-        If it cannot be understood.
+        If it cannot be parsed.
     """
     reader = _IdlReader(_TITLES.sub("", text))
     reader.definitions(())

@@ -73,7 +73,7 @@ def read_fields(
     Raises
     ------
     LogError
-        If the file cannot be read or is damaged; a field is not there, is no number, or has not
+        If the file cannot be read or is damaged; a field is not there, is not a number, or has not
         always the same number of elements; a time is none.
     """
     topics: dict[str, list[ForeignChannel]] = defaultdict(list)
@@ -140,7 +140,7 @@ class _Column:
         Raises
         ------
         FieldProblem
-            If it is no number, or has another number of elements than those before.
+            If it is not a number, or has another number of elements than those before.
         """
         if value is None:
             if self.size is None:
@@ -233,7 +233,7 @@ class _Collector:
         Raises
         ------
         LogError
-            If one is not there, or no number; names the message.
+            If one is not there, or not a number; names the message.
         """
         name = self._topic
         if message.channel.id not in self._checked:  # a summary need not list every channel

@@ -58,7 +58,7 @@ def survey(path: Path) -> list[TopicSurvey]:
     Raises
     ------
     LogError
-        If it cannot be read, is no MCAP, truncated or damaged, or has a time beyond 63 bits.
+        If it cannot be read, is not MCAP, truncated or damaged, or has a time beyond 63 bits.
     """
     kept: dict[tuple[object, ...], _KeptMessages] = {}
     for channel in read_channels(path):

@@ -115,7 +115,7 @@ def read_channels(path: Path) -> list[ForeignChannel]:
     Raises
     ------
     LogError
-        If it cannot be read, is no MCAP, truncated or damaged.
+        If it cannot be read, is not MCAP, truncated or damaged.
     """
     table = _ChannelTable(path)
     try:
@@ -172,7 +172,7 @@ def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Itera
     Raises
     ------
     LogError
-        If the file cannot be read, is no MCAP, truncated or damaged.
+        If the file cannot be read, is not MCAP, truncated or damaged.
     """
     table = _ChannelTable(path)
     is_wanted: dict[int, bool] = {}

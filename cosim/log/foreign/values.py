@@ -63,7 +63,7 @@ def numbers(value: Any) -> list[float]:
     Raises
     ------
     FieldProblem
-        If it is no number, infinite, or an integer that no float64 is.
+        If it is not a number, infinite, or an integer that no float64 is.
     """
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [_number(item) for item in value]
@@ -117,7 +117,7 @@ def nanoseconds_in(value: Any, unit_ns: int) -> int:
     Raises
     ------
     FieldProblem
-        If it is no time.
+        If it is not a time.
     """
     if isinstance(value, StampNs):
         return int(value)

@@ -38,7 +38,7 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
     Raises
     ------
     LogError
-        If a file stands there and shall neither be replaced nor kept beside the new one, or both;
+        If a file exists there and is neither to be replaced nor kept beside the new one, or both;
         the path is a folder, or its folder takes no files.
     """
     if force and numbered:
@@ -58,7 +58,7 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
 
 
 def check_not_read(out: Path, sources: Iterable[Path]) -> None:
-    """Check that a log is not written in the place of one that it is made from.
+    """Check that a log is not written over one of its inputs.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class Rotation:
         step_ns : int
             Communication step [ns].
         head_bytes : int
-            What stands before the rows in each file.
+            What precedes the rows in each file.
 
         Raises
         ------

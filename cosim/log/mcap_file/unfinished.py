@@ -37,7 +37,7 @@ class UnfinishedLog:
     path : Path
         Where it goes; missing folders are created.
     force : bool
-        Replace a file that exists there.
+        Replace an existing file.
     numbered : bool
         Where a file exists, go to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...
 
@@ -46,7 +46,7 @@ class UnfinishedLog:
     path : Path
         Where it goes; with ``numbered`` it is known once the file is published.
     own : OwnFile or None
-        The file, to be read whatever stands at the path; None before it is created.
+        The file, to be read whatever is at the path; None before it is created.
     """
 
     def __init__(self, path: Path, *, force: bool, numbered: bool) -> None:
@@ -138,7 +138,7 @@ class UnfinishedLog:
         self.published = True
 
     def check(self) -> None:
-        """Check that the file still stands at its path.
+        """Check that the file is still at its path.
 
         Raises
         ------
@@ -194,7 +194,7 @@ def is_written(path: Path) -> bool:
 def is_begun(path: Path) -> bool:
     """Return whether a run writes to a file that is to go to a path.
 
-    Names that begin with the same 48 characters are not told apart.
+    Names that begin with the same 48 characters are not distinguished.
     """
     for hidden in _hidden_paths(path):
         with suppress(OSError):

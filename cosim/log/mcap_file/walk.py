@@ -1,4 +1,4 @@
-"""Walk an MCAP file from record to record by their lengths, and note where its pieces stand.
+"""Walk an MCAP file from record to record by their lengths, and note where its pieces are.
 
 The error of a truncated file differs from that of a damaged one; both name the byte.
 """
@@ -34,7 +34,7 @@ class RecordSpan:
 
 @dataclass(slots=True)
 class FileContents:
-    """Where the pieces of a file stand, in the order of the file."""
+    """Where the pieces of a file are, in the order of the file."""
 
     data: list[RecordSpan] = field(default_factory=list)  # chunks and spans of messages
     channels: list[RecordSpan] = field(default_factory=list)  # outside chunks
@@ -88,7 +88,7 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
     Raises
     ------
     LogError
-        If the file is no MCAP, truncated or damaged.
+        If the file is not MCAP, truncated or damaged.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)

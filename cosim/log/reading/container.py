@@ -1,6 +1,6 @@
 """An MCAP file as checked pieces: chunks, metadata, attachments, channels.
 
-Where a log's own summary says where they stand, only that is read; else the file is walked. Message
+Where a log's own summary says where they are, only that is read; else the file is walked. Message
 indexes are not used.
 """
 
@@ -72,7 +72,7 @@ class Container:
     Raises
     ------
     LogError
-        If the file is no MCAP, truncated or damaged.
+        If the file is not MCAP, truncated or damaged.
     """
 
     def __init__(self, path: Path, own: OwnFile | None = None) -> None:
@@ -211,7 +211,7 @@ class Container:
         return not in_chunk.keys().isdisjoint(channel_ids)
 
     def shared_with(self, channel_ids: Collection[int]) -> set[int]:
-        """Return the channels that stand in half of the chunks of some channels or more."""
+        """Return the channels that are in half of the chunks of some channels or more."""
         counts: Counter[int] = Counter()
         chunks = 0
         for index in self.summary.chunk_indexes:
@@ -309,7 +309,7 @@ class Container:
                     ) from error
 
     def attachments(self) -> dict[str, RecordSpan]:
-        """Return the attachments' names and where they stand, without their content."""
+        """Return the attachments' names and where they are, without their content."""
         spans = {}
         if self.is_indexed:
             names = {index.offset: index.name for index in self.summary.attachment_indexes}
@@ -346,7 +346,7 @@ class Container:
     def damage_error(self, offset: int, reason: str) -> LogError:
         """Return the error that names the byte at which the file is damaged.
 
-        In a log that is still written, its last rows may stand elsewhere by now.
+        In a log that is still written, its last rows may have moved by now.
         """
         if self.is_unfinished:
             with self._stream() as stream:

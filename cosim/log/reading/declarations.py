@@ -19,7 +19,7 @@ def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int,
     Raises
     ------
     LogError
-        If one cannot be understood, or there are none.
+        If one cannot be parsed, or there are none.
     """
     parts = {}
     for number, channel in channels.items():

@@ -59,9 +59,9 @@ def open_log(path: Path | str) -> Log:
     Raises
     ------
     UsageError
-        If it is no path but a run in memory, or the path of a scenario or an FMU.
+        If it is a run in memory instead of a path, or the path of a scenario or an FMU.
     LogError
-        If the file is no MCAP, truncated or damaged, or was not written by cosim.
+        If the file is not MCAP, truncated or damaged, or was not written by cosim.
     """
     if isinstance(path, Memory):
         raise UsageError(
@@ -279,7 +279,7 @@ class Log(RecordedRun):
         Raises
         ------
         LogError
-            If they are no list of texts.
+            If they are not a list of strings.
         """
         text = self._metadata.get("cosim.schedule", {}).get("stages", "[]")
         try:
@@ -296,7 +296,7 @@ class Log(RecordedRun):
         Raises
         ------
         LogError
-            If it is no JSON object, or damaged.
+            If it is not a JSON object, or damaged.
         """
         if RESULT_FILE not in self._attachments:
             return {}
@@ -414,7 +414,7 @@ class Log(RecordedRun):
         return self._rows.row_bytes
 
     def shares_chunks(self, component: str) -> bool:
-        """Return whether rows of other components stand in most of the chunks of a component.
+        """Return whether rows of other components are in most of the chunks of a component.
 
         Raises
         ------
@@ -612,7 +612,7 @@ class Log(RecordedRun):
         if self.status == PARTIAL_STATUS:
             return
         if statistics is None or not text.isdecimal():
-            return  # what is no number is refused where it is asked for
+            return  # what is not a number is refused where it is asked for
         steps = self.steps
         for number, part in self._parts.items():
             count = statistics.channel_message_counts.get(number, 0)
@@ -637,7 +637,7 @@ class Log(RecordedRun):
         Raises
         ------
         LogError
-            If that cannot be understood.
+            If that cannot be parsed.
         """
         try:
             found = read_partial(self._metadata, self._channels)

@@ -147,7 +147,7 @@ class LogRows:
         return sum(self._row_bytes(name) for name in self._channels)
 
     def shares_chunks(self, component: str) -> bool:
-        """Return whether rows of other components stand in most of the chunks of a component."""
+        """Return whether rows of other components are in most of the chunks of a component."""
         own = self._parts_of[component].keys()
         return bool((self._file.shared_with(own) - own) & self._parts.keys())
 
@@ -164,7 +164,7 @@ class LogRows:
         first_ns: int | None = None,
         last_ns: int | None = None,
     ) -> Iterator[OtherRecord]:
-        """Yield the records of some channels that are no rows of a component.
+        """Yield the records of some channels that are not rows of a component.
 
         Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
         """

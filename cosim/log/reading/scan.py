@@ -26,7 +26,7 @@ _WINDOW_GROWTH = 8
 
 @dataclass(frozen=True, slots=True)
 class OtherRecord:
-    """A record that is no message of a known channel."""
+    """A record that is not a message of a known channel."""
 
     opcode: int
     channel_id: int  # of a message; else 0
@@ -48,7 +48,7 @@ def scan(
     Raises
     ------
     ValueError
-        If ``data`` is no sequence of records, or a message has another size than its channel's
+        If ``data`` is not a sequence of records, or a message has another size than its channel's
         dtype.
     """
     position = 0

@@ -36,12 +36,12 @@ def replaced_parts(first: Path) -> list[Path]:
 
 
 def check_no_parts(first: Path, *, force: bool) -> None:
-    """Check that no further files stand beside the path of a new log, or that they may go.
+    """Check that there are no further files beside the path of a new log, or that they may go.
 
     Raises
     ------
     LogError
-        If there are some and they shall stay, or if they are no parts of a log.
+        If there are some and they shall stay, or if they are not parts of a log.
     """
     parts = replaced_parts(first) if force else further_parts(first)
     if parts and not force:

@@ -50,7 +50,7 @@ _GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that 
 class McapRecorder:
     """Record a run to an MCAP file.
 
-    The file is created by :meth:`begin` under a hidden name, stands at its path from the first
+    The file is created by :meth:`begin` under a hidden name, is at its path from the first
     :meth:`write` on, and is completed when the ``with`` block ends, however it ends. It can be
     opened at any instant; where the process is killed it has all but the last flush interval. A
     run that is refused before its first row leaves nothing, and an existing log as it was; one
@@ -123,7 +123,7 @@ class McapRecorder:
         return self._file.path
 
     def recorded(self) -> Log:
-        """Return the log that was written: this very file, whatever stands at its path by now.
+        """Return the log that was written: this very file, whatever is at its path by now.
 
         If there are several files, it is the last one.
 

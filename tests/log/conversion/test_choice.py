@@ -8,10 +8,10 @@ from cosim.errors import UnknownSignalError, UsageError
 from cosim.log.conversion.choice import choose
 
 
-def test_a_choice_of_what_is_not_there_is_refused(recorded):
+def test_a_choice_of_unknown_signals_or_no_time_is_refused(recorded):
     """Before a file is begun."""
     log, _ = recorded
-    with pytest.raises(UnknownSignalError, match=r"no signal matches 'x\.\*'"):
+    with pytest.raises(UnknownSignalError, match=r"'x\.\*'"):
         choose(log.path, ["x.*"], None, None)
-    with pytest.raises(UsageError, match=r"found --from = 2\.0 s after --to = 1\.0 s"):
+    with pytest.raises(UsageError, match=r"--(from|to).*--(from|to)"):
         choose(log.path, None, 2.0, 1.0)

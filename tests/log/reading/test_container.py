@@ -24,7 +24,7 @@ def test_only_a_regular_file_is_a_log(tmp_path):
     (tmp_path / "folder.mcap").mkdir()
     (tmp_path / "zero.mcap").symlink_to("/dev/zero")
     for name, kind in (("pipe", "a pipe"), ("folder", "a folder"), ("zero", "a device")):
-        with pytest.raises(LogError, match=rf"{name}\.mcap cannot be read: .*{kind}"):
+        with pytest.raises(LogError, match=rf"{name}\.mcap.*{kind}"):
             open_log(tmp_path / f"{name}.mcap")
 
 
