@@ -35,9 +35,9 @@ def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int,
         topics = [channel.topic for channel in channels.values()]
         joined = ", ".join(topics) or "no channels at all"
         raise LogError(
-            f"{path} has no channels of cosim (with 'cosim.component'); available: {joined}. Of a "
-            f"recording of another tool 'cosim info' lists the fields, and {option('swap')} takes "
-            "them"
+            f"{path} has no channels of cosim (with 'cosim.component'); available: {joined}. For "
+            "recordings of other tools, 'cosim info' lists the fields and "
+            f"{option('swap')} reads them"
         )
     return parts
 
