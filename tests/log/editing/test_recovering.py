@@ -133,7 +133,7 @@ def test_a_run_that_was_cut_off_is_replayed(tmp_path, monkeypatch):
     assert cosim.diff(log, cosim.replay(log)).equal
 
 
-@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 100), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 31), marks=pytest.mark.slow)])
 def test_random_damage_loses_no_intact_chunk(tmp_path, written, seeds):
     """Bytes that are changed, left out, put in between, or zeros, anywhere behind the head."""
     data, rows, chunks = written
