@@ -1,6 +1,6 @@
 """The address of a server, reserved until the server listens on it.
 
-So an address that cannot be listened on is refused at once, and port 0 becomes a number before
+So an address that cannot be used is refused at once, and port 0 becomes a number before
 viewers can connect.
 """
 
@@ -31,12 +31,12 @@ class ReservedAddress:
     Raises
     ------
     UsageError
-        If the port is none, or the address cannot be listened on.
+        If the port is invalid, or the address cannot be used.
     """
 
     def __init__(self, host: str, port: int) -> None:
         if not 0 <= port <= _LARGEST_PORT:
-            raise UsageError(f"{option('port')}: found {port}; needed 0 to {_LARGEST_PORT}")
+            raise UsageError(f"{option('port')}: expected 0 to {_LARGEST_PORT}, got {port}")
         self._host = host
         self._port = port
         try:
@@ -72,10 +72,10 @@ class ReservedAddress:
                     return
 
     def refusal(self, reason: str) -> UsageError:
-        """Return the error of an address that cannot be listened on."""
+        """Return the error of an address that cannot be used."""
         return UsageError(
-            f"{option('port')}: {self._host}:{self._port} cannot be listened on: {reason}; choose "
-            f"another port, or 0 for any free one"
+            f"{option('port')}: cannot listen on {self._host}:{self._port}: {reason}; choose "
+            "another port, or 0 for any free one"
         )
 
 

@@ -91,7 +91,7 @@ class ViewerConnection:
     Raises
     ------
     UsageError
-        If the SDK is missing, or the address cannot be listened on.
+        If the SDK is missing, or the address cannot be used.
     """
 
     def __init__(self, host: str, port: int, name: str) -> None:

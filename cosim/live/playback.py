@@ -49,7 +49,7 @@ def play(log: Log, server: LiveServer, *, speed: float = 1.0, loop: bool = False
     Raises
     ------
     UsageError
-        If the speed is no number above 0, or a signal to publish is not in the log.
+        If the speed is not a number > 0, or a signal to publish is not in the log.
     LogError
         If the log has no rows, or is damaged.
     """

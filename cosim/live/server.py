@@ -56,7 +56,7 @@ class LiveServer:
         Raises
         ------
         UsageError
-            If foxglove-sdk is not installed, or the address cannot be listened on.
+            If foxglove-sdk is not installed, or the address cannot be used.
         """
         self._connection = ViewerConnection(self._host, self._port, "cosim")
         return self
@@ -82,7 +82,7 @@ class LiveServer:
             If the server is outside its ``with`` block.
         """
         if self._connection is None:
-            raise UsageError("this LiveServer has no address; use it inside its 'with' block")
+            raise UsageError("this LiveServer has no address yet; use it in a 'with' block")
         return self._connection
 
     def free_connection(self) -> ViewerConnection:
@@ -94,7 +94,7 @@ class LiveServer:
             If the server is outside its ``with`` block, or shows something already.
         """
         if self.connection.listens:
-            raise UsageError("this LiveServer has shown something already; needed another one")
+            raise UsageError("this LiveServer has already shown a run or a log; create another one")
         return self.connection
 
     def listen(self) -> None:

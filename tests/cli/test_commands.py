@@ -417,8 +417,8 @@ def test_export_refuses_what_cannot_be_an_fmu(call):
 @pytest.mark.parametrize(
     ("make", "pattern"),
     [
-        (lambda path: path.write_bytes(b"no log"), "is no MCAP file"),
-        (lambda path: path.write_bytes(b""), "is no MCAP file"),
+        (lambda path: path.write_bytes(b"no log"), "is not an MCAP file"),
+        (lambda path: path.write_bytes(b""), "is not an MCAP file"),
         (lambda path: path.write_bytes(path.read_bytes()[:-400]), "truncated"),
     ],
 )

@@ -60,8 +60,8 @@ def test_wrong_tolerances_exit_with_2(call):
     for options, text in [
         (("--tol", "plant.u"), "--tol 'plant.u': found no '='"),
         (("--tol", "plant.u=a"), "--tol plant.u: found 'a', needed a number"),
-        (("--tol", "plant.u=-1"), "--tol plant.u: found -1.0, needed a finite number from 0 on"),
-        (("--tol", "plant.w=1"), "--tol plant.w: no signal that is compared has this name"),
+        (("--tol", "plant.u=-1"), "--tol plant.u: expected a finite number >= 0, got -1.0"),
+        (("--tol", "plant.w=1"), "--tol plant.w: no compared signal has this name"),
         (("--tol", "plant.u=1", "--tol", "plant.u=2"), "--tol plant.u: given 2 times"),
         (("--plot", "d.doc"), "found the ending '.doc'"),
     ]:

@@ -131,7 +131,7 @@ def test_a_port_in_use_is_one_clear_error(call, log, command):
         code, out, err = call(*command, "--port", port)
     assert (code, out) == (2, "")
     assert err == (
-        f"cosim: --port: 127.0.0.1:{port} cannot be listened on: Address already in use; "
+        f"cosim: --port: cannot listen on 127.0.0.1:{port}: Address already in use; "
         "choose another port, or 0 for any free one\n"
     )
 

@@ -48,7 +48,7 @@ def test_wrong_use_of_rotate_exits_with_2(call):
     """One line on stderr, nothing on stdout."""
     call(*ROTATED, "--quiet")
     for options, text in [
-        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: found '1 MiBi'; needed a size in"),
+        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: expected a size in"),
         (("a.mcap", "--rotate", "1s", "--plot", "a.png"), "found both --rotate and --plot"),
         (("a.mcap", "--rotate", "1s", "--profile"), "found both --rotate and --profile"),
         (("run.mcap", "--rotate", "1s"), "run.mcap exists; choose another path, or --force"),

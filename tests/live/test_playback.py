@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import chain
 
 import numpy as np
@@ -17,9 +16,9 @@ from cosim.live import playback as playing
 from cosim.live.playback import Playback
 from cosim.log import McapRecorder
 from cosim.log.contents.messages import encode_event, encode_log
-
-from ..log.recordings import STEP_NS, blocks, layout, make_chunks_small, plan, table
-from .viewer import Viewer, fields
+from tests.live.viewer import Viewer, fields
+from tests.log.mismatches import Mismatches
+from tests.log.recordings import STEP_NS, blocks, layout, make_chunks_small, plan, table
 
 
 class WallClock:
@@ -44,25 +43,31 @@ class EnoughError(Exception):
     """Ends playback."""
 
 
-@pytest.fixture
-def log(tmp_path):
-    """Record 400 steps of a plant and an identifier of every fifth, with odd bits and messages."""
-    rows = table(layout(wide=4100), 400)
-    with McapRecorder(tmp_path / "a.mcap", kinds={"plant": "descriptor"}) as recorder:
-        recorder.begin(plan(layout(wide=4100)))
-        recorder.message(5 * STEP_NS, "warning", "plant", "hot")
-        for block, signals in blocks(rows, 70):
-            recorder.write(block, signals)
-    return cosim.open_log(tmp_path / "a.mcap")
+WIDE = ("/wide", "/wide.2")
 
 
-@pytest.fixture
-def server():
-    """Listen on any free port."""
-    with LiveServer(port=0) as server:
-        yield server
+def test_rows_are_sent_bit_for_bit(log, collector):
+    """Of every component at its own instants, decoded with the schemas that are advertised.
+
+    Of the widest every tenth row is decoded.
+    """
+    wall = WallClock()
+    Playback(log, collector, speed=2.0, now=wall.now, sleep=wall.sleep).run()
+    topics = collector.connection.topics
+    for names, name, stride in (
+        (["/plant"], "plant", 1),
+        (["/identifier"], "identifier", 1),
+        (WIDE, "wide", 10),
+    ):
+        for topic in names:
+            assert topics[topic].times == log.time_ns(name).tolist()
+        values = np.hstack([topics[topic].rows(stride) for topic in names])
+        assert values.tobytes() == log.rows(name)[::stride].tobytes()
+    ((time_ns, text),) = topics["/cosim/log"].messages
+    assert (time_ns, text.message, text.name) == (5 * STEP_NS, "hot", "plant")
 
 
+@pytest.mark.slow
 def test_a_viewer_receives_every_value_bit_for_bit(log, server):
     """Of every component at its own instants, decoded with the schemas that are advertised."""
     topics = ("/plant", "/identifier", "/wide", "/wide.2", "/cosim/log")
@@ -78,7 +83,7 @@ def test_a_viewer_receives_every_value_bit_for_bit(log, server):
     for topics_of, name in (
         (["/plant"], "plant"),
         (["/identifier"], "identifier"),
-        (["/wide", "/wide.2"], "wide"),
+        (WIDE, "wide"),
     ):
         values = []
         for topic in topics_of:
@@ -90,6 +95,7 @@ def test_a_viewer_receives_every_value_bit_for_bit(log, server):
     assert (time_ns, text.message, text.name) == (5 * STEP_NS, "hot", "plant")
 
 
+@pytest.mark.slow
 def test_the_channels_are_those_of_the_log(log, server):
     """Topics, schemas and metadata, byte for byte."""
     Playback(log, server)
@@ -107,6 +113,7 @@ def test_the_channels_are_those_of_the_log(log, server):
             assert advertised.get("metadata", {}) == channel.metadata
 
 
+@pytest.mark.slow
 def test_viewers_are_told_the_time_of_the_log(log, server):
     """It goes on with the messages, one step of 1 ms after the other; to the end."""
     wall = WallClock()
@@ -125,41 +132,36 @@ def test_viewers_are_told_the_time_of_the_log(log, server):
     assert viewer.times == [k * STEP_NS for k in range(401)]
 
 
-def test_viewers_are_told_of_some_instants_of_many(log, server):
+def test_viewers_are_told_of_some_instants_of_many(log, collector):
     """Of a window of 200 steps the first, every twentieth, and the last."""
     wall = WallClock()
-    playback = Playback(log, server, speed=20.0, now=wall.now, sleep=wall.sleep)
-    with Viewer(server.url) as viewer:
-        viewer.subscribe("/plant")
-        server.wait_for_viewer()
-        playback.run()
-        found = viewer.messages({"/plant": 401})["/plant"]
-        for _ in range(1000):
-            if viewer.times and viewer.times[-1] == 400 * STEP_NS:
-                break
-            viewer._take(viewer._received())
-    assert [time_ns for time_ns, _ in found] == [k * STEP_NS for k in range(401)]
+    Playback(log, collector, speed=20.0, now=wall.now, sleep=wall.sleep).run()
+    connection = collector.connection
+    assert connection.topics["/plant"].times == [k * STEP_NS for k in range(401)]
     windows = [range(1, 201, 20), [200], range(201, 401, 20), [400]]
-    assert viewer.times == [0, *(k * STEP_NS for k in chain(*windows))]
+    told = list(dict.fromkeys(connection.times))
+    assert told == [0, *(k * STEP_NS for k in chain(*windows))]
 
 
-@pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
-def test_playback_takes_the_time_of_the_log_by_the_speed(log, server, speed):
+@pytest.mark.usefixtures("collecting")
+def test_playback_takes_the_time_of_the_log_by_the_speed(log):
     """It is never behind by more than it takes to look at the clock, and no error adds up."""
-    wall = WallClock()
-    playback = Playback(log, server, speed=speed, now=wall.now, sleep=wall.sleep)
-    playback.run()
-    # The last window ends at most one window, 10 ms, behind the last row.
-    assert 0.4 / speed - 1e-9 <= wall.time - 100.0 <= 0.4 / speed + 0.01 + 1e-9
-    assert playback.lateness.late == 0
-    assert playback.lateness.factor == speed
-    assert playback.lateness.blocks == pytest.approx(0.4 / (0.01 * speed), abs=1)
+    for speed in (0.5, 1.0, 3.0):
+        wall = WallClock()
+        with LiveServer(signals=["plant"]) as server:
+            playback = Playback(log, server, speed=speed, now=wall.now, sleep=wall.sleep)
+            playback.run()
+        # The last window ends at most one window, 10 ms, behind the last row.
+        assert 0.4 / speed - 1e-9 <= wall.time - 100.0 <= 0.4 / speed + 0.01 + 1e-9
+        assert playback.lateness.late == 0
+        assert playback.lateness.factor == speed
+        assert playback.lateness.blocks == pytest.approx(0.4 / (0.01 * speed), abs=1)
 
 
-def test_playback_that_is_too_slow_says_how_late_it_was(log, server):
+def test_playback_that_is_too_slow_says_how_late_it_was(log, collector):
     """Each look at the clock takes 20 ms here, and the windows are 10 ms."""
     wall = WallClock(look=0.02)
-    playback = Playback(log, server, now=wall.now, sleep=wall.sleep)
+    playback = Playback(log, collector, now=wall.now, sleep=wall.sleep)
     playback.run()
     lateness = playback.lateness
     assert wall.sleeps == 0
@@ -169,7 +171,8 @@ def test_playback_that_is_too_slow_says_how_late_it_was(log, server):
     assert lateness.time == pytest.approx(0.4)
 
 
-def test_a_loop_begins_again_one_step_behind_the_end(log, server):
+@pytest.mark.usefixtures("collecting")
+def test_a_loop_begins_again_one_step_behind_the_end(log):
     """Counted from the first start, so that no error adds up either."""
     wall = WallClock()
 
@@ -177,19 +180,17 @@ def test_a_loop_begins_again_one_step_behind_the_end(log, server):
         if wall.time >= 100.0 + 10 * 0.401:
             raise EnoughError
 
-    playback = Playback(log, server, check=check, now=wall.now, sleep=wall.sleep)
-    with Viewer(server.url) as viewer:
-        viewer.subscribe("/identifier")
-        server.wait_for_viewer()
+    with LiveServer(signals=["identifier"]) as server:
+        playback = Playback(log, server, check=check, now=wall.now, sleep=wall.sleep)
         with pytest.raises(EnoughError):
             playback.run(loop=True)
-        found = viewer.messages({"/identifier": 10 * 81})["/identifier"]
-    assert [time_ns for time_ns, _ in found] == 10 * log.time_ns("identifier").tolist()
-    assert 0 in viewer.times[1:]
+        connection = server.connection
+    assert connection.topics["/identifier"].times == 10 * log.time_ns("identifier").tolist()
+    assert 0 in connection.times[1:]
     assert playback.lateness.late == 0
 
 
-def test_a_long_wait_is_interrupted(tmp_path, server):
+def test_a_long_wait_is_interrupted(tmp_path, collector):
     """No sleep is longer than the patience of who presses Ctrl-C."""
     scenario = cosim.load("academic").set({"scenario.stop": 0.001})
     log = cosim.run(scenario, out=tmp_path / "a.mcap")
@@ -201,12 +202,13 @@ def test_a_long_wait_is_interrupted(tmp_path, server):
         if wall.time > 101.0:
             raise EnoughError
 
-    playback = Playback(log, server, speed=1e-6, check=check, now=wall.now, sleep=wall.sleep)
+    playback = Playback(log, collector, speed=1e-6, check=check, now=wall.now, sleep=wall.sleep)
     with pytest.raises(EnoughError):
         playback.run()
     assert max(np.diff(looks)) <= 0.05 + 1e-9
 
 
+@pytest.mark.usefixtures("collecting")
 def test_selected_channels_alone_are_published(log):
     """Components, signals, elements: every channel that holds one of them."""
     expected = {
@@ -220,63 +222,65 @@ def test_selected_channels_alone_are_published(log):
         ("*.theta[0]", "pl*.u"): ["/cosim/log", "/identifier", "/plant"],
     }
     for signals, topics in expected.items():
-        with LiveServer(port=0, signals=signals) as server:
+        with LiveServer(signals=signals) as server:
             Playback(log, server)
-            with Viewer(server.url) as viewer:
-                viewer.wait_for_channels(*topics)
-                assert sorted(viewer.channels) == topics
+            assert sorted(server.connection.topics) == topics
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("plan", "has no component 'plan'; did you mean 'plant'"),
-        ("plant.x", "'plant' has no signal 'x'"),
-        ("plant.x_a[2]", "has 2 elements, numbered from 0"),
-        ("*.delta", "no signal matches '*.delta'"),
-    ],
-)
-def test_what_is_not_in_the_log_cannot_be_selected(log, name, text):
+@pytest.mark.usefixtures("collecting")
+def test_signals_that_the_log_has_not_cannot_be_selected(log):
     """The nearest name is told."""
-    with (
-        LiveServer(port=0, signals=[name]) as server,
-        pytest.raises(UnknownSignalError, match=re.escape(text)),
-    ):
-        Playback(log, server)
+    wrong = Mismatches()
+    for name, text in [
+        ("plan", "'plan'; did you mean 'plant'"),
+        ("plant.x", "'plant'.*'x'"),
+        ("plant.x_a[2]", "2 elements"),
+        ("*.delta", r"'\*\.delta'"),
+    ]:
+        with (
+            LiveServer(signals=[name]) as server,
+            wrong.of(name),
+            pytest.raises(UnknownSignalError, match=text),
+        ):
+            Playback(log, server)
+    assert not wrong
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf"), "fast"])
-def test_a_speed_that_is_none_is_refused(log, server, speed):
+def test_a_speed_that_is_none_is_refused(log, collector):
     """Before anything is played."""
-    with pytest.raises(UsageError, match=r"speed: found .*; needed a"):
-        play(log, server, speed=speed)
+    wrong = Mismatches()
+    for speed in (0.0, -1.0, float("nan"), float("inf"), "fast"):
+        with wrong.of(speed), pytest.raises(UsageError, match=rf"^speed: .*{speed}"):
+            play(log, collector, speed=speed)
+    assert not wrong
+    assert not collector.connection.listens
 
 
-def test_a_log_without_rows_cannot_be_played(tmp_path, server):
+def test_a_log_without_rows_cannot_be_played(tmp_path, collector):
     """There is nothing to show."""
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.begin(plan())
     with pytest.raises(LogError, match=r"a\.mcap has no rows to play"):
-        play(cosim.open_log(tmp_path / "a.mcap"), server)
+        play(cosim.open_log(tmp_path / "a.mcap"), collector)
 
 
-def test_play_returns_how_late_it_was(log, server):
+def test_play_returns_how_late_it_was(log, collector):
     """At the speed of 100 all is in one window of 10 ms behind the first row."""
-    lateness = play(log, server, speed=100.0)
+    lateness = play(log, collector, speed=100.0)
     assert lateness.factor == 100.0
     assert lateness.blocks == 1
 
 
 @pytest.fixture
 def spoken(tmp_path):
-    """Record 400 steps with hundreds of messages and events, some at one time, in small chunks."""
-    rows = table(layout(), 400)
+    """Record 100 steps with many messages and events, some at one time, in small chunks."""
+    rows = table(layout(), 100)
     random = np.random.default_rng(5)
     with pytest.MonkeyPatch.context() as patch:
-        make_chunks_small(patch, 4000)
+        make_chunks_small(patch, 1000)
         with McapRecorder(tmp_path / "a.mcap", events=True) as recorder:
             recorder.begin(plan(layout()))
-            for number, time_ns in enumerate(random.integers(0, 401, 500) * STEP_NS):
+            for number, time_ns in enumerate(random.integers(0, 101, 120) * STEP_NS):
                 recorder.message(int(time_ns), "info", "plant", str(number))
                 if number % 3 == 0:
                     recorder.event(SignalEvent(int(time_ns), "set", "plant.u", (1.0,), ()))
@@ -285,31 +289,28 @@ def spoken(tmp_path):
     return cosim.open_log(tmp_path / "a.mcap")
 
 
-@pytest.mark.parametrize("together", [1, 7, 100, 10_000])
-def test_messages_are_played_in_their_order_however_few_are_read_at_once(
-    spoken, monkeypatch, together
-):
+def test_messages_are_played_in_their_order_however_few_are_read_at_once(spoken, monkeypatch):
     """Each once: those of the log in the order of time, messages before events."""
-    monkeypatch.setattr(playing, "_TOGETHER", together)
     expected = [
         (message.time_ns, 0, encode_log(message.time_ns, "info", "plant", message.text))
         for message in spoken.messages()
     ]
     expected += [(event.time_ns, 1, encode_event(event)) for event in spoken.events()]
     expected.sort(key=lambda entry: entry[:2])
-    counts = spoken.message_counts()
-    assert counts == {"/cosim/log": 500, "/cosim/event": 167}
-    messages = playing._MessageCursor(spoken, 667, start_ns=0)
-    found = []
-    largest = 0
-    for until_ns in (0, *range(3 * STEP_NS, 500 * STEP_NS, 7 * STEP_NS)):
-        for topic, time_ns, data in messages.take(until_ns):
-            largest = max(largest, len(messages._waiting))
-            assert time_ns <= until_ns
-            found.append((time_ns, int(topic == "/cosim/event"), data))
-        assert messages.next_ns is None or messages.next_ns > until_ns
-    assert found == expected
-    assert largest <= 4 * together + 20  # 667 at 401 instants are 1.7 each, at random
+    assert spoken.message_counts() == {"/cosim/log": 120, "/cosim/event": 40}
+    for together in (1, 7, 40, 10_000):
+        monkeypatch.setattr(playing, "_TOGETHER", together)
+        messages = playing._MessageCursor(spoken, 160, start_ns=0)
+        found = []
+        largest = 0
+        for until_ns in (0, *range(3 * STEP_NS, 130 * STEP_NS, 7 * STEP_NS)):
+            for topic, time_ns, data in messages.take(until_ns):
+                largest = max(largest, len(messages._waiting))
+                assert time_ns <= until_ns
+                found.append((time_ns, int(topic == "/cosim/event"), data))
+            assert messages.next_ns is None or messages.next_ns > until_ns
+        assert found == expected, together
+        assert largest <= 4 * together + 20  # 160 at 101 instants are 1.6 each, at random
 
 
 def test_a_log_without_messages_has_none_to_play(tmp_path):

@@ -13,15 +13,7 @@ from cosim.core.passing_recorders import Watched
 from cosim.errors import UnknownSignalError
 from cosim.live import LiveServer
 from cosim.live.playback import Playback
-
-from .viewer import Viewer, fields
-
-
-@pytest.fixture
-def server():
-    """Listen on any free port."""
-    with LiveServer(port=0) as server:
-        yield server
+from tests.live.viewer import Viewer, fields
 
 
 class Subscribing:
@@ -50,7 +42,21 @@ class Subscribing:
         return Watched(beside, lambda *_: None, began=subscribe)
 
 
-def test_a_viewer_receives_what_the_log_of_the_run_has(server, tmp_path):
+def test_the_rows_of_the_log_of_a_run_are_sent(collector, tmp_path):
+    """Every row of every component bit for bit, also of slower ones, and the messages."""
+    scenario = cosim.load("closed-loop").set({"scenario.stop": 0.2})
+    log = cosim.run(scenario, out=tmp_path / "a.mcap", live=collector)
+    topics = collector.connection.topics
+    for name in log.channels:
+        assert topics[f"/{name}"].times == log.time_ns(name).tolist()
+        assert topics[f"/{name}"].rows().tobytes() == log.rows(name).tobytes()
+    texts = [message.message for _, message in topics["/cosim/log"].messages]
+    assert texts == [message.text for message in log.messages()]
+    assert cosim.diff(log, cosim.run(scenario)).equal
+
+
+@pytest.mark.slow
+def test_a_viewer_receives_the_rows_of_the_log(server, tmp_path):
     """Every row of every component bit for bit, also of slower ones, and the messages."""
     scenario = cosim.load("closed-loop").set({"scenario.stop": 0.5})
     with Subscribing(server, *(f"/{name}" for name in scenario.specs)) as live:
@@ -66,6 +72,7 @@ def test_a_viewer_receives_what_the_log_of_the_run_has(server, tmp_path):
     assert cosim.diff(log, cosim.run(scenario)).equal
 
 
+@pytest.mark.slow
 def test_a_run_is_watched_at_the_pace_of_the_wall_clock(server):
     """Without a log, too: the rows are those of any other run."""
     scenario = cosim.load("academic").set({"scenario.stop": 0.05})
@@ -84,20 +91,19 @@ offset = 0.5
 """
 
 
-def test_events_are_shown(server, tmp_path):
+def test_events_are_shown(collector, tmp_path):
     """With the schema and in the order that they have in the log."""
     path = tmp_path / "x.toml"
     text = cosim.load("academic").document.text
     path.write_text(text + ACTION)
-    scenario = cosim.load(path).set({"scenario.stop": 0.2})
-    with Subscribing(server, "/cosim/event") as live:
-        run = cosim.run(scenario, live=live)
-        messages = live.viewer.messages({"/cosim/event": len(run.events())})["/cosim/event"]
+    run = cosim.run(cosim.load(path).set({"scenario.stop": 0.2}), live=collector)
+    messages = collector.connection.topics["/cosim/event"].messages
     events = [(time_ns, message.cause, message.signal) for time_ns, message in messages]
     assert events == [(event.time_ns, event.cause, event.signal) for event in run.events()]
     assert events
 
 
+@pytest.mark.slow
 def test_a_viewer_that_takes_nothing_does_not_stop_the_run(server):
     """The client reads a few messages ahead, and no more unless somebody asks for them."""
     scenario = cosim.load("academic").set({"scenario.stop": 40.0})
@@ -106,6 +112,7 @@ def test_a_viewer_that_takes_nothing_does_not_stop_the_run(server):
     assert (run.status, run.steps) == ("complete", 40_000)
 
 
+@pytest.mark.slow
 def test_a_viewer_that_vanishes_does_not_stop_the_run(server):
     """Its connection is reset between two blocks."""
     scenario = cosim.load("academic").set({"scenario.stop": 2.0})
@@ -122,6 +129,7 @@ def test_a_viewer_that_vanishes_does_not_stop_the_run(server):
     assert (run.status, run.steps) == ("complete", 2000)
 
 
+@pytest.mark.slow
 def test_a_run_of_which_a_part_is_recorded_is_shown_as_a_whole(server, tmp_path):
     """Its log is played as far as it goes."""
     path = tmp_path / "x.toml"
@@ -143,11 +151,12 @@ def test_a_run_of_which_a_part_is_recorded_is_shown_as_a_whole(server, tmp_path)
     assert [fields(message) for _, message in found["/plant"]] == log.rows("plant").tolist()
 
 
+@pytest.mark.usefixtures("collecting")
 def test_signals_that_the_run_has_not_are_refused_before_it_begins(tmp_path):
     """There is no log then."""
     with (
-        LiveServer(port=0, signals=["plant.z"]) as server,
-        pytest.raises(UnknownSignalError, match=r"the run has no 'plant\.z'"),
+        LiveServer(signals=["plant.z"]) as server,
+        pytest.raises(UnknownSignalError, match=r"'plant\.z'"),
     ):
         cosim.run("academic", out=tmp_path / "a.mcap", live=server)
     assert list(tmp_path.iterdir()) == []

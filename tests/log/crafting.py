@@ -86,3 +86,32 @@ def change_rows(content, component, change):
             count += 1
         rows.append((number, time_ns, sequence, data))
     content.messages = rows
+
+
+def rewrite(source, target, *, order=lambda messages: messages, **options):
+    """Copy a log message by message through mcap's own writer."""
+    with source.open("rb") as stream, target.open("wb") as out:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        writer = Writer(out, **options)
+        writer.start()
+        ids = {}
+        for number, channel in summary.channels.items():
+            schema = summary.schemas[channel.schema_id]
+            schema_id = writer.register_schema(f"other.{schema.name}", schema.encoding, schema.data)
+            ids[number] = writer.register_channel(
+                channel.topic, channel.message_encoding, schema_id, channel.metadata
+            )
+        for item in reader.iter_metadata():
+            writer.add_metadata(item.name, item.metadata)
+        for _, channel, message in order(list(reader.iter_messages())):
+            channel_id = ids[channel.id]
+            times = {"log_time": message.log_time, "publish_time": message.publish_time}
+            writer.add_message(channel_id, data=message.data, sequence=message.sequence, **times)
+        writer.finish()
+
+
+def rows_of_plant(content):
+    """Return where the messages of the plant stand among all."""
+    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
+    return [index for index, message in enumerate(content.messages) if message[0] == plant]

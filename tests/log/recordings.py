@@ -11,9 +11,11 @@ from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import McapRecorder
 from cosim.log.mcap_file import chunks
+from cosim.log.mcap_file.rotation import Rotation, part_paths
 from cosim.log.writing import encoding, store
 
 STEP_NS = 1_000_000
+LATE = Rotation(None, 300 * STEP_NS, "0.3s")  # three whole files and a shorter one of 1000 steps
 
 
 PLANT = Interface(
@@ -25,11 +27,14 @@ PLANT = Interface(
     ),
     {"x_a": (), "der(x)": ("u",)},
 )
+
+
 IDENTIFIER = Interface(
     (Signal("y", 3, role="input"),),
     (Signal("theta", 2, optional=True, role="estimate"),),
     {"theta": None},
 )
+
 
 # NaNs of unusual bits, minus zero, infinity.
 ODD_BITS = [
@@ -121,3 +126,18 @@ def same_bits(a, b):
     bits_a = np.ascontiguousarray(a).view(np.int64)
     bits_b = np.ascontiguousarray(b).view(np.int64)
     return np.array_equal(bits_a, bits_b)
+
+
+def many(count):
+    """Return the layout of many components."""
+    channels = []
+    for i in range(count):
+        interface = Interface((), (Signal("y", 2),))
+        channels.append(Channel(f"c{i}", interface, 2 * i))
+    return Layout(tuple(channels))
+
+
+def parts_of(path):
+    """Return the files of a log."""
+    further = [other for other in path.parent.glob(f"{path.stem}.part*.mcap")]
+    return part_paths(max([path, *further], key=lambda other: len(part_paths(other))))

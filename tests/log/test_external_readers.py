@@ -23,9 +23,8 @@ import cosim
 from cosim.log import open_log
 from cosim.log.contents.content import hash_input
 from cosim.scenario.document.document import shipped
-from tests.log.contents.test_layout import message_class
-from tests.log.mcap_file.killed import Job
-from tests.log.mcap_file.test_kills import killed_run, whole_run
+from tests.log.decoding import message_class
+from tests.log.mcap_file.killed import Job, killed_run, whole_run
 from tests.log.recordings import STEP_NS, same_bits
 
 pytestmark = pytest.mark.external

@@ -393,10 +393,10 @@ def test_numbered_logs_count_up(tmp_path):
     (tmp_path / "a-3.mcap").mkdir()
     (tmp_path / "a-4.mcap").symlink_to(tmp_path / "nowhere")
     assert name() == "a-5.mcap"
-    with pytest.raises(UsageError, match="found both force and numbered; needed one of them"):
+    with pytest.raises(UsageError, match="force and numbered exclude"):
         cosim.run("academic", out=tmp_path / "a.mcap", numbered=True, force=True)
     recorder = McapRecorder(tmp_path / "a.mcap", numbered=True, force=True)
-    with pytest.raises(UsageError, match="found both force and numbered; needed one of them"):
+    with pytest.raises(UsageError, match="force and numbered exclude"):
         cosim.run("academic", recorder=recorder)
 
 

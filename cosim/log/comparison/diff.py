@@ -54,7 +54,7 @@ def diff(
     rtol : float
         As a part of each signal's largest |a|.
     tol : mapping of signal or pattern to float, optional
-        Absolute tolerances in the place of both, for signals of a name or pattern (``*.delta``); of
+        Absolute tolerances instead of both, for signals of a name or pattern (``*.delta``); of
         several that match the last. 0: the bits are compared.
     signals : sequence of str
         The signals to compare, elements of them, ``plant.x_a[0:2]``, or patterns; none: all.
@@ -64,10 +64,10 @@ def diff(
     Raises
     ------
     LogError
-        If a or b is no recording, or one of ``signals`` is in neither; names the nearest. If an
+        If a or b is not a recording, or one of ``signals`` is in neither; names the nearest. If an
         event is of no signal.
     UsageError
-        If a tolerance is no number from 0 on, or is of no signal that is compared.
+        If a tolerance is not a number >= 0, or is of no signal that is compared.
     """
     _check_recording("a", a)
     _check_recording("b", b)
@@ -142,7 +142,7 @@ def _check_recording(name: str, run: object) -> None:
     if getattr(type(run), "blocks", None) is None:
         found = type(run).__name__
         raise LogError(
-            f"{name}: found {found} {run!r}, needed a recording; open a log with "
+            f"{name}: expected a recording, got {found} {run!r}; open a log with "
             "cosim.open_log(path)"
         )
 
@@ -170,7 +170,7 @@ def _expanded(a: Recording, b: Recording, signals: Sequence[str]) -> list[str]:
             own = [name for name in known if matches(signal, name)]
             if not own:
                 raise UnknownSignalError(
-                    f"no signal of the two runs matches {signal!r}; {nearest(signal, known)}"
+                    f"no signal of either run matches {signal!r}; {nearest(signal, known)}"
                 )
         names |= dict.fromkeys(own)
     return list(names)
@@ -190,7 +190,7 @@ def _chosen(
     columns_b: dict[str, slice] = {}
     for signal in signals:
         if not isinstance(signal, str):
-            raise LogError(f"found {signal!r}, needed the name of a signal, such as 'plant.y'")
+            raise LogError(f"expected the name of a signal, such as 'plant.y', got {signal!r}")
         problem: LogError | None = None
         for run, columns in ((a, columns_a), (b, columns_b)):
             try:

@@ -189,8 +189,8 @@ def _elements(run: Recording, event: SignalEvent) -> list[tuple[int, float]]:
     size = columns.stop - columns.start
     if len(event.values) != size:
         raise LogError(
-            f"the event of {event.signal!r} at t = {event.time_ns / 1e9} s has "
-            f"{len(event.values)} values; needed {size}"
+            f"event of {event.signal!r} at t = {event.time_ns / 1e9} s: expected {size} values, "
+            f"got {len(event.values)}"
         )
     return list(zip(range(columns.start, columns.stop), event.values, strict=True))
 

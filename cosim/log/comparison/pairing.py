@@ -99,8 +99,8 @@ class WaitingRows:
     def _read_on(self, times: Nanoseconds, rows: Matrix) -> None:
         if len(self.times) + len(times) > MOST_ROWS:
             raise LogError(
-                f"more than {MOST_ROWS} rows at t = {int(times[0]) / 1e9} s: too many to be kept "
-                "together"
+                f"more than {MOST_ROWS} rows at t = {int(times[0]) / 1e9} s: too many to be "
+                "compared in memory"
             )
         self.times = np.concatenate([self.times, times])
         self._rows = np.concatenate([self._rows, rows])

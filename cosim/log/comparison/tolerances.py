@@ -25,13 +25,13 @@ class Tolerances:
     rtol : float
         As a part of each signal's largest |a|.
     own : mapping of name or pattern to float
-        In the place of both for the signals that it matches; of several the last. 0: their bits are
+        Instead of both for the signals that it matches; of several the last. 0: their bits are
         compared.
 
     Raises
     ------
     UsageError
-        If one is no finite number from 0 on.
+        If one is not a finite number >= 0.
     """
 
     atol: float = 0.0
@@ -43,7 +43,7 @@ class Tolerances:
         _check_tolerance("rtol", self.rtol)
         if not isinstance(self.own, Mapping):
             raise UsageError(
-                f"{option('tol')}: found {self.own!r}; needed a mapping such as {{'plant.y': 1e-6}}"
+                f"{option('tol')}: expected a mapping such as {{'plant.y': 1e-6}}, got {self.own!r}"
             )
         for name, value in self.own.items():
             _check_tolerance(option("tol", name), value)
@@ -64,7 +64,7 @@ class Tolerances:
         for pattern in self.own:
             if not any(matches(pattern, signal) for signal in signals):
                 raise UsageError(
-                    f"{option('tol', pattern)}: no signal that is compared has this name; "
+                    f"{option('tol', pattern)}: no compared signal has this name; "
                     f"{nearest(pattern, signals)}"
                 )
 
@@ -72,4 +72,4 @@ class Tolerances:
 def _check_tolerance(name: str, value: object) -> None:
     is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not is_number or not 0.0 <= value < math.inf:  # type: ignore[operator]
-        raise UsageError(f"{name}: found {value!r}, needed a finite number from 0 on")
+        raise UsageError(f"{name}: expected a finite number >= 0, got {value!r}")

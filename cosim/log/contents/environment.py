@@ -1,4 +1,4 @@
-"""The environment of a run: versions and processor, for whoever finds other bits elsewhere."""
+"""The environment of a run: versions and processor, to explain other bits on another machine."""
 
 from __future__ import annotations
 

@@ -141,14 +141,14 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     items = verify_checksum(_CHECKSUM_NAME, metadata)
     name = items["cosim.component"]
     if not name or "." in name:
-        raise ValueError(f"a component has the name {quoted(name)}; needed one without a dot")
+        raise ValueError(f"expected a component name without a dot, got {quoted(name)}")
     step_ns = read_number(items["cosim.step_ns"])
     period_ns = read_number(items["cosim.period_ns"])
     start, stop = map(read_number, items["cosim.columns"].split(":"))
     is_periodic = step_ns >= 1 and period_ns >= step_ns and period_ns % step_ns == 0
     if not is_periodic or not 0 <= stop - start <= MOST_ELEMENTS:
         raise ValueError(
-            f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together"
+            f"period {period_ns} ns, step {step_ns} ns and columns {start}:{stop} are inconsistent"
         )
     signals = read_json(items["cosim.signals"])
     descriptions = json_table(items.get("cosim.descriptions", "{}"))
@@ -177,10 +177,10 @@ def read_number(text: str) -> int:
         If ``text`` is none.
     """
     if not (text.isascii() and text.isdigit()) or len(text) > _MOST_DIGITS:
-        raise ValueError(f"found {quoted(text)}, needed a whole number")
+        raise ValueError(f"expected a whole number, got {quoted(text)}")
     number = int(text)
     if number > _LARGEST_WHOLE:
-        raise ValueError(f"found {number}, needed at most {_LARGEST_WHOLE}")
+        raise ValueError(f"expected a whole number up to {_LARGEST_WHOLE}, got {number}")
     return number
 
 
@@ -221,13 +221,13 @@ def _read_interface(
     entries: Any, initial: Mapping[str, Any], descriptions: Mapping[str, Any]
 ) -> Interface:
     if not isinstance(entries, list):
-        raise ValueError(f"found {quoted(entries)}, needed a list of signals")
+        raise ValueError(f"expected a list of signals, got {quoted(entries)}")
     inputs: list[Signal] = []
     outputs: list[Signal] = []
     feedthrough = {}
     for entry in entries:
         if not isinstance(entry, dict):
-            raise ValueError(f"found {quoted(entry)}, needed a signal")
+            raise ValueError(f"expected a signal, got {quoted(entry)}")
         values = dict(entry)
         # First: causality and feedthrough belong to the interface, and are no fields of a signal.
         causality = values.pop("causality")
@@ -260,7 +260,7 @@ def _check_dependencies(
     for output, names in dependencies.items():
         if output not in known_outputs or not known_inputs.issuperset(names or ()):
             raise ValueError(
-                f"{quoted(output)} is said to depend on {quoted(names)}, which are no inputs"
+                f"{quoted(output)} is declared to depend on {quoted(names)}, which are not inputs"
             )
 
 
@@ -274,13 +274,16 @@ def _read_signal(values: dict[str, Any]) -> Signal:
         values["base"] = BaseUnit(**base)
     signal = Signal(**values)
     if signal.size > _LARGEST_WHOLE:
-        raise ValueError(f"signal {quoted(signal.name)}: found size {signal.size}")
+        raise ValueError(
+            f"signal {quoted(signal.name)}: expected a size up to {_LARGEST_WHOLE}, got "
+            f"{signal.size}"
+        )
     return signal
 
 
 def _tuple(name: str, values: Any) -> tuple[Any, ...]:
     if not isinstance(values, list):
-        raise ValueError(f"found {name} {quoted(values)}, needed a list")
+        raise ValueError(f"{name}: expected a list, got {quoted(values)}")
     return tuple(values)
 
 
@@ -288,7 +291,7 @@ def _input_names(names: Any) -> tuple[str, ...] | None:
     if names is None:
         return None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"found {quoted(names)}, needed a list of inputs")
+        raise ValueError(f"expected a list of inputs, got {quoted(names)}")
     return tuple(names)
 
 
@@ -385,7 +388,8 @@ def copy_columns(records: Records, target: Matrix, *, size: int, columns: slice)
         group = records[name]
         if (group["tag"] != tags[name]).any():
             raise ValueError(
-                "messages with other fields than declared: written or re-encoded by another tool"
+                "the fields of the messages differ from those declared: written or re-encoded by "
+                "another tool"
             )
         start = max(columns.start, in_group.start)
         stop = min(columns.stop, in_group.stop)

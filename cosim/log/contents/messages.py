@@ -65,13 +65,13 @@ class MessageSchema:
         Raises
         ------
         ValueError
-            If ``data`` is no such message.
+            If ``data`` is not such a message.
         """
         try:
             return self.message.FromString(data)
         # The error's type depends on which of its three implementations protobuf runs on.
         except Exception as error:
-            raise ValueError(f"no {self.name} message: {error}") from error
+            raise ValueError(f"not a {self.name} message: {error}") from error
 
 
 def _log_descriptors() -> descriptor_pb2.FileDescriptorSet:
@@ -158,7 +158,7 @@ def decode_log(data: bytes) -> tuple[MessageLevel, str, str]:
     Raises
     ------
     ValueError
-        If ``data`` is no such message.
+        If ``data`` is not such a message.
     """
     message = LOG_SCHEMA.parsed(data)
     # Other tools may write levels that foxglove.Log does not have, such as UNKNOWN, 0.
@@ -180,14 +180,16 @@ def decode_event(time_ns: int, data: bytes) -> SignalEvent:
     Raises
     ------
     ValueError
-        If ``data`` is no such message.
+        If ``data`` is not such a message.
     """
     message = EVENT_SCHEMA.parsed(data)
     for cause in CAUSES:
         if message.cause == cause:
             values = tuple(message.values)
             return SignalEvent(time_ns, cause, message.signal, values, tuple(message.parameters))
-    raise ValueError(f"an event has the cause {quoted(message.cause)}; needed one of {CAUSES}")
+    raise ValueError(
+        f"event cause: expected one of {', '.join(CAUSES)}, got {quoted(message.cause)}"
+    )
 
 
 def encode_substep(substep: Substep) -> bytes:
@@ -210,13 +212,12 @@ def decode_substep(data: bytes) -> Substep:
     Raises
     ------
     ValueError
-        If ``data`` is no such message, or it does not end after its begin.
+        If ``data`` is not such a message, or it does not end after its begin.
     """
     message = STEP_SCHEMA.parsed(data)
     if not -math.inf < message.begin < message.end < math.inf:
         raise ValueError(
-            f"no {STEP_SCHEMA.name} message: a part of a step from {message.begin} s to "
-            f"{message.end} s"
+            f"not a {STEP_SCHEMA.name} message: a substep from {message.begin} s to {message.end} s"
         )
     return Substep(
         message.begin,

@@ -46,7 +46,7 @@ def read_json(text: str | bytes) -> Any:
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except UnicodeEncodeError as error:
-        raise ValueError("it has an unpaired surrogate") from error
+        raise ValueError("it contains an unpaired surrogate") from error
     return value
 
 
@@ -60,7 +60,7 @@ def json_table(text: str | bytes) -> dict[str, Any]:
     """
     value = read_json(text)
     if not isinstance(value, dict):
-        raise ValueError(f"found {quoted(value)}, needed a table")
+        raise ValueError(f"expected a table, got {quoted(value)}")
     return value
 
 
@@ -74,7 +74,7 @@ def json_texts(text: str) -> list[str]:
     """
     value = read_json(text)
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise ValueError(f"found {quoted(value)}, needed a list of strings")
+        raise ValueError(f"expected a list of strings, got {quoted(value)}")
     return value
 
 
@@ -141,13 +141,13 @@ def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
 def _shape(value: Any) -> tuple[int, ...]:
     is_shape = isinstance(value, list) and len(value) <= _MOST_AXES
     if not is_shape or not all(type(size) is int and size >= 0 for size in value):
-        raise ValueError(f"found shape {quoted(value)}, needed a list of sizes")
+        raise ValueError(f"expected a list of sizes as the shape, got {quoted(value)}")
     return tuple(value)
 
 
 def _decode_doubles(data: str) -> NDArray[np.float64]:
     if not isinstance(data, str):
-        raise TypeError(f"found {quoted(data)}, needed base64")
+        raise TypeError(f"expected base64, got {quoted(data)}")
     decoded = base64.b64decode(data, validate=True)
     little_endian = np.frombuffer(decoded, dtype="<f8")
     return little_endian.astype(np.float64)

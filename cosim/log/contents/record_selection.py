@@ -79,9 +79,11 @@ def _check_declared(channel: Channel, declared: Channel) -> None:
     """
     for signal in channel.signals:
         if declared.by_name.get(signal.name) != signal:
-            raise ValueError(f"{channel.name!r} declares no signal like {signal.name!r}")
+            raise ValueError(
+                f"{channel.name!r} does not declare the recorded signal {signal.name!r}"
+            )
     if channel.period % declared.period:
         raise ValueError(
-            f"{channel.name!r} has a row in {channel.period} steps, and answers every "
-            f"{declared.period}"
+            f"{channel.name!r} has a row every {channel.period} steps, which is not a multiple of "
+            f"the {declared.period} steps of its component"
         )

@@ -79,7 +79,7 @@ def write_mat(stream: BinaryIO, choice: LogChoice) -> None:
     try:
         savemat(stream, variables, long_field_names=True, oned_as="column")
     except MatWriteError as error:
-        raise UsageError(f"MAT files hold less than 4 GB an array ({error}); use npz") from error
+        raise UsageError(f"MAT files are limited to 4 GB per array ({error}); use npz") from error
 
 
 def _legal_name(text: str, taken: Mapping[str, Any]) -> str:

@@ -76,7 +76,7 @@ def choose(
     Raises
     ------
     UsageError
-        If the times are no span.
+        If ``start`` is after ``stop``.
     LogError
         If the log cannot be read, or a signal is unknown.
     """

@@ -25,14 +25,14 @@ def check_target(out: Path, *, force: bool = False) -> None:
     Raises
     ------
     UsageError
-        If its ending is of no known format, or a library for that is missing.
+        If its ending is not that of a known format, or a library for that is missing.
     LogError
-        If a file stands there and shall not be replaced, or none can.
+        If a file exists there and is not to be replaced, or none can be written.
     """
     ending = out.suffix.lower()
     if ending not in ENDINGS:
-        found = f"the ending {out.suffix!r}" if out.suffix else "no ending"
-        raise UsageError(f"{out}: found {found}; needed one of {', '.join(ENDINGS)}")
+        found = repr(out.suffix) if out.suffix else "none"
+        raise UsageError(f"{out}: expected a file extension of {', '.join(ENDINGS)}, got {found}")
     if ending == ".parquet":
         need_pyarrow()
     check_new_log(log_path(out), force=force, numbered=False)
@@ -47,7 +47,7 @@ def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
     out : Path
         Ends in .csv, .parquet, .mat or .npz.
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class FollowedLog:
     Raises
     ------
     UsageError
-        If the times are no span.
+        If ``start`` is after ``stop``.
     LogError
         If the log is not there or cannot be read, or a signal is unknown.
     """

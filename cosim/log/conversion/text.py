@@ -124,5 +124,5 @@ def table_text(table: TextSource, name: str) -> Iterator[str]:
         If there is no such format.
     """
     if name not in _FORMATS:
-        raise UsageError(f"--format {name!r}; {nearest(name, _FORMATS)}")
+        raise UsageError(f"--format: unknown format {name!r}; {nearest(name, _FORMATS)}")
     return _FORMATS[name](table)

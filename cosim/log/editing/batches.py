@@ -41,7 +41,7 @@ def gathered(
     Raises
     ------
     ValueError
-        If a block is no sequence of records.
+        If a block is not a sequence of records.
     """
     waiting = _Waiting()
     for block in blocks:
@@ -71,7 +71,7 @@ def gathered(
 def _add_others(
     waiting: _Waiting, number: int, contents: list[bytes], wanted: MessageFilter
 ) -> None:
-    """Add messages that are no rows."""
+    """Add messages that are not rows."""
     times = [int.from_bytes(content[_LOG_TIME], "little") for content in contents]
     kept = wanted(number, np.array(times, np.int64), contents)
     records = []

@@ -63,12 +63,12 @@ def write_log(
     end : callable
         Is called with the content hash when all messages are written.
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
     LogError
-        If a file stands there and is to stay, or it cannot be written.
+        If a file exists there and is to stay, or it cannot be written.
     """
     check_new_log(log_path(out), force=force, numbered=False)
     target = UnfinishedLog(out, force=force, numbered=False)

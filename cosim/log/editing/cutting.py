@@ -42,12 +42,12 @@ def cut(
     names : tuple of str
         What the times are called in messages.
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
     UsageError
-        If the times are no span.
+        If ``start`` is after ``stop``.
     LogError
         If the log cannot be read, has no row in that time, or ``out`` cannot be written or is that
         log.
@@ -61,7 +61,7 @@ def cut(
 
     def end(_: str) -> PartEnd:
         if span.first_row is None:
-            raise LogError(f"{RecordedWindow(log, first_ns, last_ns).label}: there is no row there")
+            raise LogError(f"{RecordedWindow(log, first_ns, last_ns).label}: no rows in this span")
         steps = pieces.steps_to(span.last_row)
         return PartEnd(
             PARTIAL_STATUS, part_text(span.first_row, span.last_row), steps, span.last_row

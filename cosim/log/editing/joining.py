@@ -32,8 +32,8 @@ def open_joined(log: Path | str | Log) -> Log:
     for number, path in enumerate(paths[:-1], start=1):
         if not path.exists():
             raise LogError(
-                f"{last.path} is part {len(paths)} of its log; needed those before it beside it, "
-                f"and part {number} is missing: {path}"
+                f"{last.path} is part {len(paths)} of its log, which needs the earlier parts "
+                f"beside it; part {number} is missing: {path}"
             )
     try:
         with TemporaryFolder("parts") as folder:

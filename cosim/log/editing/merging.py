@@ -51,19 +51,19 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
         In any order.
     out : Path
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
     UsageError
-        If there are less than two.
+        If there are fewer than two.
     LogError
-        If they are no spans of one run, overlap, or rows are missing between them; if the rows of
+        If they are not spans of one run, overlap, or rows are missing between them; if the rows of
         one, or of all, are not those that were recorded; if one cannot be read, or ``out`` cannot
         be written or is one of them.
     """
     if len(paths) < 2:
-        raise UsageError(f"found {len(paths)} log to merge; needed at least two")
+        raise UsageError(f"expected at least two logs to merge, got {len(paths)}")
     check_not_read(out, paths)
     spans = sorted((_span(path) for path in paths), key=lambda span: span.begin)
     for earlier, later in pairwise(spans):
@@ -78,8 +78,8 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
         of_run = known.run_result.get("content_hash", content_hash)
         if content_hash != of_run and _has_all_rows(spans, known):
             raise LogError(
-                f"the rows of {spans[0].log.path} and those after it are as many as the run had, "
-                f"and not its own: their content hash is {content_hash}, that of the run {of_run}"
+                f"{spans[0].log.path} and the parts after it have all rows of the run, but not its "
+                f"values: expected the content hash {of_run}, got {content_hash}"
             )
         return end
 
@@ -94,7 +94,7 @@ def _span(path: Path) -> _RunPart:
         if times:
             bounds[name] = int(times[0][0]), int(times[-1][-1])
     if not bounds:
-        raise LogError(f"{path} has no rows; leave it out")
+        raise LogError(f"{path} has no rows; omit it")
     _check_hash(log)
     return _RunPart(log, read_pieces(log.path), bounds)
 
@@ -113,8 +113,8 @@ def _check_hash(log: Log) -> None:
     found = log.content_hash()
     if found != recorded:
         raise LogError(
-            f"{log.path}: its rows, or what is declared of their signals, were changed after they "
-            f"were recorded: the content hash is {found}, recorded {recorded}"
+            f"{log.path}: rows or signal declarations were changed after they were recorded: "
+            f"expected the content hash {recorded}, got {found}"
         )
 
 
@@ -146,15 +146,14 @@ def _check_same_run(a: _RunPart, b: _RunPart) -> None:
     problem = _contradiction(a.pieces, b.pieces)
     if problem:
         raise LogError(
-            f"{a.log.path} and {b.log.path} are not of one run: {problem} differs; needed parts of "
-            "one run"
+            f"{a.log.path} and {b.log.path} are not parts of the same run: {problem} differs"
         )
 
 
 def _contradiction(a: LogPieces, b: LogPieces) -> str:
     """Return what two logs declare differently; nothing: they agree."""
     if list(a.channels) != list(b.channels) or list(a.schemas) != list(b.schemas):
-        return "what their channels are"
+        return "the declaration of the channels"
     names = dict.fromkeys([*a.kept_metadata, *b.kept_metadata])
     for name in names:
         if a.kept_metadata.get(name) != b.kept_metadata.get(name):
@@ -187,8 +186,8 @@ def _check_consecutive(spans: Sequence[_RunPart]) -> None:
                 raise LogError(f"{where}, {begins}: they overlap; cut one of them first")
             if first != last + period_ns:
                 raise LogError(
-                    f"{where}, {begins}: rows are missing between them; needed the one at "
-                    f"{(last + period_ns) / NANOSECONDS} s"
+                    f"{where}, {begins}: the rows from {(last + period_ns) / NANOSECONDS} s on are "
+                    "missing between them"
                 )
 
 

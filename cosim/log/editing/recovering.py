@@ -95,7 +95,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         Of a damaged or truncated log of cosim.
     out : Path
     force : bool
-        Replace a file that stands there.
+        Replace an existing file.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     pieces = _complete_components(declared)
     times, counts = _times(path, found, pieces)
     if not any(len(time_ns) for time_ns in times.values()):
-        raise LogError(f"{path}: no row is intact; run it again")
+        raise LogError(f"{path}: no intact row; run it again")
     selection = _Selection(pieces, times)
     rows, end_ns, end_is_known = _missing(declared, times)
     end = _end(path, pieces, rows, times)
@@ -143,11 +143,11 @@ def _pieces(path: Path, found: Salvage) -> LogPieces:
     try:
         has_components = bool(pieces.parts)
     except (*MALFORMED, GraphError) as error:
-        raise LogError(f"{path}: its channels cannot be understood: {error}") from error
+        raise LogError(f"{path}: its channels cannot be parsed: {error}") from error
     if not has_components:
         raise LogError(
-            f"{path}: no channel of a component is intact, in the head of the file or in its "
-            "summary: nothing says what the rows are"
+            f"{path}: no intact channel of a component, neither in the head of the file nor in "
+            "its summary, so the rows cannot be interpreted"
         )
     return pieces
 
@@ -179,7 +179,7 @@ def _times(
 ) -> tuple[dict[str, Nanoseconds], dict[int, int]]:
     """Return when all parts of a component have rows, by its name, and how many messages there are.
 
-    The instants ascend; the messages are those that are no rows, by their channels, each once.
+    The instants ascend; the messages are those that are not rows, by their channels, each once.
     """
     messages: dict[int, set[bytes]] = defaultdict(set)
     known: dict[int, list[Nanoseconds]] = {number: [] for number in pieces.parts}
@@ -195,7 +195,7 @@ def _times(
         for _ in gathered(intact_blocks(path, found), pieces.dtypes, keep_times):
             pass
     except MALFORMED as error:
-        raise LogError(f"{path}: an intact chunk cannot be understood: {error}") from error
+        raise LogError(f"{path}: an intact chunk cannot be parsed: {error}") from error
     times: dict[str, Nanoseconds] = {}
     for number, part in pieces.parts.items():
         own = np.unique(np.concatenate([np.empty(0, np.int64), *known[number]]))
@@ -208,7 +208,7 @@ def _times(
 class _Selection:
     """Says of the messages of intact chunks, in their order, which are to be written.
 
-    Each row once, and only where all parts of its component have one; of messages that are no rows
+    Each row once, and only where all parts of its component have one; of messages that are not rows
     each once.
     """
 

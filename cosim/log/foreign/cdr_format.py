@@ -76,7 +76,7 @@ class CdrFormat:
         Raises
         ------
         FieldProblem
-            If there is no such field, or it is no number.
+            If there is no such field, or it is not a number.
         """
         wanted = Wanted()
         stamps = []
@@ -98,7 +98,7 @@ class CdrFormat:
                     operation(body)
             except struct.error as error:
                 raise FieldProblem(
-                    f"the message of {len(data)} bytes ends within its fields"
+                    f"the message of {len(data)} bytes ends before its last field"
                 ) from error
             values = body.values
             for slot, first in stamps:
@@ -120,14 +120,14 @@ class CdrFormat:
                 items = {known.name: known for known in self._messages[message]}
                 if step not in items:
                     names = nearest(path_text(path), self.fields(b""))
-                    raise FieldProblem(f"there is no field {place!r}; {names}")
+                    raise FieldProblem(f"unknown field {place!r}; {names}")
                 item = items[step]
                 is_element = item.count is None
             else:
                 assert item is not None  # a path begins with a name
                 if is_element:
                     before = path_text(path[:position])
-                    raise FieldProblem(f"{before!r} is no array, so it has no elements")
+                    raise FieldProblem(f"{before!r} is not an array, so it cannot be indexed")
                 _check_element(item, step, path_text(path[:position]))
                 is_element = isinstance(step, int)
         assert item is not None
@@ -136,9 +136,11 @@ class CdrFormat:
     def _inside(self, item: RosField, before: FieldPath, *, is_element: bool) -> str:
         place = path_text(before)
         if item.type_name not in self._messages:
-            raise FieldProblem(f"{place!r} is {_what(item)}, so there are no fields in it")
+            raise FieldProblem(f"{place!r} is {_what(item)}, so it has no fields")
         if not is_element:
-            raise FieldProblem(f"{place!r} is an array; needed one of its elements: {place}[0]")
+            raise FieldProblem(
+                f"{place!r} is an array; choose one of its elements, such as {place}[0]"
+            )
         return item.type_name
 
     def _check_number(self, item: RosField, path: FieldPath, *, is_element: bool) -> bool:
@@ -148,11 +150,9 @@ class CdrFormat:
         if is_element and is_time(item.type_name, self._messages):
             return True
         if item.type_name in STRINGS:
-            raise FieldProblem(f"{place!r} is text; needed a number")
+            raise FieldProblem(f"{place!r}: expected a number, got text")
         names = [name for name, _ in self._leaves(item.type_name, f"{place}.")]
-        raise FieldProblem(
-            f"{place!r} is a message; needed a field of it that is a number; {nearest('', names)}"
-        )
+        raise FieldProblem(f"{place!r}: expected a number, got a message; {nearest('', names)}")
 
 
 def _what(item: RosField) -> str:
@@ -180,8 +180,8 @@ def _order(data: bytes) -> str:
         If it is in another serialization than plain CDR.
     """
     if len(data) < _ENCAPSULATION:
-        raise FieldProblem(f"a message of {len(data)} bytes; needed CDR")
+        raise FieldProblem(f"expected CDR, got a message of {len(data)} bytes")
     if data[0] or data[1] not in _ORDERS:
         kind = int.from_bytes(data[:2], "big")
-        raise FieldProblem(f"the message is in the serialization {kind}; needed plain CDR, 0 or 1")
+        raise FieldProblem(f"expected plain CDR (serialization 0 or 1), got serialization {kind}")
     return _ORDERS[data[1]]

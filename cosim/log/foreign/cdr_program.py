@@ -53,7 +53,7 @@ class CdrBody:
         (count,) = struct.unpack_from(f"{self.order}I", self.data, begin)
         self.position = begin + _LENGTH_ALIGNMENT
         if count > len(self.data) - self.position:
-            raise FieldProblem(f"the message says that {count} elements follow, and ends before")
+            raise FieldProblem(f"the message announces {count} elements, but ends before them")
         return int(count)
 
 
@@ -62,7 +62,7 @@ CdrOperation: TypeAlias = Callable[[CdrBody], None]
 
 def too_few_text(place: str, count: int, last: int) -> str:
     """Return why an element is not there."""
-    return f"{place!r} has {count} elements, numbered from 0; needed [{last}]"
+    return f"{place!r}: index {last} is out of range for {count} elements, numbered from 0"
 
 
 @dataclass(slots=True)
@@ -216,7 +216,7 @@ class _Sequence:
         begin = -(-body.position // size) * size
         body.position = begin + size * count
         if body.position > len(body.data):
-            raise FieldProblem(f"the message says that {count} numbers follow, and ends before")
+            raise FieldProblem(f"the message announces {count} numbers, but ends before them")
         if self.wanted:
             self._take(
                 body, struct.unpack_from(f"{body.order}{count}{self.code}", body.data, begin)
@@ -245,7 +245,7 @@ class _Strings:
     def __call__(self, body: CdrBody) -> None:
         """Skip them."""
         if self.type_name == "wstring":
-            raise FieldProblem("a wstring precedes a field that is needed, and cannot be read")
+            raise FieldProblem("a wstring before a requested field cannot be read")
         count = body.length() if self.count == VARIABLE else self.count
         for _ in range(1 if count is None else count):
             length = body.length()

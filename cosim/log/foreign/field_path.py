@@ -35,14 +35,14 @@ def parse_path(text: str) -> FieldPath:
     last: FieldPath = ()
     if isinstance(elements, range):
         if not elements:
-            raise FieldProblem(f"{text!r} has no elements; needed a slice such as [0:2]")
+            raise FieldProblem(f"{text!r}: expected a slice such as [0:2], got an empty one")
         text = whole
         last = (elements,)
     steps: list[Step] = []
     for part in text.split("."):
         match = _PART.fullmatch(part)
         if match is None:
-            raise FieldProblem(f"{text!r} names no field; needed names with dots, such as a.b[3]")
+            raise FieldProblem(f"{text!r}: expected field names separated by dots, such as a.b[3]")
         steps.append(match["name"])
         steps += [int(number) for number in _ELEMENT.findall(match["elements"])]
     return (*steps, *last)

@@ -6,7 +6,7 @@ from cosim.log.foreign.field_path import FieldProblem
 from cosim.log.foreign.topics import ForeignChannel, ForeignSchema
 from cosim.log.foreign.values import MessageFormat
 
-READABLE = "protobuf, json, and cdr with a schema in ros2msg or ros2idl"
+READABLE = "protobuf, json, or cdr with a schema in ros2msg or ros2idl"
 
 
 def format_of(channel: ForeignChannel) -> MessageFormat:
@@ -15,7 +15,7 @@ def format_of(channel: ForeignChannel) -> MessageFormat:
     Raises
     ------
     FieldProblem
-        If nothing here decodes them, or their schema cannot be understood.
+        If nothing here decodes them, or their schema cannot be parsed.
     """
     schema = channel.schema or ForeignSchema("", "", b"")
     match channel.encoding, schema.encoding:
@@ -41,7 +41,7 @@ def format_of(channel: ForeignChannel) -> MessageFormat:
             text = _text(schema)
             return CdrFormat(short_name(schema.name), read_ros2idl(schema.name, text))
     found = f"a schema in {schema.encoding!r}" if channel.schema is not None else "no schema"
-    raise FieldProblem(f"its messages are in {channel.encoding!r} with {found}; needed {READABLE}")
+    raise FieldProblem(f"expected messages in {READABLE}, got {channel.encoding!r} with {found}")
 
 
 def _text(schema: ForeignSchema) -> str:

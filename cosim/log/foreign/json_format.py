@@ -91,7 +91,7 @@ def _value_at(tree: Any, path: FieldPath) -> Any:
         if stamp is None:
             names = [path_text((*path, name)) for name in value]
             raise FieldProblem(
-                f"it is an object of several fields; needed a number: {nearest('', names)}"
+                f"expected a number, got an object of several fields; {nearest('', names)}"
             )
         return stamp
     return value
@@ -101,14 +101,15 @@ def _inside(value: Any, step: Step, before: FieldPath) -> Any:
     if isinstance(step, str):
         if not isinstance(value, dict):
             what = repr(path_text(before)) if before else "the message"
-            raise FieldProblem(f"{what} is no object, so it has no {step!r}")
+            raise FieldProblem(f"{what} is not an object, so it has no {step!r}")
         return value.get(step)
     if not isinstance(value, list):
-        raise FieldProblem(f"{path_text(before)!r} is no list, so it has no elements")
+        raise FieldProblem(f"{path_text(before)!r} is not a list, so it cannot be indexed")
     last = step if isinstance(step, int) else step[-1]
     if last >= len(value):
         raise FieldProblem(
-            f"{path_text(before)!r} has {len(value)} elements, numbered from 0; needed [{last}]"
+            f"{path_text(before)!r}: index {last} is out of range for {len(value)} elements, "
+            "numbered from 0"
         )
     return value[step] if isinstance(step, int) else value[step.start : step.stop]
 

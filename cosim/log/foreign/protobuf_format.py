@@ -59,7 +59,7 @@ class ProtobufFormat:
             self._class = message_factory.GetMessageClass(self._descriptor)
         except (message.DecodeError, TypeError, KeyError, ValueError, RecursionError) as error:
             raise FieldProblem(
-                f"its schema is no FileDescriptorSet with the message {name!r}: {error}"
+                f"its schema is not a FileDescriptorSet with the message {name!r}: {error}"
             ) from error
 
     def fields(self, sample: bytes) -> dict[str, str]:
@@ -77,7 +77,7 @@ class ProtobufFormat:
         Raises
         ------
         FieldProblem
-            If there is no such field, or it is no number.
+            If there is no such field, or it is not a number.
         """
         getters = [self._getter(path) for path in paths]
 
@@ -166,18 +166,18 @@ def _getter(descriptor: Any, path: FieldPath, before: FieldPath) -> Getter:
     Raises
     ------
     FieldProblem
-        If there is no such field, or it is no number.
+        If there is no such field, or it is not a number.
     """
     name, *rest = path
     place = (*before, name)
     text = path_text(place)
     if not isinstance(name, str):
-        raise FieldProblem(f"{path_text(before)!r} is not repeated, so it has no elements")
+        raise FieldProblem(f"{path_text(before)!r} is not repeated, so it cannot be indexed")
     field = descriptor.fields_by_name.get(name)
     if field is None:
-        raise _UnknownField(f"there is no field {text!r}")
+        raise _UnknownField(f"unknown field {text!r}")
     if field.message_type is not None and field.message_type.GetOptions().map_entry:
-        raise FieldProblem(f"{text!r} is a map; needed numbers")
+        raise FieldProblem(f"{text!r}: expected numbers, got a map")
     proto = _protos(descriptor)[name]
     inner = _value_getter(field, proto, tuple(rest), place)
     if not _is_repeated(proto):
@@ -190,7 +190,7 @@ def _getter(descriptor: Any, path: FieldPath, before: FieldPath) -> Getter:
         return _element_getter(name, rest[0], inner, text)
     if isinstance(rest[0], range):
         return _slice_getter(name, rest[0], inner, text)
-    raise FieldProblem(f"{text!r} is repeated; needed one of its elements: {text}[0]")
+    raise FieldProblem(f"{text!r} is repeated; choose one of its elements, such as {text}[0]")
 
 
 def _value_getter(field: Any, proto: Any, rest: FieldPath, place: FieldPath) -> Getter:
@@ -205,14 +205,12 @@ def _value_getter(field: Any, proto: Any, rest: FieldPath, place: FieldPath) -> 
         if _is_stamp(nested):
             return lambda value: StampNs(value.seconds * NANOSECONDS + value.nanos)
         names = [name for name, _ in _leaves(nested, f"{text}.", (nested.full_name,))]
-        raise FieldProblem(
-            f"{text!r} is a message; needed a field of it that is a number; {nearest('', names)}"
-        )
+        raise FieldProblem(f"{text!r}: expected a number, got a message; {nearest('', names)}")
     if proto.type not in _TYPES:
         what = "text" if proto.type == _Field.TYPE_STRING else "bytes"
-        raise FieldProblem(f"{text!r} is {what}; needed a number")
+        raise FieldProblem(f"{text!r}: expected a number, got {what}")
     if rest:
-        raise FieldProblem(f"{text!r} is a number, so there is no {path_text(rest)!r} in it")
+        raise FieldProblem(f"{text!r} is a number, so it has no {path_text(rest)!r}")
     if proto.type == _Field.TYPE_ENUM:
         return EnumNumber
     return lambda value: value
@@ -239,4 +237,4 @@ def _slice_getter(name: str, elements: range, inner: Getter, text: str) -> Gette
 
 
 def _too_short(text: str, count: int, last: int) -> str:
-    return f"{text!r} has {count} elements, numbered from 0; needed [{last}]"
+    return f"{text!r}: index {last} is out of range for {count} elements, numbered from 0"

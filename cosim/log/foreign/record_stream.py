@@ -40,7 +40,7 @@ def read_records(path: Path, stream: BinaryIO) -> Iterator[RecordBounds]:
     Raises
     ------
     LogError
-        If the file is no MCAP, empty, truncated or damaged, or has a record that is too large.
+        If the file is not MCAP, empty, truncated or damaged, or has a record that is too large.
     """
     size = os.fstat(stream.fileno()).st_size
     check_magic(path, stream, size)
@@ -52,8 +52,8 @@ def read_records(path: Path, stream: BinaryIO) -> Iterator[RecordBounds]:
         stop = position + HEADER + length
         if len(header) < HEADER or stop > size:
             raise LogError(
-                f"{path} is truncated: no whole record begins at byte {position} of {size}; "
-                "save what is whole with 'mcap recover'"
+                f"{path} is truncated: no complete record begins at byte {position} of {size}; "
+                "recover the intact part with 'mcap recover'"
             )
         if opcode == Opcode.DATA_END:
             _check_data(path, position, stream.read(4), crc)
@@ -61,7 +61,7 @@ def read_records(path: Path, stream: BinaryIO) -> Iterator[RecordBounds]:
         crc = isal_zlib.crc32(header, crc)
         if opcode in _READ:
             if length > MOST_BYTES:
-                reason = f"a record of {length} bytes, at most {MOST_BYTES} are read"
+                reason = f"a record of {length} bytes exceeds the limit of {MOST_BYTES}"
                 raise damage_error(path, position, reason)
             content = stream.read(length)
             crc = isal_zlib.crc32(content, crc)
@@ -87,8 +87,10 @@ def check_magic(path: Path, stream: BinaryIO, size: int) -> None:
     if magic == MAGIC:
         return
     if not size:
-        raise LogError(f"{path} is empty; needed an MCAP file")
-    raise LogError(f"{path} is no MCAP file: it begins with {magic!r}, needed {MAGIC!r}")
+        raise LogError(f"{path} is empty; expected an MCAP file")
+    raise LogError(
+        f"{path} is not an MCAP file: expected it to begin with {MAGIC!r}, got {magic!r}"
+    )
 
 
 def _check_data(path: Path, position: int, content: bytes, crc: int) -> None:
@@ -126,7 +128,9 @@ def _decompressed(content: bytes) -> bytes:
     (data_length,) = struct.unpack_from("<Q", content, position)
     position += 8
     if position + data_length > len(content):
-        raise ValueError(f"a chunk with {data_length} bytes of data in {len(content)}")
+        raise ValueError(
+            f"a chunk declares {data_length} bytes of data, but has {len(content)} in all"
+        )
     data = content[position : position + data_length]
     return decompress(data, name, size=size, crc=crc)
 
@@ -143,7 +147,7 @@ def records_in(block: bytes) -> Iterator[tuple[int, int, int]]:
     size = len(block)
     while position < size:
         if position + HEADER > size:
-            raise ValueError(f"{size - position} bytes too many in a chunk")
+            raise ValueError(f"{size - position} surplus bytes in a chunk")
         opcode, length = _RECORD_HEADER.unpack_from(block, position)
         begin = position + HEADER
         position = begin + length

@@ -106,7 +106,7 @@ def read_ros2msg(name: str, text: str) -> RosMessages:
     Raises
     ------
     FieldProblem
-        If it cannot be understood; says the line.
+        If it cannot be parsed; says the line.
     """
     messages: dict[str, tuple[RosField, ...]] = dict(TIME_FIELDS)
     current = short_name(name)
@@ -131,7 +131,7 @@ def _fields(message: str, body: str) -> Iterator[RosField]:
             continue
         match = _FIELD.fullmatch(code)
         if match is None:
-            raise FieldProblem(f"its schema has a line in {message} that is no field: {code!r}")
+            raise FieldProblem(f"its schema has a line in {message} that is not a field: {code!r}")
         if match["rest"].lstrip().startswith("="):
             continue  # a constant
         type_name = match["type"]

@@ -69,7 +69,7 @@ def read_ros2idl(name: str, text: str) -> RosMessages:
     Raises
     ------
     FieldProblem
-        If it cannot be understood.
+        If it cannot be parsed.
     """
     reader = _IdlReader(_TITLES.sub("", text))
     reader.definitions(())
@@ -106,7 +106,7 @@ class _IdlReader:
         token = self._next()
         if token not in wanted:
             listed = " or ".join(map(repr, wanted))
-            raise FieldProblem(f"its schema has {token!r} where {listed} is needed")
+            raise FieldProblem(f"its schema: expected {listed}, got {token!r}")
         return token
 
     def _skip_to(self, *ends: str) -> None:
@@ -154,7 +154,8 @@ class _IdlReader:
                     self._skip_to(";")
                 case other:
                     raise FieldProblem(
-                        f"its schema has {other!r}; needed a module, struct, typedef, enum or const"
+                        "its schema: expected a module, struct, typedef, enum or const, "
+                        f"got {other!r}"
                     )
 
     def _struct(self, scope: tuple[str, ...]) -> None:
@@ -197,7 +198,7 @@ class _IdlReader:
     def _number(self) -> int:
         token = self._next()
         if not re.fullmatch(r"\d{1,9}", token):
-            raise FieldProblem(f"its schema has {token!r} where a number is needed")
+            raise FieldProblem(f"its schema: expected a number, got {token!r}")
         return int(token)
 
     def _type(self, scope: tuple[str, ...]) -> IdlType:

@@ -73,7 +73,7 @@ def read_fields(
     Raises
     ------
     LogError
-        If the file cannot be read or is damaged; a field is not there, is no number, or has not
+        If the file cannot be read or is damaged; a field is not there, is not a number, or has not
         always the same number of elements; a time is none.
     """
     topics: dict[str, list[ForeignChannel]] = defaultdict(list)
@@ -92,8 +92,8 @@ def read_fields(
         kept += collectors[message.channel.topic].take(message)
         if kept > MOST_NUMBERS:
             raise LogError(
-                f"{path} has more than {MOST_NUMBERS} numbers in {len(collectors)} topics; "
-                "needed fewer fields, or a shorter file"
+                f"{path} has more than {MOST_NUMBERS} numbers in {len(collectors)} topics; choose "
+                "fewer fields or a shorter file"
             )
     samples = {}
     for collector in collectors.values():
@@ -114,9 +114,9 @@ def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> str:
     if topic is not None:
         return topic
     if name in topics:
-        raise LogError(f"{path}: {name!r} is a topic; needed a field of it, {name}.FIELD")
+        raise LogError(f"{path}: expected {name}.FIELD, got the topic {name!r} alone")
     choice = nearest(name.partition(".")[0], topics)
-    raise LogError(f"{path} has no topic of {name!r}; needed TOPIC.FIELD; {choice}")
+    raise LogError(f"{path}: no topic for {name!r}, expected TOPIC.FIELD; {choice}")
 
 
 def _is_discrete(value: Any) -> bool:
@@ -140,7 +140,7 @@ class _Column:
         Raises
         ------
         FieldProblem
-            If it is no number, or has another number of elements than those before.
+            If it is not a number, or has another number of elements than those before.
         """
         if value is None:
             if self.size is None:
@@ -155,8 +155,8 @@ class _Column:
             self._numbers.extend([NAN] * (self.size * self._before))
         if len(row) != self.size:
             raise FieldProblem(
-                f"it has {len(row)} elements here and {self.size} in the first message; needed "
-                f"always as many, or elements of it, such as {self.field}[0]"
+                f"expected {self.size} elements, as in the first message, got {len(row)}; choose "
+                f"single elements, such as {self.field}[0]"
             )
         self._numbers.extend(row)
         return self.size
@@ -219,8 +219,8 @@ class _Collector:
             if (other.encoding, other.schema) != (first.encoding, first.schema):
                 names = ", ".join(sorted({_schema_text(channel) for channel in self._channels}))
                 raise LogError(
-                    f"{self._path}: topic {self._topic!r} has messages of several schemas: "
-                    f"{names}; needed one, or a topic of its own for each"
+                    f"{self._path}: topic {self._topic!r}: expected messages of one schema, got "
+                    f"several: {names}"
                 )
 
     @property
@@ -233,7 +233,7 @@ class _Collector:
         Raises
         ------
         LogError
-            If one is not there, or no number; names the message.
+            If one is not there, or not a number; names the message.
         """
         name = self._topic
         if message.channel.id not in self._checked:  # a summary need not list every channel
@@ -256,7 +256,7 @@ class _Collector:
         except FieldProblem as error:
             raise self._message_error(name, str(error)) from error
         except OverflowError:
-            reason = f"a time of {stamp} ns; needed one below 2**63, in the year 2262"
+            reason = f"expected a time below 2**63 ns (year 2262), got {stamp} ns"
             raise self._message_error(self._topic, reason) from None
         return kept
 
@@ -275,7 +275,7 @@ class _Collector:
         stamps = np.array(self._stamps, np.int64)
         count = len(stamps)
         if not count:
-            raise LogError(f"{self._path}: topic {self._topic!r} has no messages; needed samples")
+            raise LogError(f"{self._path}: topic {self._topic!r} has no messages")
         spacing = spacing_of(stamps)
         order = np.argsort(stamps, kind="stable")
         ordered = stamps[order]
@@ -296,11 +296,11 @@ class _Collector:
         """Return why there is no value of a field, in all messages."""
         text = f"{self._path}: {column.field!r}: "
         if column.size == 0:
-            return f"{text}it has no elements; needed numbers"
+            return f"{text}expected numbers, got no elements"
         for message in read_messages(self._path, lambda channel: channel.topic == self._topic):
             fields = format_of(message.channel).fields(message.data)
             names = [f"{self._topic}.{name}" for name in fields]
-            return f"{text}no message has a value of it; {nearest(column.field, names)}"
+            return f"{text}no message has this field; {nearest(column.field, names)}"
         raise AssertionError("there are messages, or nothing would be asked of them")
 
 

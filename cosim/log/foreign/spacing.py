@@ -52,8 +52,8 @@ class Spacing:
             texts.append(f"{self.late} of {self.count} messages out of order, sorted by time")
         if self.repeated:
             texts.append(
-                f"{self.repeated} of {self.count} messages not taken, as a later one in the file "
-                "has the same instant"
+                f"{self.repeated} of {self.count} messages dropped: a later one in the file has "
+                "the same time"
             )
         return "; ".join(texts)
 

@@ -58,7 +58,7 @@ def survey(path: Path) -> list[TopicSurvey]:
     Raises
     ------
     LogError
-        If it cannot be read, is no MCAP, truncated or damaged, or has a time beyond 63 bits.
+        If it cannot be read, is not MCAP, truncated or damaged, or has a time beyond 63 bits.
     """
     kept: dict[tuple[object, ...], _KeptMessages] = {}
     for channel in read_channels(path):
@@ -74,8 +74,8 @@ def survey(path: Path) -> list[TopicSurvey]:
             messages.stamps.append(message.log_time)
         except OverflowError:
             raise LogError(
-                f"{path}: topic {message.channel.topic!r} has a message at {message.log_time} ns; "
-                "needed times below 2**63, in the year 2262"
+                f"{path}: topic {message.channel.topic!r}: expected times below 2**63 ns (year "
+                f"2262), got {message.log_time} ns"
             ) from None
     topics = [_surveyed(messages) for messages in kept.values()]
     return sorted(topics, key=lambda topic: topic.topic)

@@ -115,7 +115,7 @@ def read_channels(path: Path) -> list[ForeignChannel]:
     Raises
     ------
     LogError
-        If it cannot be read, is no MCAP, truncated or damaged.
+        If it cannot be read, is not MCAP, truncated or damaged.
     """
     table = _ChannelTable(path)
     try:
@@ -172,7 +172,7 @@ def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Itera
     Raises
     ------
     LogError
-        If the file cannot be read, is no MCAP, truncated or damaged.
+        If the file cannot be read, is not MCAP, truncated or damaged.
     """
     table = _ChannelTable(path)
     is_wanted: dict[int, bool] = {}
@@ -186,7 +186,9 @@ def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Itera
             number, _, log_time, publish_time = _MESSAGE.unpack_from(block, begin)
             if number not in is_wanted:
                 if number not in table.channels:
-                    raise LogError(f"{path} is damaged: a message of no channel ({number})")
+                    raise LogError(
+                        f"{path} is damaged: a message of the undeclared channel {number}"
+                    )
                 is_wanted[number] = wanted(table.channels[number])
             if is_wanted[number]:
                 data = block[begin + _MESSAGE.size : stop]
@@ -211,7 +213,7 @@ def _summary_records(stream: BinaryIO) -> list[tuple[int, bytes]]:
     if footer[0] != Opcode.FOOTER or not start:
         return []
     if not len(MAGIC) < start <= footer_start or footer_start - start > MOST_BYTES:
-        raise ValueError(f"the summary is said to begin at byte {start}")
+        raise ValueError(f"invalid start of the summary: byte {start}")
     stream.seek(start)
     content = stream.read(footer_start - start)
     if declared and isal_zlib.crc32(footer[:-4], isal_zlib.crc32(content)) != declared:

@@ -63,7 +63,7 @@ def numbers(value: Any) -> list[float]:
     Raises
     ------
     FieldProblem
-        If it is no number, infinite, or an integer that no float64 is.
+        If it is not a number, infinite, or an integer that no float64 is.
     """
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [_number(item) for item in value]
@@ -78,9 +78,9 @@ def _number(value: Any) -> float:
     if isinstance(value, int):  # bool, enumerations too
         return _exact(value)
     if not isinstance(value, float):
-        raise FieldProblem(f"it is {_what(value)}; needed a number")
+        raise FieldProblem(f"expected a number, got {_what(value)}")
     if value in (float("inf"), -float("inf")):
-        raise FieldProblem("it is not finite; needed a finite number")
+        raise FieldProblem(f"expected a finite number, got {value}")
     return value
 
 
@@ -91,7 +91,7 @@ def _exact(value: int) -> float:
         number = NAN
     if number != value:
         raise FieldProblem(
-            f"it is {value}, which no float64 represents; needed a whole number up to 2**53"
+            f"expected an integer that a float64 represents (up to 2**53), got {value}"
         )
     return number
 
@@ -117,16 +117,16 @@ def nanoseconds_in(value: Any, unit_ns: int) -> int:
     Raises
     ------
     FieldProblem
-        If it is no time.
+        If it is not a time.
     """
     if isinstance(value, StampNs):
         return int(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FieldProblem(f"it is {_what(value)}; needed a time")
+        raise FieldProblem(f"expected a time, got {_what(value)}")
     if isinstance(value, int):
         return value * unit_ns
     if not abs(value * unit_ns) < 2**63:
-        raise FieldProblem("it is not finite, or too large; needed a time")
+        raise FieldProblem("expected a time, got a number that is not finite or too large")
     # apart: the product of both, of 19 digits, would be rounded to 16
     rest, whole = math.modf(value)
     return int(whole) * unit_ns + round(rest * unit_ns)

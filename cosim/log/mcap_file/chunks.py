@@ -1,6 +1,6 @@
 """Message records as chunks: compressed, with CRC and message indexes, and what the summary needs.
 
-Where a flush has enough rows every channel gets chunks of its own, so that whoever reads one
+Where a flush has enough rows every channel gets chunks of its own, so that a reader of one
 component reads no other.
 """
 
@@ -30,7 +30,7 @@ _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of e
 
 @dataclass(frozen=True, slots=True)
 class MessageBatch:
-    """Message records of one channel that stand side by side in a chunk."""
+    """Message records of one channel that are adjacent in a chunk."""
 
     channel_id: int
     data: memoryview

@@ -72,7 +72,7 @@ def decompress_into(
     """
     # First of all: nothing may be decompressed, or allocated, for a size that is refused.
     if size > MOST_BYTES:
-        raise ValueError(f"a chunk of {size} bytes, at most {MOST_BYTES} are read")
+        raise ValueError(f"a chunk of {size} bytes exceeds the limit of {MOST_BYTES}")
     if compression == "zstd":
         records = _decompress_zstd(scratch, data, size)
     elif compression == "lz4":
@@ -80,9 +80,9 @@ def decompress_into(
     elif not compression:
         records = memoryview(data)
     else:
-        raise ValueError(f"compression {compression!r}, needed zstd, lz4 or none")
+        raise ValueError(f"compression: expected zstd, lz4 or none, got {compression!r}")
     if len(records) != size:
-        raise ValueError(f"a chunk of another size than the {size} bytes declared")
+        raise ValueError(f"a chunk does not have the {size} bytes that it declares")
     if crc and isal_zlib.crc32(records) != crc:
         raise ValueError("the CRC of a chunk does not match its content")
     return records
@@ -92,7 +92,7 @@ def _decompress_zstd(scratch: Scratch, data: bytes | memoryview, size: int) -> m
     try:
         frame_size = zstandard.get_frame_parameters(data).content_size
         if frame_size not in (zstandard.CONTENTSIZE_UNKNOWN, size):
-            raise ValueError(f"a chunk of {frame_size} bytes, {size} declared")
+            raise ValueError(f"a chunk declares {size} bytes, but expands to {frame_size}")
         memory = scratch.of_size(size + 1)  # one more, to notice a longer chunk
         with zstandard.ZstdDecompressor().stream_reader(data) as stream:
             return memory[: stream.readinto(memory)]

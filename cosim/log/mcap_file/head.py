@@ -1,4 +1,4 @@
-"""What stands before the first row of a log, gathered in memory: it is written at once."""
+"""What precedes the first row of a log, gathered in memory: it is written at once."""
 
 from __future__ import annotations
 

@@ -87,9 +87,13 @@ def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
     if not is_ours(stream) and not (crc == 0 and _has_seal(stream, start, footer_start)):
         return None
     if not len(MAGIC) < start <= offset_start <= footer_start:
-        raise damage_error(path, footer_start, f"the summary is said to begin at byte {start}")
+        raise damage_error(path, footer_start, f"invalid start of the summary: byte {start}")
     if footer_start - start > _MOST_SUMMARY:
-        raise damage_error(path, footer_start, f"a summary of {footer_start - start} bytes")
+        raise damage_error(
+            path,
+            footer_start,
+            f"a summary of {footer_start - start} bytes exceeds the limit of {_MOST_SUMMARY}",
+        )
     stream.seek(start)
     section = stream.read(footer_start - start)
     if crc:

@@ -1,4 +1,4 @@
-"""A file that a run has written, to be read whatever stands at its path by now."""
+"""A file that a run has written, to be read whatever is at its path by now."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _held: deque[weakref.ref[OwnFile]] = deque()
 class OwnFile:
     """A file held open.
 
-    Of very many in a process the oldest are let go again where the file stands at its path.
+    Of very many in a process the oldest are let go again where the file is at its path.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class OwnFile:
         self._close = weakref.finalize(self, os.close, self._descriptor)
 
     def hold(self, path: Path) -> None:
-        """Hold it from here on, while there are few such files or it does not stand at its path."""
+        """Hold it from here on, while there are few such files or it is not at its path."""
         self._path = path
         _held.append(weakref.ref(self))
         while len(_held) > _MOST_HELD:

@@ -25,7 +25,7 @@ def log_path(path: str | os.PathLike[str]) -> Path:
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return result  # whoever reads or writes the file says that
     except (TypeError, ValueError) as error:  # no text, a NUL, no text that the system can write
-        raise LogError(f"{quoted(path)} is no path of a log: {error}") from error
+        raise LogError(f"{quoted(path)} is not a valid path of a log: {error}") from error
     except OSError as error:
         reason = error.strerror or error
         raise LogError(f"{quoted(path)} cannot be used for a log: {reason}") from error
@@ -38,13 +38,13 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
     Raises
     ------
     LogError
-        If a file stands there and shall neither be replaced nor kept beside the new one, or both;
+        If a file exists there and is neither to be replaced nor kept beside the new one, or both;
         the path is a folder, or its folder takes no files.
     """
     if force and numbered:
         raise LogError(
-            "found both force and numbered; needed one of them: a log is replaced, or kept beside "
-            "the new one"
+            "force and numbered exclude each other: an existing log is either replaced or kept "
+            "beside the new one"
         )
     if not numbered and path.is_dir():
         raise LogError(f"{path} is a folder; name a file, such as {path / 'run.mcap'}")
@@ -58,7 +58,7 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
 
 
 def check_not_read(out: Path, sources: Iterable[Path]) -> None:
-    """Check that a log is not written in the place of one that it is made from.
+    """Check that a log is not written over one of its inputs.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def check_not_read(out: Path, sources: Iterable[Path]) -> None:
     for source in sources:
         if os.path.realpath(log_path(out)) == os.path.realpath(log_path(source)):
             raise LogError(
-                f"{source} is read for the new log, which cannot take its place; choose another "
+                f"{source} is an input of the new log and cannot be replaced by it; choose another "
                 "path"
             )
 

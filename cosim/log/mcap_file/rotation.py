@@ -61,7 +61,7 @@ class Rotation:
         step_ns : int
             Communication step [ns].
         head_bytes : int
-            What stands before the rows in each file.
+            What precedes the rows in each file.
 
         Raises
         ------
@@ -70,14 +70,14 @@ class Rotation:
         """
         if self.size is not None and self.size < 2 * head_bytes:
             raise UsageError(
-                f"{option('rotate')}: found {self.text!r}, and {head_bytes} bytes that every file "
-                "begins with, as it opens alone; needed at least twice as much"
+                f"{option('rotate')}: expected at least {2 * head_bytes}B (twice what every file "
+                f"begins with), got {self.text!r}"
             )
         period_ns = step_ns * max((channel.period for channel in channels), default=1)
         if self.span_ns is not None and self.span_ns < period_ns:
             raise UsageError(
-                f"{option('rotate')}: found {self.text!r}; needed at least "
-                f"{period_ns / NANOSECONDS} s, so that every file has a row of every component"
+                f"{option('rotate')}: expected at least {period_ns / NANOSECONDS} s, so that every "
+                f"file has a row of every component, got {self.text!r}"
             )
 
 
@@ -93,21 +93,21 @@ def read_rotation(text: object) -> Rotation:
     unit = "" if match is None else match[2]
     if match is None or unit not in _SIZES | _TIMES:
         raise UsageError(
-            f"{option('rotate')}: found {quoted(text)}; needed a size in {', '.join(_SIZES)} or a "
-            f"simulated time in {', '.join(_TIMES)}, such as 1GB or 1h"
+            f"{option('rotate')}: expected a size in {', '.join(_SIZES)} or a simulated time in "
+            f"{', '.join(_TIMES)}, such as 1GB or 1h, got {quoted(text)}"
         )
     amount = Decimal(match[1]) * (_SIZES | _TIMES)[unit]
     limit = int(amount)
     if unit in _SIZES:
         if limit < _SMALLEST:
             raise UsageError(
-                f"{option('rotate')}: found {match[0]!r}; needed at least 1MB: about as much is "
-                "written at a time"
+                f"{option('rotate')}: expected at least 1MB (about as much is written at a time), "
+                f"got {match[0]!r}"
             )
         return Rotation(limit, None, match[0])
     if amount != limit or not 0 < limit <= LARGEST_NS:
         raise UsageError(
-            f"{option('rotate')}: found {match[0]!r}; needed a whole number of nanoseconds above 0"
+            f"{option('rotate')}: expected a whole number of nanoseconds > 0, got {match[0]!r}"
         )
     return Rotation(None, limit, match[0])
 

@@ -37,7 +37,7 @@ class UnfinishedLog:
     path : Path
         Where it goes; missing folders are created.
     force : bool
-        Replace a file that exists there.
+        Replace an existing file.
     numbered : bool
         Where a file exists, go to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...
 
@@ -46,7 +46,7 @@ class UnfinishedLog:
     path : Path
         Where it goes; with ``numbered`` it is known once the file is published.
     own : OwnFile or None
-        The file, to be read whatever stands at the path; None before it is created.
+        The file, to be read whatever is at the path; None before it is created.
     """
 
     def __init__(self, path: Path, *, force: bool, numbered: bool) -> None:
@@ -128,7 +128,8 @@ class UnfinishedLog:
                 _move(self._hidden_path, self.path)
         except FileExistsError as error:
             raise LogError(
-                f"{self.path} exists by now; choose another path, or {flag('force')} to replace it"
+                f"{self.path} was created in the meantime; choose another path, or {flag('force')} "
+                "to replace it"
             ) from error
         except OSError as error:
             reason = error.strerror or error
@@ -137,7 +138,7 @@ class UnfinishedLog:
         self.published = True
 
     def check(self) -> None:
-        """Check that the file still stands at its path.
+        """Check that the file is still at its path.
 
         Raises
         ------
@@ -150,9 +151,9 @@ class UnfinishedLog:
         try:
             status = os.stat(self.path)
         except FileNotFoundError as error:
-            raise OSError(errno.ENOENT, "it has been removed, or its folder has") from error
+            raise OSError(errno.ENOENT, "it or its folder was removed") from error
         if not os.path.samestat(status, os.fstat(self._stream.fileno())):
-            raise OSError(errno.ESTALE, "another file has taken its place")
+            raise OSError(errno.ESTALE, "another file took its place")
 
     def discard(self) -> None:
         """Remove the file if it was not published."""
@@ -173,7 +174,9 @@ def check_not_written(path: Path) -> None:
         If one does.
     """
     if is_locked(path):
-        raise LogError(f"{path} is written by another run; choose another path, or end that one")
+        raise LogError(
+            f"{path} is being written by another run; choose another path, or stop that run"
+        )
 
 
 def is_locked(path: Path) -> bool:
@@ -191,7 +194,7 @@ def is_written(path: Path) -> bool:
 def is_begun(path: Path) -> bool:
     """Return whether a run writes to a file that is to go to a path.
 
-    Names that begin with the same 48 characters are not told apart.
+    Names that begin with the same 48 characters are not distinguished.
     """
     for hidden in _hidden_paths(path):
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Walk an MCAP file from record to record by their lengths, and note where its pieces stand.
+"""Walk an MCAP file from record to record by their lengths, and note where its pieces are.
 
 The error of a truncated file differs from that of a damaged one; both name the byte.
 """
@@ -34,7 +34,7 @@ class RecordSpan:
 
 @dataclass(slots=True)
 class FileContents:
-    """Where the pieces of a file stand, in the order of the file."""
+    """Where the pieces of a file are, in the order of the file."""
 
     data: list[RecordSpan] = field(default_factory=list)  # chunks and spans of messages
     channels: list[RecordSpan] = field(default_factory=list)  # outside chunks
@@ -88,13 +88,15 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
     Raises
     ------
     LogError
-        If the file is no MCAP, truncated or damaged.
+        If the file is not MCAP, truncated or damaged.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
     magic = stream.read(len(MAGIC))
     if magic != MAGIC:
-        raise LogError(f"{path} is no MCAP file: it begins with {magic!r}, needed {MAGIC!r}")
+        raise LogError(
+            f"{path} is not an MCAP file: expected it to begin with {MAGIC!r}, got {magic!r}"
+        )
     contents = FileContents()
     position = len(MAGIC)
     opcode = 0
@@ -127,10 +129,10 @@ def _incomplete(
     """
     stream.seek(max(size - len(MAGIC), 0))
     if stream.read() == MAGIC:
-        return damage_error(path, position, "no whole record begins there")
+        return damage_error(path, position, "no complete record begins there")
     return LogError(
-        f"{path} is truncated at byte {size}: its end is missing, as where a copy of it broke off; "
-        f"{_rescue(stream, contents)}"
+        f"{path} is truncated at byte {size}: its end is missing, as after an interrupted "
+        f"copy; {_rescue(stream, contents)}"
     )
 
 
@@ -141,13 +143,13 @@ def _rescue(stream: BinaryIO, contents: FileContents) -> str:
     """
     chunks = contents.chunks
     if not chunks:
-        return "it has no whole row: run it again"
+        return "it has no complete row: run it again"
     last = chunks[-1]
     stream.seek(last.start + HEADER + 8)  # after the time of its first message
     end_ns = int.from_bytes(stream.read(8), "little")
     return (
-        f"its last whole chunk ends at t = {end_ns / 1e9} s: run it again, or save what is whole "
-        "with 'cosim recover', which says what is lost"
+        f"its last complete chunk ends at t = {end_ns / 1e9} s: run it again, or recover the "
+        "intact part with 'cosim recover', which reports what is lost"
     )
 
 

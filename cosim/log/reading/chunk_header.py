@@ -57,14 +57,14 @@ def read_chunk_header(stream: BinaryIO, span: RecordSpan) -> ChunkHeader:
     """
     stream.seek(span.start)
     if stream.read(HEADER) != record_header(span.opcode, span.size - HEADER):
-        raise ValueError("no chunk there, though its index says so")
+        raise ValueError("no chunk where its index says")
     fixed = stream.read(_CHUNK_HEADER.size)
     first_ns, last_ns, size, crc = _CHUNK_HEADER.unpack(fixed)
     name_length = int.from_bytes(stream.read(4), "little")
     compression = stream.read(min(name_length, _LONGEST_NAME)).decode()
     (data_length,) = struct.unpack("<Q", stream.read(8))
     if stream.tell() + data_length > span.stop:
-        raise ValueError(f"a chunk with {data_length} bytes of data in a record of {span.size}")
+        raise ValueError(f"a chunk declares {data_length} bytes of data in a record of {span.size}")
     if data_length > MOST_BYTES:
-        raise ValueError(f"a chunk of {data_length} bytes, at most {MOST_BYTES} are read")
+        raise ValueError(f"a chunk of {data_length} bytes exceeds the limit of {MOST_BYTES}")
     return ChunkHeader(first_ns, last_ns, size, crc, compression, data_length)

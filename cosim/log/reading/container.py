@@ -1,6 +1,6 @@
 """An MCAP file as checked pieces: chunks, metadata, attachments, channels.
 
-Where a log's own summary says where they stand, only that is read; else the file is walked. Message
+Where a log's own summary says where they are, only that is read; else the file is walked. Message
 indexes are not used.
 """
 
@@ -72,7 +72,7 @@ class Container:
     Raises
     ------
     LogError
-        If the file is no MCAP, truncated or damaged.
+        If the file is not MCAP, truncated or damaged.
     """
 
     def __init__(self, path: Path, own: OwnFile | None = None) -> None:
@@ -211,7 +211,7 @@ class Container:
         return not in_chunk.keys().isdisjoint(channel_ids)
 
     def shared_with(self, channel_ids: Collection[int]) -> set[int]:
-        """Return the channels that stand in half of the chunks of some channels or more."""
+        """Return the channels that are in half of the chunks of some channels or more."""
         counts: Counter[int] = Counter()
         chunks = 0
         for index in self.summary.chunk_indexes:
@@ -309,7 +309,7 @@ class Container:
                     ) from error
 
     def attachments(self) -> dict[str, RecordSpan]:
-        """Return the attachments' names and where they stand, without their content."""
+        """Return the attachments' names and where they are, without their content."""
         spans = {}
         if self.is_indexed:
             names = {index.offset: index.name for index in self.summary.attachment_indexes}
@@ -346,7 +346,7 @@ class Container:
     def damage_error(self, offset: int, reason: str) -> LogError:
         """Return the error that names the byte at which the file is damaged.
 
-        In a log that is still written, its last rows may stand elsewhere by now.
+        In a log that is still written, its last rows may have moved by now.
         """
         if self.is_unfinished:
             with self._stream() as stream:
@@ -357,7 +357,7 @@ class Container:
     def _record(self, stream: BinaryIO, span: RecordSpan, most: int = MOST_BYTES) -> bytes:
         """Read a record of at most ``most`` bytes: a sparse file may have any length."""
         if span.size > most:
-            reason = f"a record of {span.size} bytes, at most {most} are read"
+            reason = f"a record of {span.size} bytes exceeds the limit of {most}"
             raise self.damage_error(span.start, reason)
         return _read(stream, span)
 
@@ -400,7 +400,7 @@ class Container:
             # The CRC covers the summary and the footer up to the CRC itself, its last four bytes.
             crc_position = footer_span.stop - 4
             if not self.contents.data_end < start < footer_start:
-                raise ValueError(f"it is said to begin at byte {start}")
+                raise ValueError(f"invalid start: byte {start}")
             if footer.summary_crc and _crc(stream, start, crc_position) != footer.summary_crc:
                 raise ValueError("the CRC of the summary does not match its content")
             section = [
@@ -417,20 +417,20 @@ class Container:
         statistics = self.summary.statistics
         if statistics is not None:
             counts = (len(chunks), len(contents.metadata), len(contents.attachments))
-            needed = (
+            expected = (
                 statistics.chunk_count,
                 statistics.metadata_count,
                 statistics.attachment_count,
             )
-            if counts != needed:
+            if counts != expected:
                 raise LogError(
-                    f"{self.path} is damaged: found {counts} chunks, metadata records and"
-                    f" attachments, its summary says {needed}"
+                    f"{self.path} is damaged: expected {expected} chunks, metadata records and "
+                    f"attachments, as in its summary, got {counts}"
                 )
         chunk_starts = {span.start for span in chunks}
         without_chunk = self._chunk_indexes.keys() - chunk_starts
         if without_chunk:
-            raise self.damage_error(min(without_chunk), "no chunk there, though its index says so")
+            raise self.damage_error(min(without_chunk), "no chunk where its index says")
 
     def _check_data(self, stream: BinaryIO) -> None:
         """Check messages outside chunks, which only the CRC of all data covers."""
@@ -453,7 +453,7 @@ def _check_header(record: bytes, span: RecordSpan) -> None:
     """
     expected = record_header(span.opcode, span.size - HEADER)
     if record[:HEADER] != expected or len(record) != span.size:
-        raise ValueError("another record than its index says")
+        raise ValueError("the record differs from its index")
 
 
 def _identity(stream: BinaryIO) -> tuple[int, int, int]:

@@ -19,7 +19,7 @@ def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int,
     Raises
     ------
     LogError
-        If one cannot be understood, or there are none.
+        If one cannot be parsed, or there are none.
     """
     parts = {}
     for number, channel in channels.items():
@@ -29,15 +29,15 @@ def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int,
             parts[number] = read_part(channel.metadata)
         except (*MALFORMED, GraphError) as error:
             raise LogError(
-                f"{path}: channel {channel.topic!r} cannot be understood: {error}"
+                f"{path}: channel {channel.topic!r} cannot be parsed: {error}"
             ) from error
     if not parts:
         topics = [channel.topic for channel in channels.values()]
         joined = ", ".join(topics) or "no channels at all"
         raise LogError(
-            f"{path} has no channels of cosim, which carry 'cosim.component';"
-            f" found: {joined}; of a recording of another tool 'cosim info' lists the "
-            f"fields, and {option('swap')} takes them"
+            f"{path} has no channels of cosim (with 'cosim.component'); available: {joined}. For "
+            "recordings of other tools, 'cosim info' lists the fields and "
+            f"{option('swap')} reads them"
         )
     return parts
 
@@ -57,7 +57,7 @@ def read_channels(path: Path, parts: Iterable[Part]) -> dict[str, Channel]:
     for part in in_order:
         name = part.channel.name
         if part.channel != channels[name] or part.step_ns != in_order[0].step_ns:
-            raise LogError(f"{path}: the channels of {name!r} declare different things")
+            raise LogError(f"{path}: the channels of {name!r} contradict each other")
         columns[name].append(part.columns)
     for name, channel in channels.items():
         _check_whole(path, channel, columns[name])
@@ -81,6 +81,6 @@ def _check_whole(path: Path, channel: Channel, columns: list[slice]) -> None:
     width = channel.columns.stop - channel.start
     if not is_contiguous or column != width:
         raise LogError(
-            f"{path}: component {channel.name!r} is not complete: its channels hold"
-            f" columns {spans}, needed 0 to {width} once"
+            f"{path}: component {channel.name!r} is incomplete: expected columns 0 to {width} "
+            f"once, got {spans}"
         )

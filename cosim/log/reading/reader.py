@@ -59,14 +59,14 @@ def open_log(path: Path | str) -> Log:
     Raises
     ------
     UsageError
-        If it is no path but a run in memory, or the path of a scenario or an FMU.
+        If it is a run in memory instead of a path, or the path of a scenario or an FMU.
     LogError
-        If the file is no MCAP, truncated or damaged, or was not written by cosim.
+        If the file is not MCAP, truncated or damaged, or was not written by cosim.
     """
     if isinstance(path, Memory):
         raise UsageError(
-            f"log: found {path!r}, which was kept in memory; needed the path of a log: a run "
-            "writes one with out='x.mcap'"
+            f"log: expected the path of a log, got {path!r}, which was kept in memory; a run "
+            "writes a log with out='x.mcap'"
         )
     return Log(log_argument(log_path(path)))
 
@@ -279,13 +279,13 @@ class Log(RecordedRun):
         Raises
         ------
         LogError
-            If they are no list of texts.
+            If they are not a list of strings.
         """
         text = self._metadata.get("cosim.schedule", {}).get("stages", "[]")
         try:
             return json_texts(text)
         except MALFORMED as error:
-            raise LogError(f"{self.path}: stages cannot be understood: {error}") from error
+            raise LogError(f"{self.path}: stages cannot be parsed: {error}") from error
 
     @property
     def results(self) -> Mapping[str, Any]:
@@ -296,7 +296,7 @@ class Log(RecordedRun):
         Raises
         ------
         LogError
-            If it is no JSON object, or damaged.
+            If it is not a JSON object, or damaged.
         """
         if RESULT_FILE not in self._attachments:
             return {}
@@ -322,8 +322,8 @@ class Log(RecordedRun):
             mask = self._component_metadata(name, "cosim.held", _read_mask, none_held)
             if len(mask) != len(none_held):
                 raise LogError(
-                    f"{self.path}: cosim.held of {name!r} has {len(mask)} elements, "
-                    f"needed {len(none_held)}"
+                    f"{self.path}: cosim.held of {name!r}: expected {len(none_held)} elements, got "
+                    f"{len(mask)}"
                 )
             held[name] = mask
         return MappingProxyType(held)
@@ -414,7 +414,7 @@ class Log(RecordedRun):
         return self._rows.row_bytes
 
     def shares_chunks(self, component: str) -> bool:
-        """Return whether rows of other components stand in most of the chunks of a component.
+        """Return whether rows of other components are in most of the chunks of a component.
 
         Raises
         ------
@@ -612,23 +612,23 @@ class Log(RecordedRun):
         if self.status == PARTIAL_STATUS:
             return
         if statistics is None or not text.isdecimal():
-            return  # what is no number is refused where it is asked for
+            return  # what is not a number is refused where it is asked for
         steps = self.steps
         for number, part in self._parts.items():
             count = statistics.channel_message_counts.get(number, 0)
-            needed = steps // part.channel.period + 1
-            if count != needed and (count or steps):  # a run may end before its first row
+            expected = steps // part.channel.period + 1
+            if count != expected and (count or steps):  # a run may end before its first row
                 raise LogError(
-                    f"{self.path} is damaged: {count} rows of {part.channel.name!r}; needed "
-                    f"{needed}, as the run recorded {steps} steps"
+                    f"{self.path} is damaged: expected {expected} rows of {part.channel.name!r} "
+                    f"for {steps} steps, got {count}"
                 )
 
     def _check_format(self) -> None:
         log_format = self._metadata.get("cosim.run", {}).get("format", FORMAT)
         if log_format != FORMAT:
             raise LogError(
-                f"{self.path}: written in log format {log_format!r}, by another version of cosim; "
-                f"needed format {FORMAT!r}: run its scenario again"
+                f"{self.path}: expected log format {FORMAT!r}, got {log_format!r} of another "
+                "version of cosim: run its scenario again"
             )
 
     def _recognize_partial(self) -> None:
@@ -637,13 +637,13 @@ class Log(RecordedRun):
         Raises
         ------
         LogError
-            If that cannot be understood.
+            If that cannot be parsed.
         """
         try:
             found = read_partial(self._metadata, self._channels)
         except (*MALFORMED, GraphError) as error:
             raise LogError(
-                f"{self.path}: what is recorded of the run cannot be understood: {error}"
+                f"{self.path}: the record of the run cannot be parsed: {error}"
             ) from error
         if found is not None:
             partial, self._kinds = found
@@ -664,10 +664,12 @@ class Log(RecordedRun):
         except KeyError as error:
             raise self._missing(key) from error
         except ValueError as error:
-            raise LogError(f"{self.path}: {key} cannot be understood: {error}") from error
+            raise LogError(f"{self.path}: {key} cannot be parsed: {error}") from error
 
     def _missing(self, key: str) -> LogError:
-        return LogError(f"{self.path} has no {key!r}: needed a {RESULT} record, which cosim writes")
+        return LogError(
+            f"{self.path} has no {key!r}: the {RESULT} record, which cosim writes, is missing"
+        )
 
     def _component_metadata(
         self, component: str, key: str, parse: Callable[[str], _Parsed], default: _Parsed
@@ -679,14 +681,14 @@ class Log(RecordedRun):
             return default if text is None else parse(text)
         except MALFORMED as error:
             raise LogError(
-                f"{self.path}: {key} of {component!r} cannot be understood: {error}"
+                f"{self.path}: {key} of {component!r} cannot be parsed: {error}"
             ) from error
 
 
 def _read_mask(text: str) -> Mask:
     values = read_json(text)
     if not isinstance(values, list) or not all(isinstance(value, bool) for value in values):
-        raise ValueError(f"found {quoted(values)}, needed a list of truth values")
+        raise ValueError(f"expected a list of truth values, got {quoted(values)}")
     mask = np.array(values, dtype=np.bool_)
     mask.setflags(write=False)
     return mask

@@ -147,7 +147,7 @@ class LogRows:
         return sum(self._row_bytes(name) for name in self._channels)
 
     def shares_chunks(self, component: str) -> bool:
-        """Return whether rows of other components stand in most of the chunks of a component."""
+        """Return whether rows of other components are in most of the chunks of a component."""
         own = self._parts_of[component].keys()
         return bool((self._file.shared_with(own) - own) & self._parts.keys())
 
@@ -164,7 +164,7 @@ class LogRows:
         first_ns: int | None = None,
         last_ns: int | None = None,
     ) -> Iterator[OtherRecord]:
-        """Yield the records of some channels that are no rows of a component.
+        """Yield the records of some channels that are not rows of a component.
 
         Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
         """
@@ -238,7 +238,7 @@ class LogRows:
             for records in self._records_of(number):
                 stop = count + len(records)
                 if stop > len(values):
-                    raise ValueError(f"more rows of {part.channel.name!r} than its summary says")
+                    raise ValueError(f"more rows of {part.channel.name!r} than in its summary")
                 time_ns = record_times(records)
                 first_ns = int(time_ns[0]) if first_ns is None else first_ns
                 check_grid(time_ns, first_ns, part)
@@ -290,7 +290,7 @@ class LogRows:
         size = self._row_bytes(component)
         return LogError(
             f"{self.path}: the rows of {component!r} are not in order of time, and {size} bytes "
-            "are too many to be sorted in memory; sort the file first, with 'mcap sort'"
+            "are too many to sort in memory; sort the file first, with 'mcap sort'"
         )
 
     def _streams(self, components: Sequence[str]) -> dict[str, RowStream]:
@@ -385,7 +385,7 @@ class LogRows:
             raise LogError(f"{self.path} is damaged: {error}") from error
         except MemoryError as error:
             names = ", ".join(components)
-            raise LogError(f"{self.path}: too little memory for the rows of {names}") from error
+            raise LogError(f"{self.path}: not enough memory for the rows of {names}") from error
         return rows
 
     def _read_part_rows(
@@ -420,7 +420,7 @@ class LogRows:
         """
         is_declared = record.channel_id in self._declared
         if record.opcode == Opcode.MESSAGE and not is_declared:
-            raise ValueError(f"a message of channel {record.channel_id}, which is declared nowhere")
+            raise ValueError(f"a message of the undeclared channel {record.channel_id}")
 
     def _check_counts(self, counts: Mapping[int, int]) -> None:
         """Check the numbers of rows against the summary, if there is one.
@@ -434,10 +434,12 @@ class LogRows:
         if statistics is None:
             return
         for number, count in counts.items():
-            needed = statistics.channel_message_counts.get(number, 0)
-            if count != needed:
+            expected = statistics.channel_message_counts.get(number, 0)
+            if count != expected:
                 name = self._parts[number].channel.name
-                raise ValueError(f"{count} rows of {name!r} found, its summary says {needed}")
+                raise ValueError(
+                    f"expected {expected} rows of {name!r}, as in its summary, got {count}"
+                )
 
     @cached_property
     def _parts_of(self) -> dict[str, dict[int, Part]]:

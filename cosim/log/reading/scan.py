@@ -26,7 +26,7 @@ _WINDOW_GROWTH = 8
 
 @dataclass(frozen=True, slots=True)
 class OtherRecord:
-    """A record that is no message of a known channel."""
+    """A record that is not a message of a known channel."""
 
     opcode: int
     channel_id: int  # of a message; else 0
@@ -48,7 +48,7 @@ def scan(
     Raises
     ------
     ValueError
-        If ``data`` is no sequence of records, or a message has another size than its channel's
+        If ``data`` is not a sequence of records, or a message has another size than its channel's
         dtype.
     """
     position = 0
@@ -64,8 +64,8 @@ def scan(
             yield OtherRecord(opcode, channel_id, bytes(data[content:stop]))
         elif stop - position != dtype.itemsize:
             raise ValueError(
-                f"a message of {stop - position} bytes in channel {channel_id}, needed"
-                f" {dtype.itemsize}: re-encoded by another tool"
+                f"channel {channel_id}: expected messages of {dtype.itemsize} bytes, got "
+                f"{stop - position}: re-encoded by another tool"
             )
         else:
             records = _consecutive_messages(data, position, dtype)
@@ -83,7 +83,7 @@ def _record_bounds(data: bytes | memoryview, position: int) -> tuple[int, int]:
         If no whole record is there, or a message too short for its header.
     """
     if position + HEADER > len(data):
-        raise ValueError(f"{len(data) - position} bytes too many in a chunk")
+        raise ValueError(f"{len(data) - position} surplus bytes in a chunk")
     opcode, length = _RECORD_HEADER.unpack_from(data, position)
     stop = position + HEADER + length
     is_cut = stop > len(data)

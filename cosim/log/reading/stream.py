@@ -45,8 +45,8 @@ def check_grid(time_ns: Nanoseconds, first_ns: int, part: Part) -> None:
     if off.any():
         time = time_ns[int(off.argmax())] / 1e9
         raise ValueError(
-            f"a row of {part.channel.name!r} at t = {time} s is off its grid: there are "
-            f"{period_ns / 1e9} s between two rows, and one is at {first_ns / 1e9} s"
+            f"a row of {part.channel.name!r} at t = {time} s is off its grid: rows are "
+            f"{period_ns / 1e9} s apart, from {first_ns / 1e9} s on"
         )
 
 

@@ -16,7 +16,7 @@ from cosim.core.contracts import Block
 
 
 class WaitingMessage(NamedTuple):
-    """A message that is no row."""
+    """A message that is not a row."""
 
     channel_id: int
     time_ns: int

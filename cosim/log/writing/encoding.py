@@ -56,7 +56,7 @@ class MessageEncoder:
         ----------
         content : RunContent
         start_ns, step_ns : int
-            Of the run, for the sequence of messages that are no rows.
+            Of the run, for the sequence of messages that are not rows.
         """
         selected = self._selected(content.rows)
         batches = []

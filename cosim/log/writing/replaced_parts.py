@@ -29,24 +29,24 @@ def replaced_parts(first: Path) -> list[Path]:
         check_not_written(path)
         if not _is_later_part(path):
             raise LogError(
-                f"{path} is called like a part of a log at {first}, and is none, so that it is not "
+                f"{path} is named like a part of the log {first}, but is not one, so it is not "
                 "replaced; move it, or choose another path"
             )
     return paths
 
 
 def check_no_parts(first: Path, *, force: bool) -> None:
-    """Check that no further files stand beside the path of a new log, or that they may go.
+    """Check that there are no further files beside the path of a new log, or that they may go.
 
     Raises
     ------
     LogError
-        If there are some and they shall stay, or if they are no parts of a log.
+        If there are some and they shall stay, or if they are not parts of a log.
     """
     parts = replaced_parts(first) if force else further_parts(first)
     if parts and not force:
         raise LogError(
-            f"{parts[0]} exists, as a part of an earlier log at {first} is called; choose another "
+            f"{parts[0]} exists, named like a part of an earlier log {first}; choose another "
             f"path, or {flag('force')} to replace that log with its parts"
         )
 

@@ -78,7 +78,7 @@ class RotatingLog:
 
     @property
     def last(self) -> UnfinishedLog:
-        """The last file that stands at its path, or will."""
+        """The last file that is at its path, or will be."""
         return self._published
 
     def begin(self, start_ns: int) -> None:

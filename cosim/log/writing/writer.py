@@ -50,7 +50,7 @@ _GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that 
 class McapRecorder:
     """Record a run to an MCAP file.
 
-    The file is created by :meth:`begin` under a hidden name, stands at its path from the first
+    The file is created by :meth:`begin` under a hidden name, is at its path from the first
     :meth:`write` on, and is completed when the ``with`` block ends, however it ends. It can be
     opened at any instant; where the process is killed it has all but the last flush interval. A
     run that is refused before its first row leaves nothing, and an existing log as it was; one
@@ -123,7 +123,7 @@ class McapRecorder:
         return self._file.path
 
     def recorded(self) -> Log:
-        """Return the log that was written: this very file, whatever stands at its path by now.
+        """Return the log that was written: this very file, whatever is at its path by now.
 
         If there are several files, it is the last one.
 
@@ -261,9 +261,7 @@ class McapRecorder:
             If the file cannot be written to, or a time is negative.
         """
         if block.time_ns[0] < 0:
-            raise LogWriteError(
-                f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0"
-            )
+            raise LogWriteError(f"{self.path}: expected a time >= 0, got {block.time_ns[0]} ns")
         is_first = not self._file.published
         if is_first:
             start_ns = int(block.time_ns[0]) - block.index * self._plan.step_ns

@@ -9,21 +9,23 @@ from cosim.errors import UnknownSignalError, UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.log.comparison.tolerances import Tolerances
+from tests.log.mismatches import Mismatches
 from tests.log.recordings import layout, record, table
 
 
-@pytest.fixture
-def pair(tmp_path):
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
     """Return a log, and one whose u, x_a[1] and theta[0] are apart by 1, 1e-3 and 1e-6."""
+    folder = tmp_path_factory.mktemp("pair")
     rows = np.nan_to_num(table(layout(), 100), posinf=1.0, neginf=-1.0)
     rows = np.round(rows * 1024) / 1024  # so that the sums below are exact to the last bit but one
-    record(tmp_path / "a.mcap", rows=rows)
+    record(folder / "a.mcap", rows=rows)
     changed = rows.copy()
     changed[50, 0] += 1.0
     changed[60, 2] += 1e-3
     changed[70, 8] += 1e-6
-    record(tmp_path / "b.mcap", rows=changed)
-    return open_log(tmp_path / "a.mcap"), open_log(tmp_path / "b.mcap")
+    record(folder / "b.mcap", rows=changed)
+    return open_log(folder / "a.mcap"), open_log(folder / "b.mcap")
 
 
 def statuses(pair, **options):
@@ -64,7 +66,7 @@ def test_signals_are_chosen_by_patterns(pair):
     rows = diff(*pair, signals=["*.x_a", "plant.*", "identifier.theta[0]"]).rows
     names = [row.signal for row in rows]
     assert names == [*("plant.x_a", "plant.u", "plant.der(x)", "plant.n"), "identifier.theta[0]"]
-    with pytest.raises(UnknownSignalError, match=r"no signal of the two runs matches 'plnt\.\*'"):
+    with pytest.raises(UnknownSignalError, match=r"'plnt\.\*'"):
         diff(*pair, signals=["plnt.*"])
 
 
@@ -77,24 +79,27 @@ def test_the_worst_is_the_one_that_exceeds_its_tolerance_most(pair):
     assert diff(pair[0], pair[0]).worst is None
 
 
-@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, "1", True, None])
-def test_a_tolerance_that_is_no_number_from_0_on_is_refused(pair, value):
+def test_a_tolerance_that_is_no_number_from_0_on_is_refused(pair):
     """Each by its name."""
-    with pytest.raises(UsageError, match=r"tol\['plant\.u'\]: found .* needed a finite number fr"):
-        diff(*pair, tol={"plant.u": value})
-    with pytest.raises(UsageError, match=r"atol: found .*, needed a finite number from 0 on"):
-        diff(*pair, atol=value)
+    wrong = Mismatches()
+    for value in (-1.0, math.nan, math.inf, "1", True, None):
+        with wrong.of(value):
+            with pytest.raises(UsageError, match=rf"^tol\['plant\.u'\]: .*>= 0, got {value!r}"):
+                diff(*pair, tol={"plant.u": value})
+            with pytest.raises(UsageError, match=rf"^atol: .*>= 0, got {value!r}"):
+                diff(*pair, atol=value)
+    assert not wrong
 
 
 def test_a_tolerance_of_no_compared_signal_is_refused(pair):
     """It would be forgotten in silence: a misspelled name must not make a comparison strict."""
-    with pytest.raises(UsageError, match=r"tol\['plant\.v'\]: no signal that .*did you mean 'plan"):
+    with pytest.raises(UsageError, match=r"^tol\['plant\.v'\]: .*did you mean 'plan"):
         diff(*pair, tol={"plant.v": 1.0})
-    with pytest.raises(UsageError, match=r"tol\['identifier\.\*'\]: no signal that is compared"):
+    with pytest.raises(UsageError, match=r"^tol\['identifier\.\*'\]: no compared signal"):
         diff(*pair, tol={"identifier.*": 1.0}, signals=["plant.u"])
 
 
 def test_tolerances_are_a_mapping():
     """Not a number: that is atol."""
-    with pytest.raises(UsageError, match=r"tol: found 1e-06; needed a mapping such as"):
+    with pytest.raises(UsageError, match=r"^tol: expected a mapping .*got 1e-06"):
         Tolerances(own=1e-6)

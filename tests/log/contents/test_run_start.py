@@ -1,13 +1,11 @@
 """Where the rows of a run begin is the start time, or that of the span that a replay recorded."""
 
-import pytest
-
 from cosim.log.contents.run_start import recorded_start_ns
 
 
-@pytest.mark.parametrize(
-    ("run", "start_ns"),
-    [
+def test_the_start_is_read_from_the_record_of_the_run():
+    """None where that is nothing, or no time."""
+    starts = [
         ({"start_time": "0.25"}, 250_000_000),
         ({"start_time": "0.25", "replay": '{"window": null}'}, 250_000_000),
         ({"start_time": "0.25", "replay": '{"window": [6.1, 7.0]}'}, 6_100_000_000),
@@ -19,9 +17,7 @@ from cosim.log.contents.run_start import recorded_start_ns
         ({"start_time": "0.0", "replay": '{"window": {"a": 1}}'}, None),
         ({"start_time": "0.0", "replay": '{"window": [[]]}'}, None),
         ({"start_time": "0.0", "replay": '{"window": 5}'}, None),
-    ],
-)
-def test_the_start_is_read_from_what_is_recorded_of_the_run(run, start_ns):
-    """None where that is nothing, or no time."""
-    assert recorded_start_ns({"cosim.run": run}) == start_ns
+    ]
+    found = [(run, recorded_start_ns({"cosim.run": run})) for run, _ in starts]
+    assert found == starts
     assert recorded_start_ns({}) is None

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
-import pytest
-
 from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log import Attachment, Log, McapRecorder
+from cosim.log import Attachment, Log
 from cosim.log.contents.message_paths import message_paths
 from cosim.log.contents.viewer_layout import (
     LAYOUT_FILE,
@@ -20,7 +17,8 @@ from cosim.log.contents.viewer_layout import (
     output_panels,
 )
 from tests.log.contents.viewing import curves, decoded, leaves, parsed
-from tests.log.recordings import blocks, plan, table
+from tests.log.mismatches import Mismatches
+from tests.log.recordings import record
 
 
 def channels_of(*interfaces):
@@ -34,32 +32,6 @@ def channels_of(*interfaces):
     return channels
 
 
-def record(path, channels, **options):
-    """Record some rows of components."""
-    layout = Layout(tuple(channels.values()))
-    rows = table(layout, 40)
-    with McapRecorder(path, **options) as recorder:
-        recorder.begin(plan(layout))
-        for block, signals in blocks(rows, 7):
-            recorder.write(block, signals)
-    return rows
-
-
-def test_a_message_path_leads_to_the_column_of_its_element(tmp_path):
-    """Whatever the names of components and signals, and where a component is split."""
-    outputs = (Signal("x[1]"), Signal("x_1"), Signal("x", 2), Signal("der(x)"))
-    wide = Interface((Signal("π"),), (Signal("y", 4100),))
-    first = Channel('odd "name" \\', Interface((), outputs), 0)
-    second = Channel("wide-2", wide, first.columns.stop)
-    rows = record(tmp_path / "a.mcap", {channel.name: channel for channel in (first, second)})
-    values = decoded(tmp_path / "a.mcap")
-    paths = message_paths(first) + message_paths(second)
-    assert len(set(paths)) == rows.shape[1]
-    for column in (*range(8), 4000, 4097, 4103, 4104):
-        found = np.array(values[parsed(paths[column])])
-        assert found.tobytes() == rows[:, column].tobytes()
-
-
 def test_a_log_has_a_layout_of_its_outputs(tmp_path):
     """Those of one unit share a panel, those without have one a component."""
     channels = channels_of(
@@ -68,7 +40,7 @@ def test_a_log_has_a_layout_of_its_outputs(tmp_path):
         Interface((), (Signal("z", role="state"), Signal("y"))),
         Interface((), (Signal("z", role="state"),)),
     )
-    record(tmp_path / "a.mcap", channels)
+    record(tmp_path / "a.mcap", steps=40, size=7, lay=Layout(tuple(channels.values())))
     layout = json.loads(Log(tmp_path / "a.mcap").attachment(LAYOUT_FILE))
     panels = {}
     for config in layout["configById"].values():
@@ -90,26 +62,35 @@ def test_the_layout_of_the_caller_is_kept(tmp_path):
     """There is one only."""
     channels = channels_of(Interface((), (Signal("y"),)))
     own = Attachment(LAYOUT_FILE, "application/json", b"{}")
-    record(tmp_path / "a.mcap", channels, attachments=[own])
+    record(
+        tmp_path / "a.mcap",
+        steps=40,
+        size=7,
+        lay=Layout(tuple(channels.values())),
+        attachments=[own],
+    )
     log = Log(tmp_path / "a.mcap")
     assert log.attachments.count(LAYOUT_FILE) == 1
     assert log.attachment(LAYOUT_FILE) == b"{}"
 
 
-@pytest.mark.parametrize("sizes", [(MOST_SERIES + 1,), (9, 2), (3, 25, 1), (1,) * 30, (300,)])
-def test_no_panel_has_more_curves_than_can_be_told_apart(sizes):
+def test_no_panel_has_more_curves_than_can_be_told_apart():
     """All elements are in some panel, in their order; no more panels than there is room for."""
-    signals = tuple(Signal(f"y{k}", size, unit="m") for k, size in enumerate(sizes))
-    channels = channels_of(Interface((), signals))
-    panels = output_panels(channels)
-    layout = json.loads(layout_json(panels))
-    assert len(layout["configById"]) == min(len(panels), MOST_PANELS)
-    assert len(leaves(layout["layout"])) == len(layout["configById"])
-    counts = [len(config["paths"]) for config in layout["configById"].values()]
-    assert max(counts) <= MOST_SERIES
-    paths, _ = curves(layout)
-    assert paths == message_paths(channels["c0"])[: len(paths)]
-    assert len(paths) == sum(sizes) or len(layout["configById"]) == MOST_PANELS
+    wrong = Mismatches()
+    for sizes in [(MOST_SERIES + 1,), (9, 2), (3, 25, 1), (1,) * 30, (300,)]:
+        signals = tuple(Signal(f"y{k}", size, unit="m") for k, size in enumerate(sizes))
+        channels = channels_of(Interface((), signals))
+        panels = output_panels(channels)
+        layout = json.loads(layout_json(panels))
+        counts = [len(config["paths"]) for config in layout["configById"].values()]
+        paths, _ = curves(layout)
+        with wrong.of(sizes):
+            assert len(layout["configById"]) == min(len(panels), MOST_PANELS)
+            assert len(leaves(layout["layout"])) == len(layout["configById"])
+            assert max(counts) <= MOST_SERIES
+            assert paths == message_paths(channels["c0"])[: len(paths)]
+            assert len(paths) == sum(sizes) or len(layout["configById"]) == MOST_PANELS
+    assert not wrong
 
 
 def test_a_level_is_a_curve_whose_path_is_a_number():

@@ -72,6 +72,7 @@ def joined(parts):
     )
 
 
+@pytest.mark.slow
 def test_every_row_comes_once_bit_for_bit(writer):
     """Of components with two rates, while another process writes to the log."""
     process, path = writer
@@ -84,6 +85,7 @@ def test_every_row_comes_once_bit_for_bit(writer):
     assert same_bits(values, joined(whole.joined())[1])
 
 
+@pytest.mark.slow
 def test_the_log_of_a_run_that_was_killed_ends(writer):
     """With all rows that were flushed."""
     process, path = writer
@@ -106,6 +108,7 @@ def test_the_log_of_a_run_that_was_killed_ends(writer):
     assert len(time_ns) >= 1
 
 
+@pytest.mark.slow
 def test_a_window_of_time_ends_when_it_is_there(writer):
     """The run goes on."""
     process, path = writer

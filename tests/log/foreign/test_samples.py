@@ -7,6 +7,7 @@ from mcap.writer import IndexType, Writer
 
 from cosim.errors import LogError
 from tests.log.foreign.field_logs import COMPRESSIONS, COUNT, EPOCH, raw_file, read, write_json
+from tests.log.mismatches import Mismatches
 
 FORMS = [
     *({"compression": compression} for compression in COMPRESSIONS.values()),
@@ -26,19 +27,21 @@ FORMS = [
 ]
 
 
-@pytest.mark.parametrize("options", FORMS, ids=str)
-def test_files_of_every_form_have_the_same_samples(tmp_path, options):
+def test_files_of_every_form_have_the_same_samples(tmp_path):
     """Compressed or not, in chunks or not, with a summary, a part of one or none."""
     topics = {
         "/a": [(EPOCH + 2 * i, {"x": i / 3}) for i in range(COUNT)],
         "/b": [(EPOCH + 2 * i + 1, {"x": -i}) for i in range(COUNT)],
     }
-    path = write_json(tmp_path / "log.mcap", topics, schema={}, chunk_size=2048, **options)
-    for name, samples in zip(topics, read(path, "/a.x", "/b.x"), strict=True):
-        expected = [[row["x"]] for _, row in topics[name]]
-        assert samples.values.tolist() == expected
-        assert samples.time_ns.tolist() == [time_ns for time_ns, _ in topics[name]]
-        assert (samples.spacing.late, samples.spacing.repeated) == (0, 0)
+    wrong = Mismatches()
+    for options in FORMS:
+        path = write_json(tmp_path / "log.mcap", topics, schema={}, chunk_size=2048, **options)
+        for name, samples in zip(topics, read(path, "/a.x", "/b.x"), strict=True):
+            with wrong.of((name, options)):
+                assert samples.values.tolist() == [[row["x"]] for _, row in topics[name]]
+                assert samples.time_ns.tolist() == [time_ns for time_ns, _ in topics[name]]
+                assert (samples.spacing.late, samples.spacing.repeated) == (0, 0)
+    assert not wrong
 
 
 def test_messages_out_of_order_are_sorted_and_counted(tmp_path):
@@ -59,7 +62,7 @@ def test_a_topic_of_two_schemas_is_refused(tmp_path):
     """Two channels of one schema are read as one."""
     path = tmp_path / "log.mcap"
     for names, text in (
-        (("one", "two"), "several schemas: 'one' in 'json', 'two'"),
+        (("one", "two"), "got several: 'one' in 'json', 'two'"),
         (("one",), ""),
     ):
         with path.open("wb") as stream:
@@ -77,37 +80,36 @@ def test_a_topic_of_two_schemas_is_refused(tmp_path):
             assert len(read(path, "/t.x")[0].values) == 2
 
 
-@pytest.mark.parametrize(
-    ("encoding", "schema", "text"),
-    [
-        ("cbor", None, "messages are in 'cbor' with no schema; needed protobuf, json, and cdr"),
-        ("cdr", ("x", "omgidl", b""), "in 'cdr' with a schema in 'omgidl'; needed protobuf"),
-        ("protobuf", None, "in 'protobuf' with no schema"),
-        ("cdr", ("x", "ros2msg", b"\xff"), "its schema 'x' is not UTF-8 text"),
-    ],
-)
-def test_unknown_encodings_are_refused(tmp_path, encoding, schema, text):
+def test_unknown_encodings_are_refused(tmp_path):
     """With what can be read."""
-    with pytest.raises(LogError) as refused:
-        read(raw_file(tmp_path, encoding, schema, [b""]), "/topic.x")
-    assert text in str(refused.value)
+    wrong = Mismatches()
+    for encoding, schema, text in [
+        ("cbor", None, "expected messages in protobuf, json, or cdr .*, got 'cbor' with no schema"),
+        ("cdr", ("x", "omgidl", b""), "got 'cdr' with a schema in 'omgidl'"),
+        ("protobuf", None, "got 'protobuf' with no schema"),
+        ("cdr", ("x", "ros2msg", b"\xff"), "its schema 'x' is not UTF-8 text"),
+    ]:
+        path = raw_file(tmp_path, encoding, schema, [b""])
+        with wrong.of((encoding, schema)), pytest.raises(LogError, match=text):
+            read(path, "/topic.x")
+    assert not wrong
 
 
 def test_times_beyond_63_bits_are_refused(tmp_path):
     """In the record, which has 64 bits, and in a message."""
     path = write_json(tmp_path / "log.mcap", {"/t": [(2**63, {"x": 1, "s": 1e30})]})
-    with pytest.raises(LogError, match=r"message 1: a time of 9223372036854775808 ns; needed one"):
+    with pytest.raises(LogError, match=r"message 1: .*got 9223372036854775808 ns"):
         read(path, "/t.x")
-    with pytest.raises(LogError, match=r"'/t.s', message 1: it is not finite, or too large"):
+    with pytest.raises(LogError, match=r"'/t.s', message 1: .*a time, got"):
         read(path, "/t.x", time="s")
-    with pytest.raises(LogError, match=r"'/t.z', message 1: it is missing; needed a time"):
+    with pytest.raises(LogError, match=r"'/t.z', message 1: .*a time, got missing"):
         read(path, "/t.x", time="z")
 
 
 def test_a_topic_without_messages_is_refused(tmp_path):
     """There is nothing to take."""
     path = raw_file(tmp_path, "json", None, [])
-    with pytest.raises(LogError, match="topic '/topic' has no messages; needed samples"):
+    with pytest.raises(LogError, match="topic '/topic' has no messages"):
         read(path, "/topic.x")
 
 
@@ -115,7 +117,7 @@ def test_no_more_numbers_are_kept_than_memory_has(tmp_path, monkeypatch):
     """A limit on what is kept, whatever the size of the file."""
     monkeypatch.setattr("cosim.log.foreign.samples.MOST_NUMBERS", 20)
     path = write_json(tmp_path / "log.mcap", {"/t": [(i, {"x": [1] * 5}) for i in range(9)]})
-    with pytest.raises(LogError, match="more than 20 numbers in 1 topics; needed fewer fields"):
+    with pytest.raises(LogError, match="more than 20 numbers in 1 topics"):
         read(path, "/t.x")
 
 
@@ -127,5 +129,5 @@ def test_a_summary_that_lists_another_schema_is_refused(tmp_path):
     changed = data[:place] + b"two" + data[place + 3 :]
     footer = len(changed) - 8 - 4
     path.write_bytes(changed[:footer] + bytes(4) + changed[footer + 4 :])  # without a CRC
-    with pytest.raises(LogError, match="several schemas: 'one' in 'json', 'two' in 'json'"):
+    with pytest.raises(LogError, match="got several: 'one' in 'json', 'two' in 'json'"):
         read(path, "/topic.x")

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import random
 import signal
+import time
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,12 +27,23 @@ from tests.log.recordings import STEP_NS, blocks, layout, plan, same_bits
 from tests.log.writing.direct import content, open_store
 
 WIDE = 1000  # doubles of a row, so that a chunk has few rows
+
+
 FLUSH = 100  # rows of a large flush, about 1 MiB
+
+
 FILLER = 2**24  # bytes of a chunk without rows
+
+
 OPAQUE = 0x90  # opcode of a private record
+
+
 FIELD = np.dtype([("tag", "u1"), ("value", "<f8")])  # of a message of the plant
 
+
 processes = multiprocessing.get_context("forkserver")
+
+
 processes.set_forkserver_preload([__name__])
 
 
@@ -244,3 +256,47 @@ def count_messages(messages, rows):
             assert same_bits(fields["value"], rows[found, :5])
             found += 1
     return found
+
+
+def whole_run(job):
+    """Let a process write all; return how long that took [s], and the number of its writes."""
+    process, pipe = start(job)
+    assert pipe.recv() == 0
+    begun = time.perf_counter()
+    report = 0
+    while not isinstance(report, str):
+        report = pipe.recv()
+    duration = time.perf_counter() - begun
+    pipe.send(None)
+    process.join()
+    assert process.exitcode == 0
+    job.path.unlink()
+    return duration, int(report)
+
+
+def killed_run(job, delay=None, name="SIGKILL"):
+    """Kill a process after a while [s], or let it kill itself.
+
+    Returns
+    -------
+    int
+        The rows that it reported.
+    bool
+        Whether it had closed the log.
+    """
+    process, pipe = start(job)
+    reported = pipe.recv()
+    if delay is not None:
+        deadline = time.perf_counter() + delay
+        while time.perf_counter() < deadline:  # to the microsecond, which no sleep is
+            pass
+        os.kill(process.pid, getattr(signal, name))
+    is_closed = False
+    for report in reports(pipe):
+        is_closed = isinstance(report, str)
+        reported = reported if is_closed else report
+        if is_closed and delay is None:
+            pipe.send(None)
+    process.join()
+    assert process.exitcode == -getattr(signal, name)
+    return reported, is_closed

@@ -133,7 +133,7 @@ class Recording:
 
     random: object
     largest: int = 2000  # bytes of a message
-    schemas: int = 1  # the more of them the longer is the summary
+    summary_bytes: int = 0  # of a schema that the summary repeats
     kept: int = 0
     tail: int = 0
     allowed: tuple = ()
@@ -142,12 +142,9 @@ class Recording:
 
     def __post_init__(self):
         self.stream = PagedStream(self.look)
-        schemas = []
-        channels = []
-        for number in range(1, self.schemas + 1):
-            name = f"s{number}"
-            schemas.append(records.Schema(data=b"", encoding="protobuf", id=number, name=name))
-            channels.append(records.Channel(number, f"/{name}", "protobuf", {}, number))
+        data = bytes(self.summary_bytes)
+        schemas = [records.Schema(data=data, encoding="protobuf", id=1, name="s1")]
+        channels = [records.Channel(1, "/s1", "protobuf", {}, 1)]
         head = MAGIC + encoded(records.Header("", "x"), *schemas, *channels)
         self.file = LiveFile(self.stream, head, FileSummary(schemas, channels))
         self.allowed = (0,)

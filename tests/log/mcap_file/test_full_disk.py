@@ -16,7 +16,10 @@ from cosim.log import open_log
 from tests.log.mcap_file.killed import processes, reports
 from tests.log.recordings import same_bits
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="no limits of files"),
+]
 
 SCENARIO = """
 [scenario]

@@ -2,75 +2,37 @@
 
 from __future__ import annotations
 
-import os
 import random
 import resource
-import signal
 import sys
-import time
 
 import pytest
 
 from cosim.log import open_log
-from tests.log.mcap_file.killed import Job, check, processes, reports, start
+from tests.log.mcap_file.killed import Job, check, killed_run, processes, reports, whole_run
+from tests.log.mismatches import Mismatches
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals that kill")
 
+
 SIGNALS = ["SIGKILL", "SIGKILL", "SIGTERM", "SIGHUP"]
+
+
 BEYOND = 5 * 10**9  # bytes
+
+
 MOST_MEMORY = 150 * 2**20  # bytes, beyond what the imports take
 
 
-def long(count):
-    """Return the count of a test's long form."""
-    return pytest.param(count, marks=pytest.mark.campaign)
+def counts(slow, campaign):
+    """Return the counts of a test's longer forms."""
+    return [
+        pytest.param(slow, marks=pytest.mark.slow),
+        pytest.param(campaign, marks=pytest.mark.campaign),
+    ]
 
 
-def whole_run(job):
-    """Let a process write all; return how long that took [s], and the number of its writes."""
-    process, pipe = start(job)
-    assert pipe.recv() == 0
-    begun = time.perf_counter()
-    report = 0
-    while not isinstance(report, str):
-        report = pipe.recv()
-    duration = time.perf_counter() - begun
-    pipe.send(None)
-    process.join()
-    assert process.exitcode == 0
-    job.path.unlink()
-    return duration, int(report)
-
-
-def killed_run(job, delay=None, name="SIGKILL"):
-    """Kill a process after a while [s], or let it kill itself.
-
-    Returns
-    -------
-    int
-        The rows that it reported.
-    bool
-        Whether it had closed the log.
-    """
-    process, pipe = start(job)
-    reported = pipe.recv()
-    if delay is not None:
-        deadline = time.perf_counter() + delay
-        while time.perf_counter() < deadline:  # to the microsecond, which no sleep is
-            pass
-        os.kill(process.pid, getattr(signal, name))
-    is_closed = False
-    for report in reports(pipe):
-        is_closed = isinstance(report, str)
-        reported = reported if is_closed else report
-        if is_closed and delay is None:
-            pipe.send(None)
-    process.join()
-    assert process.exitcode == -getattr(signal, name)
-    return reported, is_closed
-
-
-@pytest.mark.parametrize("count", [40, long(400)])
+@pytest.mark.parametrize("count", [3, *counts(40, 400)])
 def test_a_kill_at_any_time_keeps_what_was_flushed(tmp_path, count):
     """Of a log that grows and is closed, by flushes of a chunk and of a few rows."""
     durations = [whole_run(Job(tmp_path / "a.mcap", seed))[0] for seed in range(3)]
@@ -88,7 +50,7 @@ def test_a_kill_at_any_time_keeps_what_was_flushed(tmp_path, count):
     assert killed > count / 2
 
 
-@pytest.mark.parametrize("count", [40, long(400)])
+@pytest.mark.parametrize("count", counts(40, 400))
 def test_a_kill_within_any_write_keeps_what_was_flushed(tmp_path, count):
     """Also where the write is done by half."""
     writes = [whole_run(Job(tmp_path / "a.mcap", seed))[1] for seed in range(3)]
@@ -102,7 +64,7 @@ def test_a_kill_within_any_write_keeps_what_was_flushed(tmp_path, count):
         job.path.unlink()
 
 
-@pytest.mark.parametrize("count", [20, long(180)])
+@pytest.mark.parametrize("count", counts(20, 180))
 def test_a_kill_of_a_run_leaves_a_whole_log_or_a_hidden_file(tmp_path, count):
     """The recorder's thread flushes while the run goes on; before the first row there is no log."""
     duration, _ = whole_run(Job(tmp_path / "a.mcap", 2, kind="recorder"))
@@ -148,13 +110,17 @@ def read_whole(path):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("number", range(20))
-def test_a_large_log_of_a_killed_run_is_opened_in_little_memory(tmp_path, number):
+def test_a_large_log_of_a_killed_run_is_opened_in_little_memory(tmp_path):
     """Of more than 5 GB, most of them holes on the disk."""
-    path = tmp_path / "a.mcap"
-    chance = random.Random(number)
-    job = Job(path, number, filled=BEYOND)
-    reported, _ = killed_run(job, chance.uniform(0, 0.1))
-    assert path.stat().st_size > BEYOND
-    assert memory_of(read_whole, path) < MOST_MEMORY
-    assert check(job, reported) >= reported
+    wrong = Mismatches()
+    for number in range(20):
+        path = tmp_path / f"{number}.mcap"
+        chance = random.Random(number)
+        job = Job(path, number, filled=BEYOND)
+        reported, _ = killed_run(job, chance.uniform(0, 0.1))
+        with wrong.of(number):
+            assert path.stat().st_size > BEYOND
+            assert memory_of(read_whole, path) < MOST_MEMORY
+            assert check(job, reported) >= reported
+        path.unlink()
+    assert not wrong

@@ -5,16 +5,14 @@ from __future__ import annotations
 import io
 import random
 from contextlib import suppress
+from itertools import product
 
 import pytest
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from tests.log.mcap_file.paged import Recording, count_rows
-
-SHORT = [(seed, 2000) for seed in range(4)]
-LONG = [(seed, largest) for seed in range(4, 60) for largest in (200, 2000, 20_000)]
-SEEDS = [*SHORT, *(pytest.param(*case, marks=pytest.mark.campaign) for case in LONG)]
+from tests.log.mismatches import Mismatches
 
 
 def final_counts(recording):
@@ -22,21 +20,33 @@ def final_counts(recording):
     return set(count_rows(bytes(recording.stream.content)))
 
 
-@pytest.mark.parametrize(("seed", "largest"), SEEDS)
-def test_readers_see_the_rows_before_or_after_the_flush_in_progress(seed, largest):
+@pytest.mark.parametrize(
+    ("seeds", "sizes"),
+    [
+        ([3], [2000]),
+        pytest.param(range(3), [2000], marks=pytest.mark.slow),
+        pytest.param(range(4, 60), [200, 2000, 20_000], marks=pytest.mark.campaign),
+    ],
+    ids=["short", "slow", "campaign"],
+)
+def test_readers_see_the_rows_before_or_after_the_flush_in_progress(seeds, sizes):
     """After every write: those that go by the indexes and those that read on from the start."""
-    recording = Recording(random.Random(seed), largest=largest)
-    for _ in range(20):
-        recording.call()
-    recording.close()
-    assert recording.looks > 50
-    assert final_counts(recording) == set(recording.allowed)
+    wrong = Mismatches()
+    for seed, largest in product(seeds, sizes):
+        with wrong.of((seed, largest)):
+            recording = Recording(random.Random(seed), largest=largest)
+            for _ in range(20):
+                recording.call()
+            recording.close()
+            assert recording.looks > 50
+            assert final_counts(recording) == set(recording.allowed)
+    assert not wrong
 
 
 @pytest.mark.parametrize("flushes", [1, 2])
 def test_a_file_with_a_long_summary_grows(flushes):
     """The new room for it does not begin within the old, whichever of its halves is in use."""
-    recording = Recording(random.Random(1), schemas=600)
+    recording = Recording(random.Random(1), summary_bytes=40_000)
     for _ in range(flushes):
         recording.replace_tail(1, 10)
         recording.keep_tail()
@@ -64,19 +74,23 @@ def run_failing(failing, *, seed=1, largest=200, longest=None):
     return recording, True
 
 
-@pytest.mark.parametrize("lasting", [False, True], ids=["once", "from then on"])
-def test_a_write_that_fails_leaves_a_whole_file(lasting):
+@pytest.mark.parametrize("stride", [22, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_write_that_fails_leaves_a_whole_file(stride):
     """Whichever it is; the calls behind it, which do or do not fail too, leave a whole file."""
     begun = Recording(random.Random(1)).stream.writes
     whole, _ = run_failing(range(0))
-    numbers = range(begun, whole.stream.writes)
+    assert whole.stream.writes - begun > 50
+    numbers = range(begun, whole.stream.writes, stride)
     closed = 0
+    wrong = Mismatches()
     for number in numbers:
-        recording, is_closed = run_failing(range(number, 10**9 if lasting else number + 1))
-        assert final_counts(recording) <= set(recording.allowed), number
-        closed += is_closed
-    assert len(numbers) > 50
-    assert lasting or closed > len(numbers) / 2
+        for last in (number + 1, 10**9):  # once, and from then on
+            recording, is_closed = run_failing(range(number, last))
+            with wrong.of((number, last)):
+                assert final_counts(recording) <= set(recording.allowed)
+            closed += is_closed and last == number + 1
+    assert not wrong
+    assert closed > len(numbers) / 2
 
 
 def test_growth_that_finds_no_room_takes_just_what_is_needed():

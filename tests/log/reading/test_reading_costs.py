@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
+import sys
 import tracemalloc
+from time import process_time
 
 import numpy as np
 import pytest
@@ -15,10 +18,14 @@ from cosim.log import McapRecorder, open_log
 from cosim.log.reading import container
 from cosim.log.reading import rows as log_rows
 from cosim.report.inspection import describe_log
-from tests.log.recordings import STEP_NS, blocks, plan, same_bits, table
+from tests.log.recordings import STEP_NS, blocks, many, plan, record, same_bits, table
 
 COMPONENTS = 20
+
+
 STEPS = 20_000
+
+
 READ_AHEAD = 8192  # bytes that a buffered file may read too many, at each of its pieces
 
 
@@ -129,3 +136,98 @@ def test_times_take_the_chunks_of_one_component(log_path):
     CountedFile.count = 0
     assert np.array_equal(log.t, np.arange(STEPS + 1) * STEP_NS / 1e9)
     assert CountedFile.count < path.stat().st_size / COMPONENTS * 1.1
+
+
+def reading_costs(path, count):
+    """Return the processor time for each component: to hash it, to read it."""
+    hashed = open_log(path)
+    log = open_log(path)
+    began = process_time()
+    hashed.content_hash()
+    between = process_time()
+    for name in log.channels:
+        log.rows(name)
+    return np.diff([began, between, process_time()]) / count
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("frozen_heap")
+def test_the_cost_to_read_a_component_does_not_grow(tmp_path):
+    """As a ratio within one run; the smallest counts, as another process can only add time."""
+    small = tmp_path / "small.mcap"
+    large = tmp_path / "large.mcap"
+    record(small, steps=100, size=100, lay=many(100))
+    record(large, steps=100, size=100, lay=many(1000))
+    ratios = np.full(2, np.inf)
+    for _ in range(5):
+        base = np.min([reading_costs(small, 100) for _ in range(2)], axis=0)
+        ratios = np.minimum(ratios, reading_costs(large, 1000) / base)
+        if (ratios <= 1.5).all():
+            return
+    raise AssertionError(f"a component costs {ratios} times as much to hash and to read")
+
+
+CHILD = """
+import resource, sys
+from cosim.log import open_log
+from cosim.log.comparison.diff import diff
+from cosim.report.inspection import describe_log
+path, small = sys.argv[1:]
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+for log in (open_log(small), open_log(small)):
+    log.content_hash(); diff(log, log, rtol=0.1); describe_log(small)
+before = peak()
+log = open_log(path)
+log.content_hash()
+after_hash = peak()
+assert diff(log, open_log(path), rtol=0.1).equal
+after_diff = peak()
+describe_log(path)
+print(after_hash - before, after_diff - before, peak() - before)
+"""
+
+
+@pytest.mark.slow
+def test_a_log_may_be_larger_than_memory(tmp_path):
+    """Hash, diff and info of 70 MB of rows, in less than 0.7 MB, take less than a quarter of it.
+
+    The rows of a chunk of 1 MiB are there a few times, as records, values and differences.
+    """
+    lay = Layout((Channel("c", Interface((), (Signal("y", 800),)), 0),))
+    big = tmp_path / "big.mcap"
+    rows = np.zeros((1001, 800))
+    with McapRecorder(big) as recorder:
+        recorder.begin(plan(lay))
+        for k in range(11):
+            for block, signals in blocks(rows, 1000):
+                first = k * 1000
+                times = block.time_ns + first * STEP_NS
+                shifted = type(block)(first, times, times / 1e9, block.h)
+                recorder.write(shifted, signals)
+    record(tmp_path / "small.mcap", steps=50, lay=lay)
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(big), str(tmp_path / "small.mcap")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    size = 11_000 * 800 * 8
+    assert big.stat().st_size < size / 100
+    for grown in map(int, done.stdout.split()):
+        assert grown < size / 4
+
+
+@pytest.mark.usefixtures("frozen_heap")
+def test_kinds_are_known_at_the_cost_of_a_look_up(tmp_path):
+    """However many components there are: each of them is asked for."""
+    record(tmp_path / "a.mcap", steps=1, lay=many(300))
+    log = open_log(tmp_path / "a.mcap")
+    began = process_time()
+    kinds = dict(log.kinds)
+    once = process_time() - began
+    began = process_time()
+    assert [log.kinds[name] for name in log.channels] == list(kinds.values())
+    assert process_time() - began < 100.0 * max(once, 1e-4)

@@ -306,13 +306,13 @@ def _redeclare(content):
     [
         (_drop("cosim.record", "every"), "'every'"),
         (_drop("cosim.record", "components"), "'components'"),
-        (_put("cosim.record", "every", "-1"), "found '-1', needed a whole number"),
+        (_put("cosim.record", "every", "-1"), "expected a whole number, got '-1'"),
         (_put("cosim.record", "components", "[]"), "'plant'"),
         (_put("cosim.record", "components", '["plant", "nope"]'), "'cosim.component.nope'"),
         (_put("cosim.record", "signals", "7"), "7"),
         (_drop("cosim.component.u", "cosim.declared"), "'cosim.declared'"),
         (_put("cosim.component.u", "cosim.declared", "{}"), "checksum|missing|cosim"),
-        (_redeclare, "'plant' declares no signal like 'x_a'"),
+        (_redeclare, "'plant' .*'x_a'"),
     ],
 )
 def test_what_a_log_says_of_its_parts_is_checked(part, tmp_path, change, message):
@@ -321,7 +321,7 @@ def test_what_a_log_says_of_its_parts_is_checked(part, tmp_path, change, message
     change(content)
     path = tmp_path / "a.mcap"
     put_together(content, path)
-    with pytest.raises(LogError, match=f"recorded of the run cannot be understood.*({message})"):
+    with pytest.raises(LogError, match=f"record of the run cannot be parsed.*({message})"):
         cosim.open_log(path)
 
 

@@ -102,5 +102,5 @@ def test_what_is_no_mcap_is_refused_as_a_log(tmp_path):
     for content in (b"", b"nothing"):
         path = tmp_path / "x.mcap"
         path.write_bytes(content)
-        with pytest.raises(LogError, match="is no MCAP file: it begins with"):
+        with pytest.raises(LogError, match="is not an MCAP file"):
             cosim.replay(path)

@@ -227,8 +227,8 @@ def test_what_a_replay_takes_is_right(logs):
             {"replay": "b.mcap", "swap": {"u": "c.csv"}},
             r"\A/.*b.mcap: found a log of 'closed-loop', and the study is of 'academic-noisy'",
         ),
-        ({"replay": ["a-1.mcap", "c.mcap"]}, r"\A/.*c.mcap is no MCAP file"),
-        ({"replay": "c.mcap", "vary": {"u.rate": [1.0]}}, r"\A/.*c.mcap is no MCAP file"),
+        ({"replay": ["a-1.mcap", "c.mcap"]}, r"\A/.*c.mcap is not an MCAP file"),
+        ({"replay": "c.mcap", "vary": {"u.rate": [1.0]}}, r"\A/.*c.mcap is not an MCAP file"),
     ],
 )
 def test_what_a_replay_does_not_take_is_refused(logs, monkeypatch, options, message):

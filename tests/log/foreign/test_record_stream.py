@@ -24,21 +24,17 @@ def chunk_start(data):
     return position + 9
 
 
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (b"", "is empty; needed an MCAP file"),
-        (b"t,y\n0,1\n", "is no MCAP file: it begins with b't,y"),
-        (b"\x89MCAP0\r\n", "is truncated: no whole record begins at byte 8 of 8"),
-    ],
-)
-def test_what_is_no_mcap_is_refused(tmp_path, content, text):
-    """With what it is."""
+def test_files_that_are_no_mcap_are_refused(tmp_path):
+    """With what they are."""
     path = tmp_path / "x.mcap"
-    path.write_bytes(content)
-    with pytest.raises(LogError) as refused:
-        read(path, "/t.x")
-    assert text in str(refused.value)
+    for content, text in [
+        (b"", "is empty; expected an MCAP file"),
+        (b"t,y\n0,1\n", "is not an MCAP file: .*b't,y"),
+        (b"\x89MCAP0\r\n", "is truncated: .* byte 8 of 8"),
+    ]:
+        path.write_bytes(content)
+        with pytest.raises(LogError, match=rf"x\.mcap {text}"):
+            read(path, "/t.x")
 
 
 @pytest.fixture
@@ -54,7 +50,7 @@ def test_a_bomb_is_refused_before_it_is_decompressed(plain):
         begin = chunk_start(data) + 16
         data[begin : begin + 8] = (2**40).to_bytes(8, "little")
 
-    with pytest.raises(LogError, match="a chunk of 1099511627776 bytes, at most 67108864 are read"):
+    with pytest.raises(LogError, match=r"1099511627776 bytes .*67108864"):
         read(damaged(plain, declare), "/t.x")
 
 
@@ -65,7 +61,7 @@ def test_a_chunk_that_holds_more_than_it_declares_is_refused(plain):
         begin = chunk_start(data) + 16
         data[begin : begin + 8] = (100).to_bytes(8, "little")
 
-    with pytest.raises(LogError, match=r"is damaged at byte \d+: a chunk of \d+ bytes, 100 decl"):
+    with pytest.raises(LogError, match=r"is damaged at byte \d+: a chunk declares 100 bytes"):
         read(damaged(plain, declare), "/t.x")
 
 
@@ -77,21 +73,21 @@ def test_unknown_compression_is_refused(plain):
         assert data[begin : begin + 4] == b"zstd"
         data[begin : begin + 4] = b"brot"
 
-    with pytest.raises(LogError, match="compression 'brot', needed zstd, lz4 or none"):
+    with pytest.raises(LogError, match="compression: expected zstd, lz4 or none, got 'brot'"):
         read(damaged(plain, rename), "/t.x")
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS.values())
-def test_damaged_chunks_are_refused(tmp_path, compression):
+def test_damaged_chunks_are_refused(tmp_path):
     """One bit in the data of a chunk, which its CRC covers."""
     rows = [(EPOCH + index, {"x": index}) for index in range(COUNT)]
-    path = write_json(tmp_path / "log.mcap", {"/t": rows}, compression=compression)
 
     def flip(data):
         data[chunk_start(data) + 300] ^= 1
 
-    with pytest.raises(LogError, match=r"is damaged at byte \d+"):
-        read(damaged(path, flip), "/t.x")
+    for name, compression in COMPRESSIONS.items():
+        path = write_json(tmp_path / f"{name}.mcap", {"/t": rows}, compression=compression)
+        with pytest.raises(LogError, match=rf"{name}\.mcap is damaged at byte \d+"):
+            read(damaged(path, flip), "/t.x")
 
 
 def test_damaged_messages_outside_chunks_are_refused(tmp_path):
@@ -113,7 +109,7 @@ def test_a_truncated_file_is_refused(plain):
     def cut(data):
         del data[chunk_start(data) + 300 :]
 
-    with pytest.raises(LogError, match=r"is truncated.*save what is whole with 'mcap recover'"):
+    with pytest.raises(LogError, match=r"is truncated.*'mcap recover'"):
         read(damaged(plain, cut), "/t.x")
 
 
@@ -131,7 +127,7 @@ def test_a_large_message_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("cosim.log.foreign.record_stream.MOST_BYTES", 1000)
     rows = [(EPOCH, {"x": 1, "text": "x" * 2000})]
     path = write_json(tmp_path / "log.mcap", {"/t": rows}, use_chunking=False)
-    with pytest.raises(LogError, match=r"a record of \d+ bytes, at most 1000 are read"):
+    with pytest.raises(LogError, match=r"a record of \d+ bytes .*1000"):
         read(path, "/t.x")
 
 
