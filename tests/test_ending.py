@@ -123,7 +123,10 @@ def test_a_run_does_not_replace_the_log_that_another_writes(start, tmp_path):
     second = start("run", "academic", "--stop", "0.01", "--out", path, "--force")
     _, err = second.communicate(timeout=60)
     assert second.returncode == 2
-    assert err == f"cosim: {path} is being written by another run; choose another path, or stop that run\n"
+    assert (
+        err
+        == f"cosim: {path} is being written by another run; choose another path, or stop that run\n"
+    )
     assert path.stat().st_ino == inode
     first.send_signal(signal.SIGINT)
     _, err = first.communicate(timeout=60)

@@ -16,7 +16,6 @@ from cosim.log.comparison.event_difference import (
     EventsDifference,
 )
 from tests.log.comparison.runs import Run
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import STEP_NS
 
 VALUES = {"u": [[1.0, 2.0], [3.0, 4.0]], "y": [0.0, 5.0]}
@@ -39,9 +38,8 @@ def test_runs_with_the_same_events_are_equal():
     assert difference.events == EventsDifference((2, 2), 3, 0, True, None)
 
 
-def test_another_event_is_a_difference_that_is_named():
+def test_another_event_is_a_difference_that_is_named(subtests):
     """Of runs with equal rows: one that is missing, of another value, cause, element or time."""
-    wrong = Mismatches()
     for other, signal, a, b in [
         ([], "c.u[0]", ElementEvent("override", 0.5), None),
         (
@@ -62,13 +60,12 @@ def test_another_event_is_a_difference_that_is_named():
         difference = events_of([override((0.5, 0.25))], other)
         time = 0 if a is None else STEP_NS
         as_json = json.loads(json.dumps(difference.to_dict()))
-        with wrong.of(other):
+        with subtests.test(case=other):
             assert difference.same_rows
             assert not difference.equal
             assert not difference.within
             assert difference.events.first == ElementEventDifference(signal, time, a, b)
             assert as_json["events"]["first"]["signal"] == signal
-    assert not wrong
 
 
 def test_an_element_is_the_same_in_an_event_of_its_signal_and_of_its_own():

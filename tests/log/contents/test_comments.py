@@ -14,7 +14,6 @@ from cosim.log.contents.layout import read_part, signals_json, split_channel
 from cosim.log.contents.metadata import add_checksum
 from cosim.log.contents.preamble import part_schema
 from tests.log.crafting import without_checksum
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import blocks, plan, same_bits, table
 
 INTERFACE = Interface(
@@ -120,12 +119,13 @@ def test_descriptions_change_no_hash():
     assert plain == described
 
 
-def test_descriptions_that_are_no_texts_are_refused():
+def test_descriptions_that_are_no_texts_are_refused(subtests):
     """As any other damage of the metadata."""
     (part,) = split_channel(Channel("plant", INTERFACE, 0), kind="", step_ns=1)
-    wrong = Mismatches()
     for text in ('{"u": 5}', '["u"]', '{"u": null}'):
         items = {**without_checksum(part.metadata), "cosim.descriptions": text}
-        with wrong.of(text), pytest.raises(Exception, match=r"description|expected a table"):
+        with (
+            subtests.test(case=text),
+            pytest.raises(Exception, match=r"description|expected a table"),
+        ):
             read_part(add_checksum("cosim.channel", items))
-    assert not wrong

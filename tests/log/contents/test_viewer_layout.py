@@ -17,7 +17,6 @@ from cosim.log.contents.viewer_layout import (
     output_panels,
 )
 from tests.log.contents.viewing import curves, decoded, leaves, parsed
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import record
 
 
@@ -74,9 +73,8 @@ def test_the_layout_of_the_caller_is_kept(tmp_path):
     assert log.attachment(LAYOUT_FILE) == b"{}"
 
 
-def test_no_panel_has_more_curves_than_can_be_told_apart():
+def test_no_panel_has_more_curves_than_can_be_told_apart(subtests):
     """All elements are in some panel, in their order; no more panels than there is room for."""
-    wrong = Mismatches()
     for sizes in [(MOST_SERIES + 1,), (9, 2), (3, 25, 1), (1,) * 30, (300,)]:
         signals = tuple(Signal(f"y{k}", size, unit="m") for k, size in enumerate(sizes))
         channels = channels_of(Interface((), signals))
@@ -84,13 +82,12 @@ def test_no_panel_has_more_curves_than_can_be_told_apart():
         layout = json.loads(layout_json(panels))
         counts = [len(config["paths"]) for config in layout["configById"].values()]
         paths, _ = curves(layout)
-        with wrong.of(sizes):
+        with subtests.test(case=sizes):
             assert len(layout["configById"]) == min(len(panels), MOST_PANELS)
             assert len(leaves(layout["layout"])) == len(layout["configById"])
             assert max(counts) <= MOST_SERIES
             assert paths == message_paths(channels["c0"])[: len(paths)]
             assert len(paths) == sum(sizes) or len(layout["configById"]) == MOST_PANELS
-    assert not wrong
 
 
 def test_a_level_is_a_curve_whose_path_is_a_number():

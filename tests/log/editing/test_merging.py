@@ -10,7 +10,6 @@ from cosim.log import open_log
 from cosim.log.editing.cutting import cut
 from cosim.log.editing.merging import merge
 from tests.log.crafting import put_together, take_apart
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import layout, record, same_bits, table
 
 
@@ -75,11 +74,10 @@ def test_parts_that_do_not_follow_each_other_are_refused(whole, tmp_path):
         merge([path], tmp_path / "e.mcap")
 
 
-def test_parts_of_other_runs_are_refused(whole, tmp_path):
+def test_parts_of_other_runs_are_refused(whole, tmp_path, subtests):
     """What they declare, what was recorded of the run, and how it ended must be the same."""
     path, _ = whole
     cut(path, None, 0.5, tmp_path / "b.mcap")
-    wrong = Mismatches()
     for number, (options, text) in enumerate(
         [
             ({"lay": layout(period=10)}, "channels"),
@@ -91,7 +89,9 @@ def test_parts_of_other_runs_are_refused(whole, tmp_path):
         other = tmp_path / f"{number}.mcap"
         record(other, steps=1000, **{"lay": options.get("lay", layout()), **options})
         cut(other, 0.501, None, tmp_path / "c.mcap", force=True)
-        with wrong.of(options), pytest.raises(LogError, match=f"same run: .*{text} differs"):
+        with (
+            subtests.test(case=options),
+            pytest.raises(LogError, match=f"same run: .*{text} differs"),
+        ):
             merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "e.mcap")
         assert not (tmp_path / "e.mcap").exists()
-    assert not wrong

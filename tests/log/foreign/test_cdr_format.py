@@ -12,7 +12,6 @@ from mcap_ros2.writer import Writer as RosWriter
 from cosim.errors import LogError
 from cosim.log.foreign.json_format import JsonFormat
 from tests.log.foreign.field_logs import COUNT, EPOCH, STEP, decoded, raw_file, read
-from tests.log.mismatches import Mismatches
 
 IMU = """\
 std_msgs/Header header
@@ -103,16 +102,14 @@ def ros_value(message, field):
     return eval(f"message.{field}", {"message": message})
 
 
-def test_fields_of_ros_are_what_the_stock_decoder_reads(imu):
+def test_fields_of_ros_are_what_the_stock_decoder_reads(imu, subtests):
     """One by one, whatever is skipped before them."""
     path, messages = imu
-    wrong = Mismatches()
     for field in IMU_FIELDS:
         (samples,) = read(path, f"/imu.{field}")
         expected = np.array([ros_value(message, field) for message in messages], np.float64)
-        with wrong.of(field):
+        with subtests.test(case=field):
             np.testing.assert_array_equal(samples.values, expected.reshape(COUNT, -1))
-    assert not wrong
 
 
 def test_fields_of_ros_are_read_together(imu):
@@ -126,9 +123,8 @@ def test_fields_of_ros_are_read_together(imu):
         np.testing.assert_array_equal(samples.time_ns, EPOCH + (10**9 + 1) * number)
 
 
-def test_fields_of_ros_that_are_no_numbers_are_refused(imu):
+def test_fields_of_ros_that_are_no_numbers_are_refused(imu, subtests):
     """With the field, and what there is instead."""
-    wrong = Mismatches()
     for field, text in [
         ("header", r"'header': .*number, got a message; available: header\.stamp"),
         ("header.frame_id", r"'header\.frame_id': .*number, got text"),
@@ -142,9 +138,8 @@ def test_fields_of_ros_that_are_no_numbers_are_refused(imu):
         ("scale.x", "'scale' is a number"),
         ("label.x", "'label' is text"),
     ]:
-        with wrong.of(field), pytest.raises(LogError, match=text):
+        with subtests.test(case=field), pytest.raises(LogError, match=text):
             read(imu[0], f"/imu.{field}")
-    assert not wrong
 
 
 def ros_file(folder, definition, body, *, name="demo_msgs/msg/Demo", encapsulation=b"\0\1\0\0"):
@@ -162,9 +157,8 @@ def test_both_byte_orders_are_read(tmp_path):
         assert [samples.values.tolist() for samples in found] == [[[7.0]], [[-2.5]], [[4.0, -5.0]]]
 
 
-def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path):
+def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, subtests):
     """Whatever a length says, no more is read than is there."""
-    wrong = Mismatches()
     for definition, body, options, text in [
         ("float64 x", b"", {}, "message 1: the message of 4 bytes"),
         ("float64[] x", struct.pack("<I", 10**9), {}, "1000000000 elements"),
@@ -179,9 +173,8 @@ def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path):
         ("wstring w\nint8 x", b"", {}, "a wstring before"),
     ]:
         path = ros_file(tmp_path, definition, body, **options)
-        with wrong.of(definition), pytest.raises(LogError, match=text):
+        with subtests.test(case=definition), pytest.raises(LogError, match=text):
             read(path, "/topic.x")
-    assert not wrong
 
 
 def test_definitions_that_multiply_are_refused(tmp_path):

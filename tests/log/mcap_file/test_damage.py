@@ -17,7 +17,6 @@ from cosim.log.contents.messages import encode_log
 from cosim.log.mcap_file.records import MAGIC
 from cosim.log.writing.buffer import WaitingMessage
 from tests.log.mcap_file.paged import PagedStream
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import STEP_NS, layout, make_chunks_small, plan, table
 from tests.log.writing.direct import content, open_store
 
@@ -95,7 +94,7 @@ def outcome(path, data, truth):
 
 @pytest.mark.parametrize("state", ["closed", "killed", "uncompressed"])
 @pytest.mark.parametrize("count", [100, *LONG])
-def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count):
+def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count, subtests):
     """Wherever it is, but for the room that holds nothing: in metadata and indexes, too."""
     data = written[state]
     path = tmp_path / "a.mcap"
@@ -104,15 +103,13 @@ def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count):
     used = np.concatenate([np.arange(*match.span()) for match in re.finditer(USED, data)])
     chance = random.Random(count)
     outcomes = Counter()
-    wrong = Mismatches()
     for _ in range(count):
         damaged = bytearray(data)
         position = chance.choice(used)
         bit = chance.randrange(8)
         damaged[position] ^= 1 << bit
-        with wrong.of(f"bit {bit} of byte {position}"):
+        with subtests.test(case=f"bit {bit} of byte {position}"):
             outcomes[outcome(path, damaged, truth)] += 1
-    assert not wrong
     assert outcomes["reported"] > count / 4
 
 
@@ -131,15 +128,13 @@ def test_a_killed_log_is_known_by_its_seal_too(tmp_path, written):
 
 @pytest.mark.parametrize("state", ["closed", "killed"])
 @pytest.mark.parametrize("count", [30, pytest.param(500, marks=pytest.mark.campaign)])
-def test_a_log_without_its_end_is_reported(tmp_path, written, state, count):
+def test_a_log_without_its_end_is_reported(tmp_path, written, state, count, subtests):
     """Wherever it is cut."""
     data = written[state]
     path = tmp_path / "a.mcap"
     chance = random.Random(count)
-    wrong = Mismatches()
     ends = [match.end() for match in re.finditer(re.escape(MAGIC), data)][:-1]
     for stop in [*ends, *(chance.randrange(len(data)) for _ in range(count))]:
         path.write_bytes(data[:stop])
-        with wrong.of(f"{stop} of {len(data)} bytes"), pytest.raises(LogError):
+        with subtests.test(case=f"{stop} of {len(data)} bytes"), pytest.raises(LogError):
             everything(path)
-    assert not wrong

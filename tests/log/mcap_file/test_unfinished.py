@@ -20,7 +20,6 @@ from cosim.log.mcap_file import unfinished
 from cosim.log.reading import container
 from cosim.log.writing import writer
 from tests.log.disks import FullDisk
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 
@@ -57,22 +56,19 @@ def attempt(path, force, *, error=None, rows=0):
             raise error
 
 
-def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force):
+def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force, subtests):
     """Whatever stood there stays, and no other file."""
-    wrong = Mismatches()
     for error in (GraphError("no"), LogError("no"), ValueError("bug"), KeyboardInterrupt()):
-        with wrong.of(error):
+        with subtests.test(case=error):
             with pytest.raises(type(error)):
                 attempt(path, force, error=error)
             assert untouched(path, force)
-    assert not wrong
 
 
-def test_a_run_that_failed_at_its_start_leaves_a_log(tmp_path, path, force):
+def test_a_run_that_failed_at_its_start_leaves_a_log(tmp_path, path, force, subtests):
     """It has no rows, and the stop reason."""
-    wrong = Mismatches()
     for error in (NonFiniteError("y became nan"), LogWriteError("negative"), Interrupted("Ctrl-C")):
-        with wrong.of(error):
+        with subtests.test(case=error):
             with pytest.raises(type(error)):
                 attempt(path, force, error=error)
             assert list(tmp_path.iterdir()) == [path]
@@ -83,7 +79,6 @@ def test_a_run_that_failed_at_its_start_leaves_a_log(tmp_path, path, force):
         path.unlink()
         if force:
             record(path, steps=10)
-    assert not wrong
 
 
 def test_a_complete_run_without_rows_leaves_a_log(path, force):
@@ -164,21 +159,19 @@ def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch):
+def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, subtests):
     """Wherever it comes."""
-    wrong = Mismatches()
     functions = ("add_parts", "add_preamble", "LiveFile", "BackgroundWriter", "library_name")
     for function, error in product(functions, (KeyboardInterrupt(), MemoryError())):
 
         def interrupt(*args, error=error, **kwargs):
             raise error
 
-        with monkeypatch.context() as patch, wrong.of((function, error)):
+        with monkeypatch.context() as patch, subtests.test(case=(function, error)):
             patch.setattr(writer, function, interrupt)
             with pytest.raises(type(error)):
                 attempt(path, force)
             assert untouched(path, force)
-    assert not wrong
 
 
 def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):

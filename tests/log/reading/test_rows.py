@@ -15,7 +15,6 @@ from cosim.log.mcap_file.workers import AHEAD
 from cosim.log.reading import container as log_container
 from cosim.log.reading import rows as log_rows
 from tests.log.crafting import put_together, take_apart
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import (
     STEP_NS,
     layout,
@@ -138,10 +137,9 @@ def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monk
     tracemalloc.stop()
 
 
-def test_chunks_read_one_behind_the_other_keep_their_rows(tmp_path, monkeypatch):
+def test_chunks_read_one_behind_the_other_keep_their_rows(tmp_path, monkeypatch, subtests):
     """However they are read: their memory is that of chunks before them."""
     make_chunks_small(monkeypatch, 5_000)
-    wrong = Mismatches()
     for compression in ("zstd", "lz4", "none"):
         path = tmp_path / f"{compression}.mcap"
         rows = record(path, steps=1000, compression=compression)
@@ -149,7 +147,7 @@ def test_chunks_read_one_behind_the_other_keep_their_rows(tmp_path, monkeypatch)
             assert len(make_reader(stream).get_summary().chunk_indexes) > 3 * AHEAD
         log = open_log(path)
         log.load()
-        with monkeypatch.context() as streaming, wrong.of(compression):
+        with monkeypatch.context() as streaming, subtests.test(case=compression):
             for name, channel in log.channels.items():
                 assert same_bits(log.rows(name), rows[:: channel.period, channel.columns])
             streaming.setattr(log_rows, "_MOST_AHEAD", 0)
@@ -159,4 +157,3 @@ def test_chunks_read_one_behind_the_other_keep_their_rows(tmp_path, monkeypatch)
                 assert same_bits(np.vstack(streamed), rows[:: channel.period, channel.columns])
                 times = open_log(path).time_ns(name)
                 assert np.array_equal(times, np.arange(len(times)) * channel.period * STEP_NS)
-    assert not wrong

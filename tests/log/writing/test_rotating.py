@@ -15,7 +15,6 @@ from cosim.log import McapRecorder, open_log
 from cosim.log.editing.merging import merge
 from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.mcap_file.unfinished import UnfinishedLog
-from tests.log.mismatches import Mismatches
 from tests.log.recordings import (
     LATE,
     STEP_NS,
@@ -35,9 +34,8 @@ MESSAGES = [(k * 100 * STEP_NS, "info", "run", f"message {k}") for k in range(11
 SMALL = Rotation(40_000, None, "40kB")
 
 
-def test_merged_parts_are_the_log_of_the_run(tmp_path, monkeypatch):
+def test_merged_parts_are_the_log_of_the_run(tmp_path, monkeypatch, subtests):
     """The content hash is that of the same run in one file, whatever the blocks are."""
-    wrong = Mismatches()
     for number, (rotation, period, size) in enumerate(
         [(LATE, 1, 1000), (LATE, 5, 1), (LATE, 7, 1000), (SMALL, 1, 1), (SMALL, 7, 1000)]
     ):
@@ -51,13 +49,12 @@ def test_merged_parts_are_the_log_of_the_run(tmp_path, monkeypatch):
         parts = parts_of(folder / "run.mcap")
         merged = merge(parts, folder / "whole.mcap")
         source = open_log(folder / "one.mcap")
-        with wrong.of((rotation, period, size)):
+        with subtests.test(case=(rotation, period, size)):
             assert len(parts) > 2
             assert (merged.status, merged.reason) == ("complete", "")
             assert merged.recorded_hash == merged.content_hash() == source.recorded_hash
             assert merged.messages() == source.messages()
             assert merged.results == source.results
-    assert not wrong
 
 
 def test_every_part_opens_alone(tmp_path):
