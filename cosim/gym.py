@@ -116,7 +116,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             If the environment is closed.
         """
         if self._is_closed:
-            raise UsageError("reset: this environment is closed; needed another one")
+            raise UsageError("reset: this environment is closed; make a new one")
         super().reset(seed=seed)
         if self._seeded or (self._out is not None and not self._session.logs):
             self._session.close()
@@ -145,7 +145,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         """
         session = self._session
         if self._problem:
-            raise UsageError(f"step: {self._problem}; needed reset() first")
+            raise UsageError(f"step: {self._problem}; call reset() first")
         values = self._checked(action)
         for to, part in self._parts.items():
             session[to] = values[part]
@@ -190,11 +190,11 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         try:
             values = np.asarray(action, np.float64)
         except (TypeError, ValueError) as error:
-            raise UsageError(f"action: found {kind_of(action)}; needed numbers") from error
+            raise UsageError(f"action: expected numbers, got {kind_of(action)}") from error
         if values.shape != self._low.shape:
             raise UsageError(
-                f"action: found shape {values.shape}; needed {self._low.shape}: "
-                f"{', '.join(self._act)}"
+                f"action: expected shape {self._low.shape} ({', '.join(self._act)}), got "
+                f"{values.shape}"
             )
         is_inside = (values >= self._low) & (values <= self._high)
         if not is_inside.all():
@@ -202,7 +202,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             low = float(self._low[first])
             high = float(self._high[first])
             raise UsageError(
-                f"action: found {float(values[first])} as element {first}; needed {low} to {high}"
+                f"action[{first}]: expected {low} to {high}, got {float(values[first])}"
             )
         return values
 
@@ -211,8 +211,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         is_whole = isinstance(self._steps, Integral) and not isinstance(self._steps, bool)
         if not is_whole or self._steps < 1 or total % self._steps:
             raise UsageError(
-                f"steps: found {self._steps!r}; needed a whole number of communication steps, of "
-                f"which the scenario, {total} steps, is a multiple"
+                f"steps: expected a whole number of communication steps that divides the {total} "
+                f"steps of the scenario, got {self._steps!r}"
             )
 
     def _input_parts(self) -> dict[str, slice]:
@@ -225,8 +225,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             self._session[name] = np.zeros(len(values))  # refuses what is no input
             if len(self._session.overrides) < len(before) + len(values):
                 raise UsageError(
-                    f"act: found '{name}', elements of which another input of the action has; "
-                    "needed every element once"
+                    f"act: '{name}' has elements of another input of the action; expected every "
+                    "element once"
                 )
             parts[name] = slice(start, start + len(values))
             start += len(values)
@@ -235,7 +235,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     def _bounds(self, key: str, signals: SignalBounds) -> tuple[Vector, Vector]:
         """Return the lowest and highest values of signals, one after the other."""
         if not signals or isinstance(signals, str):
-            raise UsageError(f"{key}: found {signals!r}; needed the names of signals, in a list")
+            raise UsageError(f"{key}: expected a list of signal names, got {signals!r}")
         low: list[float] = []
         high: list[float] = []
         for name in signals:
@@ -257,11 +257,11 @@ def _checked_bounds(key: str, name: str, bounds: tuple[float, float]) -> tuple[f
         lowest, highest = map(float, bounds)
     except (TypeError, ValueError) as error:
         raise UsageError(
-            f"{key}: found {bounds!r} as the bounds of '{name}'; needed (lowest, highest)"
+            f"{key}: expected (lowest, highest) as the bounds of '{name}', got {bounds!r}"
         ) from error
     if not lowest < highest:
         raise UsageError(
-            f"{key}: found {lowest} to {highest} for '{name}'; needed the lowest value first"
+            f"{key}: expected lowest <= highest for '{name}', got {lowest} to {highest}"
         )
     return lowest, highest
 

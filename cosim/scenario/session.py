@@ -227,7 +227,7 @@ class Session:
             If the session is closed, or that of another thread.
         """
         if not self._is_open:
-            raise UsageError("reset: this session is closed; needed another one: start it again")
+            raise UsageError("reset: this session is closed; start a new one")
         if self._opened.recorder is None:
             self._simulation.reset()
             return
@@ -269,5 +269,5 @@ def _complete_unclosed(opened: Opened, resources: ExitStack, process: int) -> No
         with suppress(CosimError):
             simulation.close()
         _conclude(opened, ended)
-    text = f"{path}: the session was not closed; needed sim.close(), or a with block"
+    text = f"{path}: the session was not closed; call sim.close(), or use a with block"
     warnings.warn(text, ResourceWarning, stacklevel=2)

@@ -294,7 +294,8 @@ def _at_operating_point(verdict: AssumptionVerdict) -> AssumptionVerdict:
     if not verdict.fulfilled:
         return verdict
     evidence = (
-        f"not decided: fulfilled at the operating point ({verdict.evidence}); then by the run"
+        f"not decided: fulfilled at the operating point ({verdict.evidence}); checked again during "
+        "the run"
     )
     return replace(verdict, fulfilled=None, evidence=evidence)
 

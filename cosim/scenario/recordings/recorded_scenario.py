@@ -28,14 +28,14 @@ def recorded_document(log: CompleteRecording) -> Document:
     edits = run_metadata(log).get("edits")
     if SCENARIO_FILE not in log.attachments or edits is None:
         raise LogError(
-            f"the log carries no {SCENARIO_FILE}; needed a log that {command('run')} wrote"
+            f"the log has no {SCENARIO_FILE}; expected a log written by {command('run')}"
         )
     try:
         text = log.attachment(SCENARIO_FILE).decode()
         document = Document.recorded(text, edits, Path.cwd())
         return replace(document, foreign_kinds=_foreign_kinds(log))
     except ValueError as error:
-        raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
+        raise LogError(f"{log.label}: invalid scenario: {error}") from error
 
 
 def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:

@@ -283,15 +283,12 @@ def _flush_interval(flush: float | None, *, sync: bool, is_logged: bool) -> floa
     """
     for name, is_given in (("flush", flush is not None), ("sync", sync)):
         if is_given and not is_logged:
-            raise UsageError(
-                f"found {flag(name)}, which is about the log at {option('out')}, and no "
-                f"{option('out')}; needed both, or neither"
-            )
+            raise UsageError(f"{flag(name)} applies to a log; expected {option('out')}, too")
     if flush is None:
         return FLUSH_INTERVAL
     interval = number_argument("flush", flush)
     if not 0 < interval < math.inf:
-        raise UsageError(f"{option('flush')}: found {flush!r}; needed a time above 0 s")
+        raise UsageError(f"{option('flush')}: expected a time > 0 s, got {flush!r}")
     return interval
 
 
@@ -306,10 +303,7 @@ def _rotation_of(rotate: str | None, *, is_logged: bool) -> Rotation | None:
     if rotate is None:
         return None
     if not is_logged:
-        raise UsageError(
-            f"found {option('rotate')}, which is about the log at {option('out')}, and no "
-            f"{option('out')}; needed both, or neither"
-        )
+        raise UsageError(f"{option('rotate')} applies to a log; expected {option('out')}, too")
     return read_rotation(rotate)
 
 
@@ -373,16 +367,14 @@ def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed
     """Check that nothing is given beside a recorder that is about a log file."""
     if embed:
         raise UsageError(
-            f"found both {flag('embed')} and a recorder; needed one of them: FMUs are put into a "
-            "log file"
+            f"expected {flag('embed')} or a recorder, got both: FMUs are embedded in a log file"
         )
     if out is not None:
         raise UsageError(
-            f"found both out={str(out)!r} and a recorder; needed one of them: "
-            "out writes a log file, recorder takes the run itself"
+            f"expected out or a recorder, got out={str(out)!r} and a recorder: out writes a log "
+            "file, a recorder takes the run itself"
         )
     if notice is not None:
         raise UsageError(
-            "found both a notice and a recorder; needed one of them: notice is called about the "
-            "log at out"
+            "expected a notice or a recorder, got both: notice is called about the log at out"
         )

@@ -258,8 +258,8 @@ def replays_of(
     source = open_joined(log)
     if scenario is not None:
         raise UsageError(
-            f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
-            "for recordings of other tools"
+            f"{source.label} has its own scenario; omit {option('scenario')}, which is for "
+            "recordings of other tools"
         )
     request = replay_request(
         source,
