@@ -421,7 +421,7 @@ def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypa
         (("--out", "a.mcap", "--plot", "a.mcap"), "found the ending '.mcap'"),
         (("--out", "a.mcap", "--plot", "a.mcap/x.png"), "found the path of the log"),
         (("--plot", "pipe.png"), "it is a pipe, not a regular file"),
-        (("--out", "a.log"), "a log needs a path that ends in .mcap"),
+        (("--out", "a.log"), "expected a path that ends in .mcap"),
         (("--out", "folder.mcap"), "is a folder; name a file"),
     ]:
         code, err = call("run", "academic", *arguments)

@@ -14,6 +14,7 @@ from cosim.gym import Env
 from cosim.report.verification import verify
 from cosim.scenario.running.replay import replay
 from cosim.scenario.session import Session
+from tests.case_tables import each_case
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
@@ -151,13 +152,13 @@ def test_an_action_that_does_not_fit_is_refused(env):
     with pytest.raises(UsageError, match=r"step: there is no episode yet; needed reset\(\) first"):
         env.step(np.zeros(1))
     env.reset()
-    with pytest.raises(UsageError, match=r"action: found shape \(2,\); needed \(1,\): plant.u"):
+    with pytest.raises(UsageError, match=r"action: expected shape \(1,\) \(plant.u\), got \(2,\)"):
         env.step(np.zeros(2))
-    with pytest.raises(UsageError, match=r"found 1.5 as element 0; needed -1.0 to 1.0"):
+    with pytest.raises(UsageError, match=r"action\[0\]: expected -1.0 to 1.0, got 1.5"):
         env.step(np.array([1.5]))
-    with pytest.raises(UsageError, match=r"found nan as element 0"):
+    with pytest.raises(UsageError, match=r"action\[0\]: .*got nan"):
         env.step(np.array([np.nan]))
-    with pytest.raises(UsageError, match=r"action: found an object of type dict; needed numbers"):
+    with pytest.raises(UsageError, match=r"action: expected numbers, got an object of type dict"):
         env.step({"plant.u": 0.0})
 
 
@@ -184,7 +185,7 @@ def test_a_closed_environment_has_no_further_episodes(name):
         env.step(np.zeros(1))
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("options", "error", "text"),
     [
         ({"act": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),

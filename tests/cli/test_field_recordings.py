@@ -50,7 +50,7 @@ def test_a_recording_is_replayed_with_its_scenario(call):
     assert code == 0, err
     code, _, err = call(*vary, "--scenario", "loop.toml")
     assert code == 2
-    assert "once.mcap carries its own scenario; leave out --scenario" in err
+    assert "once.mcap has its own scenario; omit --scenario" in err
     code, _, err = call("replay", "field.mcap", *names, "--verify")
     assert code == 2
     assert "--verify compares with a log of cosim; field.mcap is of another tool" in err

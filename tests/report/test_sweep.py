@@ -231,7 +231,7 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         )
     with pytest.raises(UsageError, match="carries no scenario; needed scenario"):
         cosim.replay_sweep(path, vary=vary, map=BOTH)
-    with pytest.raises(UsageError, match="carries its own scenario; leave out scenario"):
+    with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)
     maps = [f"--map={port}={name}" for port, name in BOTH.items()]
     command = ("replay", path, "--scenario", scenario, *maps)

@@ -309,7 +309,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
         assert stopped.value.code == 2
         return capsys.readouterr().err
 
-    assert "'u' is of kind 'sine', which cannot be exported; what can be: sum, gain" in refused(
+    assert "'u' is of kind 'sine', which cannot be exported; available: sum, gain" in refused(
         "--component", "u"
     )
     assert "FMI version '1'" in refused("--component", "plant", "--fmi", "1")

@@ -11,6 +11,7 @@ import cosim
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify_records
+from tests.case_tables import each_case
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -87,11 +88,11 @@ def test_options_are_those_of_the_fit(logs):
     np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("bounds", "text"),
     [
         ([[-1, 0]], "needed [lower, upper] for each of the 2 parameters"),
-        (3, "bounds: found 3; needed [lower, upper]"),
+        (3, "bounds: expected [lower, upper]"),
         ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
         ({0: 1.0}, "bounds of theta[0]: found 1.0; needed two numbers"),
         ({0: (1.0, 0.0)}, "bounds of theta[0]: the lower 1 is above the upper 0"),
@@ -106,11 +107,11 @@ def test_bounds_that_are_none_are_refused(logs, bounds, text):
 def test_what_is_no_log_is_refused(logs):
     """Alone, beside a log, and as the number of a log that the fit does not have."""
     for given in (3, [logs[0], None]):
-        with pytest.raises(UsageError, match=r"logs: found (3|None); needed a path, or what"):
+        with pytest.raises(UsageError, match=r"logs: expected a path.*got (3|None)"):
             cosim.identify(given)
     found = cosim.identify(logs[0])
     for index in (1, -1):
-        with pytest.raises(UsageError, match=f"index: found {index}; needed 0 to 0"):
+        with pytest.raises(UsageError, match=f"index: expected {index}; needed 0 to 0"):
             found.smoothed(index)
 
 

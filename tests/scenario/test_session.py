@@ -17,6 +17,7 @@ from cosim.log import Log
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
 from cosim.scenario.running.replay import replay
+from tests.case_tables import each_case
 from tests.scenario.online import COARSE
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
@@ -190,7 +191,7 @@ def replace_values(event, values):
     return event._replace(values=values)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("change", "text"),
     [
         ({"signal": "plant.z"}, r"the event of 'plant.z' at t = 0.007 s does not fit: .*no input"),
@@ -356,7 +357,7 @@ def test_a_log_that_cannot_be_written_is_refused_first(tmp_path):
         scenario().start(out=path)
     with pytest.raises(UsageError, match="found force=True, which is about the log at out"):
         scenario().start(force=True)
-    with pytest.raises(UsageError, match=r"a log needs a path that ends in .mcap"):
+    with pytest.raises(UsageError, match=r"expected a path that ends in .mcap"):
         scenario().start(out=tmp_path / "x.txt")
     with pytest.raises(UsageError, match="numbered"):
         scenario().start(numbered=3)

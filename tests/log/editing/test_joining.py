@@ -149,7 +149,7 @@ def test_a_replay_does_not_replace_a_file_of_its_log(run, name):
     """It reads those before its own, and would remove those behind."""
     files = {path: path.read_bytes() for path in run.parent.iterdir()}
     source = run.with_name("run.part3.mcap" if name == "run.mcap" else "run.part2.mcap")
-    text = "is a file of the log that is replayed, which was rotated; choose another path$"
+    text = "is one of the rotated files of the log being replayed"
     if source.name == name:
         text = "is the log that is replayed; choose another path$"
     with pytest.raises(UsageError, match=text):

@@ -79,4 +79,4 @@ def test_a_large_log_is_announced_before_the_first_step(tmp_path, monkeypatch):
     assert text.endswith(" GB, before compression and without messages")
     (text,) = notices(1.0, 10_000)
     assert text.startswith("warning: ")
-    assert text.endswith("; there are 1e-05 GB left on its disk")
+    assert text.endswith("; its disk has 1e-05 GB left")

@@ -11,6 +11,7 @@ from cosim.errors import ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
+from tests.case_tables import each_case
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
 BASE = """
@@ -244,7 +245,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("until", REFUSED)
+@each_case("until", REFUSED)
 def test_a_condition_that_is_wrong_is_refused_with_its_line(until, tmp_path):
     """Once, beside the other problems of the file."""
     path = file(tmp_path, f'until = "{until}"')

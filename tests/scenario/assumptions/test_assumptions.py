@@ -11,6 +11,7 @@ from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START,
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
+from tests.case_tables import each_case
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
 
@@ -174,7 +175,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case("case", CASES)
 def test_each_assumption_fails_alone_with_its_number_and_cure(case):
     """What fails, first of all; neighbors on the other side of a border do not."""
     settings, first, verdict = CASES[case]

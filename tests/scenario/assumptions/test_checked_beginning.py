@@ -20,6 +20,7 @@ from cosim.scenario.assumptions.report import FILE, check_assumptions
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import INDEX
+from tests.case_tables import each_case
 
 OF_COMPENSATOR = (FEEDBACK, ZEROS, STABILITY, ACTIVATION, LIMITS)
 
@@ -80,7 +81,7 @@ CASES = {
 RUNS_ALL_THE_SAME = ("much noise", "theta elsewhere", "narrow limits")
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case("case", CASES)
 def test_a_compensator_is_refused_by_the_check_as_by_the_run(compensation, case):
     """The row says what the error of the run says, with its name and its cure."""
     settings, assumption, verdict = CASES[case]
@@ -106,7 +107,7 @@ def test_limits_that_suffice_are_said(compensation):
     row = check_assumptions(compensation, set=changes).of("compensator")[LIMITS]
     assert row.fulfilled
     assert row.evidence.startswith(
-        "limits from -3 to 3; to reject the disturbance u goes from -1.5"
+        "limits from -3 to 3; rejecting the disturbance takes u from -1.5"
     )
     assert "at a limit the internal model winds up" in row.evidence
 
@@ -148,7 +149,7 @@ def parts(tmp_path, changes):
     return path
 
 
-@pytest.mark.parametrize("case", BEGINNINGS)
+@each_case("case", BEGINNINGS)
 def test_what_a_run_refuses_before_its_first_step_is_refused_by_the_check(tmp_path, case):
     """Also where it shows only in the graph, or as components are initialized."""
     changes, place = BEGINNINGS[case]

@@ -13,6 +13,7 @@ from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalErro
 from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
 from cosim.scenario.exporting import export_component
+from tests.case_tables import each_case
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
 
@@ -156,7 +157,7 @@ def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number, ends
         cosim.run("academic", set=set_, out=path, force=True, certify=True, progress=interrupt)
     assert raised.value.exit_code == 130
     assert raised.value.__notes__ == [
-        "no certificate: a run with a smaller step did not come to its end",
+        "no error estimate: a run with a smaller step did not complete",
         f"{path} has the run up to t = 2.0 s",
     ]
     log = cosim.open_log(path)
@@ -254,7 +255,7 @@ def reasons(path, **changes):
     return {entry.signal: entry.reason for entry in certificate.signals if entry.largest is None}
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3])
+@each_case("offset", [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3])
 def test_what_follows_a_jump_between_points_has_no_estimate(tmp_path, offset):
     """A jump in the first quarter of a step looks like first order, with twice the true error."""
     found = reasons(write(tmp_path, lag_behind(("Jump", 1.0 + offset))))
@@ -262,7 +263,7 @@ def test_what_follows_a_jump_between_points_has_no_estimate(tmp_path, offset):
     assert "source.y jumps" in found["lag.y"]
 
 
-@pytest.mark.parametrize("offset", [1e-3, 4e-3, 6e-3, 9e-3])
+@each_case("offset", [1e-3, 4e-3, 6e-3, 9e-3])
 def test_what_follows_a_discrete_jump_at_an_unknown_instant_has_no_estimate(offset):
     """In the last quarter of a step all three runs have it at the same point, and do not differ."""
     square = (1.0 + offset) ** 2
@@ -354,7 +355,7 @@ def test_samples_of_unknown_components_count_as_regular_where_they_are(tmp_path)
     assert "holder.y jumps at an instant that is not known" in found["lag.y"]
 
 
-@pytest.mark.parametrize("offset", np.linspace(2e-4, 9.8e-3, 25))
+@each_case("offset", np.linspace(2e-4, 9.8e-3, 25))
 def test_an_estimate_behind_a_bend_is_at_most_a_third_off(tmp_path, offset):
     """|t - s| and its straight line enclose the area s' (h - s'), which the lag takes over 0.5 s.
 
@@ -379,7 +380,7 @@ def test_a_relay_that_switches_at_every_step_has_no_estimate(tmp_path):
     assert list(reasons(write(tmp_path, certified.RELAY))) == ["relay.y", "mass.y"]
 
 
-@pytest.mark.parametrize("limit", [0.2, 0.5, 0.9, 1.3])
+@each_case("limit", [0.2, 0.5, 0.9, 1.3])
 def test_an_estimate_of_a_loop_that_saturates_is_right_or_there_is_none(limit):
     """A PID at its limits against a hundredth of the step."""
     document = f"""

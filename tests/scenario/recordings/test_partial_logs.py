@@ -16,6 +16,7 @@ from cosim.log.editing.cutting import cut
 from cosim.log.editing.merging import merge
 from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
+from tests.case_tables import each_case
 from tests.log.crafting import put_together, take_apart, without_checksum
 
 SHORT = {"scenario.stop": 0.2, "identifier.period": 0.01}
@@ -238,7 +239,7 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
     assert path.stat().st_size < 100_000
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("settings", "message"),
     [
         (record(["plan.*"]), r"record.signals: no signal matches 'plan\.\*'; did you mean 'plant"),
@@ -301,7 +302,7 @@ def _redeclare(content):
     items["cosim.declared"] = json.dumps(add_checksum("cosim.channel", declared))
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("change", "message"),
     [
         (_drop("cosim.record", "every"), "'every'"),

@@ -8,6 +8,7 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import component_record, replay_origin
+from tests.case_tables import each_case
 from tests.fmi import lag
 from tests.fmi.compiled import with_description
 
@@ -106,7 +107,7 @@ def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
     assert replay_origin(again).copied == ()
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("swap", "names", "error", "message"),
     [
         ({"filtr": "filter.fmu"}, {}, ScenarioError, "there is no component 'filtr'; did you mean"),

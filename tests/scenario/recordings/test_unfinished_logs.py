@@ -14,6 +14,7 @@ import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log.editing.recovering import recover
 from cosim.report.verification import verify
+from tests.case_tables import each_case
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +94,10 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     assert os.path.getsize(copy) == os.path.getsize(path)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("options", "message"),
     [
-        ({"flush": 0.0, "out": "a.mcap"}, r"flush: found 0\.0; needed a time above 0 s"),
+        ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a time > 0 s, got 0\.0"),
         ({"flush": "1", "out": "a.mcap"}, "flush: found '1'; needed a number"),
         ({"flush": 1.0}, "found flush=True, which is about the log at out, and no out"),
         ({"sync": True}, "found sync=True, which is about the log at out, and no out"),

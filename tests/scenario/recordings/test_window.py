@@ -10,6 +10,7 @@ from cosim.errors import ClockError, LogError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
+from tests.case_tables import each_case
 from tests.log.crafting import change_rows, put_together, take_apart
 
 END = 0.2
@@ -80,7 +81,7 @@ def test_a_window_begins_where_every_component_has_a_row(log):
     assert part.time("identifier").tolist() == [0.05, 0.06, 0.07, 0.08, 0.09, 0.1]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("window", "error", "message"),
     [
         ((0.0105, None), ClockError, r"where the window begins: 0\.0105 s is not a whole number"),
@@ -109,7 +110,7 @@ def test_a_stop_beside_a_window_is_refused(log):
 def test_a_window_cannot_be_replayed(log, tmp_path):
     """What was before it is missing; the message names the log that has it."""
     part = cosim.replay(log, window=(0.1, 0.15), out=tmp_path / "b.mcap")
-    with pytest.raises(LogError, match=r"found a replay from 0\.1 s to 0\.15 s alone.*a\.mcap"):
+    with pytest.raises(LogError, match=r"starts at 0\.1 s and ends at 0\.15 s only.*a\.mcap"):
         cosim.replay(part)
     beginning = cosim.replay(log, window=(None, 0.15), out=tmp_path / "c.mcap")
     assert verify(beginning, cosim.replay(beginning)).passed

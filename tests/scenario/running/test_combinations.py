@@ -5,6 +5,7 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.scenario.running.combinations import combination_text, combinations
+from tests.case_tables import each_case
 
 
 def test_combinations_are_the_full_product_in_order():
@@ -22,11 +23,13 @@ def test_combinations_are_the_full_product_in_order():
 def test_a_thousand_combinations_are_the_most():
     """One more is refused before anything is built."""
     assert len(combinations({"a.x": range(10), "a.y": range(100)})) == 1000
-    with pytest.raises(UsageError, match=r"vary: found 7 x 143 = 1001 combinations; needed at mos"):
+    with pytest.raises(
+        UsageError, match="vary: .*7 x 143 = 1001"
+    ):
         combinations({"a.x": range(7), "a.y": range(143)})
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("vary", "message"),
     [
         ({}, "vary: found nothing; needed a key and its values"),

@@ -85,7 +85,7 @@ def test_a_log_of_a_run_carries_its_own_scenario(loop, tmp_path):
     """So there is none to name."""
     out = tmp_path / "run.mcap"
     cosim.run(loop, out=out)
-    with pytest.raises(UsageError, match="carries its own scenario; leave out scenario, which is"):
+    with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
         cosim.replay(out, scenario=loop)
 
 

@@ -18,6 +18,7 @@ from cosim.errors import ClockError, CosimError, ScenarioError, UsageError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
+from tests.case_tables import each_case
 
 # y = x, and x+ = x + u at the end of a period, with u sampled at its start; h = 1 s
 ACCUMULATOR = 'kind = "discrete-state-space", A = [[1.0]], B = [[1.0]], C = [[1.0]]'
@@ -165,7 +166,7 @@ def test_an_fmu_with_a_period_interpolates_or_holds(tmp_path):
         assert len(np.unique(log["c.x"])) == 11
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("keys", "text"),
     [
         ({"period": 0.1, "offset": 0.1}, "offset: found 0.1 s, needed 0 s or more, and less than"),
@@ -185,7 +186,7 @@ def test_rates_that_are_none_are_refused(keys, text):
     assert text in str(error.value)
 
 
-@pytest.mark.parametrize("offset", [-1, 3, 4])
+@each_case("offset", [-1, 3, 4])
 def test_an_offset_beyond_the_period_is_refused(offset):
     one = np.ones((1, 1))
     matrices = system_matrices("accumulator", A=one, B=one, C=one, D=None, x0=None)
@@ -193,7 +194,7 @@ def test_an_offset_beyond_the_period_is_refused(offset):
         Sampled(DiscreteStateSpace(matrices), 3, offset=offset)
 
 
-@pytest.mark.parametrize("keys", ["offset = 0.04", 'input_interpolation = "linear"'])
+@each_case("keys", ["offset = 0.04", 'input_interpolation = "linear"'])
 def test_what_an_exported_controller_cannot_do_is_refused(tmp_path, keys):
     path = tmp_path / "sampled.toml"
     path.write_text(FEEDTHROUGH.format(keys=f", period = 0.1, {keys}"), encoding="utf-8")

@@ -15,6 +15,7 @@ from cosim.report.inspection import describe_log
 from cosim.report.tables.verification import print_verification
 from cosim.report.verification_result import Verification
 from cosim.scenario.exporting import export_component
+from tests.case_tables import each_case
 from tests.scenario.online import COARSE, noisy
 
 # Kernels of OpenBLAS with AVX2 and SSE; that with AVX-512 is a further one of the same kind.
@@ -153,7 +154,7 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
     assert "note: plant: solver BDF computes with LAPACK: on another processor" in message
 
 
-@pytest.mark.parametrize("solver", ["exact", *EXPLICIT])
+@each_case("solver", ["exact", *EXPLICIT])
 def test_a_log_says_nothing_of_bits_where_they_depend_on_nothing(solver, tmp_path):
     log = tmp_path / "x.mcap"
     cosim.run("academic", set={"scenario.stop": 0.02, "plant.solver": solver}, out=log)

@@ -16,6 +16,7 @@ from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
+from tests.case_tables import each_case
 from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
@@ -339,7 +340,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
+@each_case("case", WRONG)
 def test_a_wrong_map_is_reported(case, other):
     """The option, what was found, the nearest."""
     swapped, maps, text = WRONG[case]
@@ -364,7 +365,7 @@ def test_all_that_is_wrong_is_reported_at_once(other):
         assert text in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("swap", "text"),
     [
         ("plant = 3", r"academic:\d+: swap\.plant: found 3; needed a table"),
