@@ -203,7 +203,7 @@ def test_a_closed_environment_has_no_further_episodes(name):
         ({"steps": 1.0}, UsageError, r"steps: found 1.0; needed a whole number"),
     ],
 )
-def test_what_does_not_fit_the_scenario_is_refused(options, error, text):
+def test_options_that_do_not_fit_the_scenario_are_refused(options, error, text):
     with pytest.raises(error, match=text):
         environment(**options)
 

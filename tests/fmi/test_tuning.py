@@ -11,18 +11,11 @@ from cosim.errors import FmuError
 from cosim.fmi.component import load
 from cosim.fmi.driving.tuning import check_tuning, tunable_parameters
 from cosim.fmi.options import FmuOptions
-from tests.fmi import eventful, lag
+from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
+from tests.fmi.eventful import friction
 
 STEP = 0.1
-
-
-def friction(folder, version):
-    """Compile v' = u - p while it slips, with p tunable."""
-    xml = (eventful.xml2 if version == 2 else eventful.xml3)("FRICTION")
-    xml = xml.replace('variability="fixed"', 'variability="tunable"')
-    defines = (f"FMI={version}", "MODEL=FRICTION", "NOMINAL=1.0")
-    return compile_fmu(folder / f"friction{version}.fmu", xml, "events.c", defines=defines)
 
 
 class Traced:

@@ -299,7 +299,7 @@ def test_a_fixed_step_is_kept(folder):
             fmu.component.advance(np.array([0.0, 0.002]), 0.002, original.u[:2])
 
 
-def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
+def test_an_impossible_export_is_refused(tmp_path, monkeypatch, capsys):
     """Signal sources, and versions and platforms that are none: the message names what exists."""
     monkeypatch.chdir(tmp_path)
 
@@ -419,7 +419,7 @@ def test_parts_that_inherit_discrete_variability_are_discrete(tmp_path):
     assert "co-simulation in FMI 2.0 has no events, and" in lines[-1]
 
 
-def test_what_a_component_does_not_rest_on_need_not_be_there(tmp_path):
+def test_an_export_needs_no_files_of_unrelated_components(tmp_path):
     """The observer needs its model, not the plant.
 
     The identifier takes rows as the plant makes them, and so needs that.

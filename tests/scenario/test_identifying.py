@@ -104,7 +104,7 @@ def test_bounds_that_are_none_are_refused(logs, bounds, text):
         cosim.identify(logs[0], bounds=bounds)
 
 
-def test_what_is_no_log_is_refused(logs):
+def test_anything_but_a_log_is_refused(logs):
     """Alone, beside a log, and as the number of a log that the fit does not have."""
     for given in (3, [logs[0], None]):
         with pytest.raises(UsageError, match=r"logs: expected a path.*got (3|None)"):

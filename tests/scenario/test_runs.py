@@ -402,7 +402,7 @@ def test_numbered_logs_count_up(tmp_path):
 
 
 @pytest.mark.parametrize("option", ["force", "numbered"])
-def test_what_is_for_a_log_is_refused_where_none_is_written(option, logged):
+def test_options_of_a_log_are_refused_where_none_is_written(option, logged):
     """It would be ignored."""
     name, path, _ = logged
     message = f"found {option}=True, which is about the log at out, and no out; needed both"
@@ -741,7 +741,7 @@ def lagging(folder, start):
     return scenario
 
 
-def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
+def test_diagnostics_of_an_fmu_are_in_the_log(tmp_path):
     """An inner step of 10 ms in steps of 1 ms is detected at the 10th spell of equal outputs.
 
     That is within a block of the run.
@@ -752,7 +752,7 @@ def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
     assert message.text.startswith("lag: its outputs change at every 10th communication step only")
 
 
-def test_what_an_fmu_says_of_its_failure_has_the_time_of_the_step_that_failed(tmp_path):
+def test_the_message_of_a_failing_fmu_has_the_time_of_its_step(tmp_path):
     """That is where the run ended, inside its block."""
     with pytest.raises(RunError, match="out of petrol"):
         cosim.run(

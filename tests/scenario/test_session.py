@@ -105,7 +105,7 @@ def test_a_closed_session_takes_no_steps():
         sim.reset()
 
 
-def test_what_is_read_or_overridden_is_there(tmp_path):
+def test_a_signal_that_does_not_exist_is_neither_read_nor_overridden(tmp_path):
     """The messages of the core, with the scenario's names; a refusal does not end the session."""
     with scenario().start(out=tmp_path / "x.mcap") as sim:
         with pytest.raises(GraphError, match=r"'plant.w': 'plant' has no input 'w'; .*: u, delta"):
@@ -336,7 +336,7 @@ class Relay:
         return np.zeros((len(t) - 1, 1))
 
 
-def test_what_stops_a_session_is_in_its_log(tmp_path):
+def test_the_error_that_ends_a_session_is_in_its_log(tmp_path):
     """Also where the block goes on."""
     path = tmp_path / "x.mcap"
     with scenario().start(out=path) as sim:

@@ -11,7 +11,7 @@ from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
 from tests.case_tables import each_case
-from tests.fmi.test_tuning import friction
+from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
 STEP = 0.1
@@ -295,7 +295,7 @@ def test_a_wrong_setting_is_one_error_before_the_run(write, action, text):
     assert re.search(text, message), message
 
 
-def test_what_others_are_designed_on_cannot_be_set():
+def test_a_parameter_of_a_design_model_cannot_be_set():
     """The regressor counts on the lag of the observer's filter."""
     actions = [{"at": 1.0, "set": {"observer.filter_rate": 500.0}}]
     with pytest.raises(ScenarioError, match=r"'observer' cannot change in the run: regressor"):

@@ -10,7 +10,7 @@ from cosim.report.inspection import describe_log
 from cosim.scenario.exporting import export_component
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_tuning import friction
+from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
 STOP = {"scenario.stop": 2.0}

@@ -174,7 +174,7 @@ def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
     assert summarize(log).until_came_true is False
 
 
-def test_what_has_no_value_ends_no_run(tmp_path):
+def test_a_signal_without_a_value_ends_no_run(tmp_path):
     """theta_hat has none at first: then it is neither below 0 nor not above it."""
     for until in ("identifier.theta[0] < 0", "not identifier.theta[0] >= 0"):
         run = cosim.run("academic", set={"scenario.stop": 10.0, "scenario.until": until})
@@ -259,7 +259,7 @@ def test_a_condition_that_is_wrong_is_refused_with_its_line(until, tmp_path):
         assert REFUSED[until] in lines[0]
 
 
-def test_what_rests_on_another_problem_is_not_refused_twice(tmp_path):
+def test_a_consequence_of_another_problem_is_not_reported(tmp_path):
     """A signal of a component that is wrong is not known."""
     path = file(tmp_path, 'until = "w.y > 1"', '\n[components.w]\nkind = "lag"\n')
     with pytest.raises(ScenarioError) as error:

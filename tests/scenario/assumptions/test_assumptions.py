@@ -73,7 +73,7 @@ MANY = {
 }
 
 
-def test_what_fits_y_needs_a_disturbance_that_determines_theta_and_no_regression():
+def test_output_error_needs_a_disturbance_that_determines_theta_and_no_regression():
     """Six functions under three alphas have 630 terms of (25), which output error is without."""
     report = check_assumptions("academic", set=MANY)
     assert report.fulfilled
@@ -284,7 +284,7 @@ def test_a_failure_is_said_as_the_run_says_it():
     assert beginning.fulfilled is None
 
 
-def test_what_else_stands_against_a_run_is_listed():
+def test_other_problems_of_a_run_are_listed():
     """A sensor without a seed is no assumption, and not lost."""
     report = check_assumptions("academic-noisy", set={"sensor.seed": -1})
     assert not report.fulfilled

@@ -150,7 +150,7 @@ def parts(tmp_path, changes):
 
 
 @each_case("case", BEGINNINGS)
-def test_what_a_run_refuses_before_its_first_step_is_refused_by_the_check(tmp_path, case):
+def test_the_check_refuses_whatever_a_run_refuses_before_its_first_step(tmp_path, case):
     """Also where it shows only in the graph, or as components are initialized."""
     changes, place = BEGINNINGS[case]
     path = parts(tmp_path, changes)

@@ -256,7 +256,7 @@ def reasons(path, **changes):
 
 
 @each_case("offset", [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3])
-def test_what_follows_a_jump_between_points_has_no_estimate(tmp_path, offset):
+def test_a_signal_behind_a_jump_between_points_has_no_estimate(tmp_path, offset):
     """A jump in the first quarter of a step looks like first order, with twice the true error."""
     found = reasons(write(tmp_path, lag_behind(("Jump", 1.0 + offset))))
     assert list(found) == ["lag.y"]
@@ -264,7 +264,7 @@ def test_what_follows_a_jump_between_points_has_no_estimate(tmp_path, offset):
 
 
 @each_case("offset", [1e-3, 4e-3, 6e-3, 9e-3])
-def test_what_follows_a_discrete_jump_at_an_unknown_instant_has_no_estimate(offset):
+def test_a_signal_behind_a_discrete_jump_at_an_unknown_instant_has_no_estimate(offset):
     """In the last quarter of a step all three runs have it at the same point, and do not differ."""
     square = (1.0 + offset) ** 2
     scenario = certified.parsed(f"""
@@ -403,7 +403,7 @@ def test_an_estimate_of_a_loop_that_saturates_is_right_or_there_is_none(limit):
         assert found.largest == pytest.approx(true, rel=1.0 / 3.0)
 
 
-def test_what_is_exact_has_no_estimate_but_rounding(tmp_path):
+def test_an_exact_signal_has_no_estimate_but_rounding(tmp_path):
     found = reasons(write(tmp_path, certified.EXACT))
     assert "at the level of rounding" in found["lag.y"]
 
@@ -497,7 +497,7 @@ def test_jumps_by_actions_at_their_instants_are_none_between_points():
         ('set = { "lag.time_constant" = 0.7 }', ("lag.y",)),
     ],
 )
-def test_what_an_action_on_a_condition_changes_has_no_estimate(effect, changed):
+def test_a_signal_changed_by_an_action_on_a_condition_has_no_estimate(effect, changed):
     """It comes true at the first point behind its instant: up to a step late, whatever the order.
 
     In the last quarter of a step all three runs would have it at the same point. One that never
@@ -514,7 +514,7 @@ def test_what_an_action_on_a_condition_changes_has_no_estimate(effect, changed):
     assert cosim.certificate(log)["lag.y"].order == pytest.approx(2.0, abs=0.01)
 
 
-def test_what_follows_a_swap_on_a_condition_has_no_estimate(tmp_path):
+def test_a_signal_behind_a_swap_on_a_condition_has_no_estimate(tmp_path):
     """As behind any other action on one: the models differ from a point on that depends on it."""
     path = write(tmp_path, SLOWER)
     for name in ("lag", "slower"):

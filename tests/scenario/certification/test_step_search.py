@@ -67,7 +67,7 @@ def test_several_tolerances_are_kept_together():
     assert np.abs(log["mass.y"] - np.cos(2.0 * t)).max() <= 1.1 * 0.02
 
 
-def test_what_is_exact_takes_the_largest_step():
+def test_an_exact_signal_takes_the_largest_step():
     """Of an output that no run changes: any step is fine, and leaves 16 points."""
     log = cosim.run(certified.parsed(certified.EXACT), find_step={"third.y": 1e-6})
     assert log.step_ns == 250_000_000

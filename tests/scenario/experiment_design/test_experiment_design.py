@@ -95,7 +95,7 @@ def test_the_delays_of_the_paper_are_not_the_best(designed):
     assert any("the delays (1, 2, 3) are not the best" in note for note in designed.notes)
 
 
-def test_what_is_best_can_be_set_and_is_what_was_said(designed):
+def test_the_best_design_can_be_set_and_is_predicted_the_same(designed):
     """The settings of a design, given to the scenario, make it the scenario as it is."""
     best = first(designed, "together", "rayleigh")
     scenario = cosim.load("academic-noisy").set({**FAST, **best.settings})
@@ -178,7 +178,7 @@ def test_theta_given_replaces_that_of_the_disturbance():
         ("academic-noisy", {"observer.relinearize": True}, {}, "linearized anew at its estimate"),
     ],
 )
-def test_what_cannot_be_designed_for_is_refused(scenario, settings, arguments, words):
+def test_missing_knowledge_is_refused_with_the_way_out(scenario, settings, arguments, words):
     """One error, which says what is missing and how to give it."""
     fast = FAST if scenario != "closed-loop" else {}
     with pytest.raises(UsageError, match=words):

@@ -79,7 +79,7 @@ def test_the_interval_holds_where_that_of_noise_does_not():
         assert effect["lower"] <= true <= effect["upper"]
 
 
-def test_what_cannot_be_guaranteed_is_said():
+def test_an_interval_without_a_guarantee_is_reported():
     """A theta that is fixed was not estimated; the rest of the verdict stands."""
     found = verdict(irregular=1e-3, bounds=[[-np.inf, np.inf], [-0.3, -0.3]])
     assert found["irregular"]["bound"] == 1e-3

@@ -101,7 +101,7 @@ def test_a_chosen_component_is_computed_from_the_rows_of_the_log(tmp_path):
     assert set(first) == {"regressor", "identifier"}  # what the observer drives
 
 
-def test_what_cannot_be_chosen_is_refused(tmp_path):
+def test_an_impossible_choice_is_refused(tmp_path):
     """Unknown names, plants, code that is not allowed, and no name at all."""
     log = cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
     with pytest.raises(UsageError, match=r"no component 'obserer'; did you mean 'observer'\? Th"):

@@ -54,7 +54,9 @@ def record(signals=None, every=None):
         (["plant.y"], 1000),  # more steps than the run has
     ],
 )
-def test_what_is_recorded_has_the_bits_of_the_whole_run(whole, tmp_path, signals, every, in_memory):
+def test_recorded_signals_have_the_bits_of_the_whole_run(
+    whole, tmp_path, signals, every, in_memory
+):
     """Rows are those at the multiples of ``every`` and of the period of the component alike."""
     out = None if in_memory else tmp_path / "a.mcap"
     run = cosim.run("academic", out=out, set=SHORT | record(signals, every))
@@ -257,7 +259,7 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
         ({"record.evry": 2}, "unknown key 'evry'; did you mean 'every'"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_before_the_run(settings, message, tmp_path):
+def test_an_impossible_selection_is_refused_before_the_run(settings, message, tmp_path):
     """Nothing is written."""
     with pytest.raises(ScenarioError, match=message):
         cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | settings)
@@ -316,7 +318,7 @@ def _redeclare(content):
         (_redeclare, "'plant' declares no signal like 'x_a'"),
     ],
 )
-def test_what_a_log_says_of_its_parts_is_checked(part, tmp_path, change, message):
+def test_the_metadata_of_a_partial_log_are_checked(part, tmp_path, change, message):
     """Somebody may have written it by hand."""
     content = take_apart(part.path)
     change(content)

@@ -133,7 +133,7 @@ def test_rows_between_the_recorded_ones_are_not_made_up(part, tmp_path):
         cosim.run("academic", swap={"plant": log.path}, set=SHORT)
 
 
-def test_what_was_chosen_and_cannot_be_computed_is_refused_by_name(part):
+def test_a_chosen_component_that_cannot_be_computed_is_refused_by_name(part):
     """With the reason, and with how the log was recorded."""
     log = part(["observer.delta"])
     with pytest.raises(

@@ -212,7 +212,7 @@ def test_a_rerun_finds_what_is_wrong_with_the_plant(folder):
     assert (first.signal.split(".")[0], first.time_ns) == ("plant", 70_000_000)
 
 
-def test_what_drives_a_plant_can_be_changed_in_a_rerun(folder):
+def test_the_source_of_a_plant_can_be_changed_in_a_rerun(folder):
     """As in a run: nothing of it is taken from the log."""
     log = run(folder, embed=True)
     changes = {"u.amplitude": 2.0}

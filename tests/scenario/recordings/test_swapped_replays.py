@@ -117,7 +117,7 @@ def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
         ({"filter": 3}, {}, UsageError, r"swap\['filter'\]: path: found 3; needed a path"),
     ],
 )
-def test_what_is_no_swap_is_refused(swap, names, error, message, folder):
+def test_an_invalid_swap_is_refused(swap, names, error, message, folder):
     """Unknown components, files that are not there or are something else, a map alone."""
     paths = {}
     for name, path in swap.items():

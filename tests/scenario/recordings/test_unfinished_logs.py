@@ -72,7 +72,7 @@ def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
         verify(cosim.open_log(broken), cosim.replay(broken))
 
 
-def test_what_was_recovered_of_a_killed_log_is_verified(killed, tmp_path):
+def test_the_recovered_log_of_a_killed_run_is_verified(killed, tmp_path):
     """It has a hash, which no run recorded, and nothing of how the run ended."""
     path, _ = killed
     log = recover(path, tmp_path / "saved.mcap").log

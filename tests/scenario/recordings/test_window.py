@@ -95,7 +95,7 @@ def test_a_window_begins_where_every_component_has_a_row(log):
         (0.1, UsageError, r"window: found 0\.1; needed where it begins and ends"),
     ],
 )
-def test_what_is_no_window_of_the_recording_is_refused(log, window, error, message):
+def test_an_invalid_window_is_refused(log, window, error, message):
     """Beyond it, off the grid, empty, or no times."""
     with pytest.raises(error, match=message):
         cosim.replay(log, window=window)

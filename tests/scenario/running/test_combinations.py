@@ -23,9 +23,7 @@ def test_combinations_are_the_full_product_in_order():
 def test_a_thousand_combinations_are_the_most():
     """One more is refused before anything is built."""
     assert len(combinations({"a.x": range(10), "a.y": range(100)})) == 1000
-    with pytest.raises(
-        UsageError, match="vary: .*7 x 143 = 1001"
-    ):
+    with pytest.raises(UsageError, match=r"vary: .*7 x 143 = 1001"):
         combinations({"a.x": range(7), "a.y": range(143)})
 
 
@@ -41,7 +39,7 @@ def test_a_thousand_combinations_are_the_most():
         ({1: [1.0]}, "vary: found the key 1; needed a string"),
     ],
 )
-def test_what_is_no_list_of_values_is_refused(vary, message):
+def test_an_invalid_list_of_values_is_refused(vary, message):
     """The message names the key."""
     with pytest.raises(UsageError, match=message):
         combinations(vary)

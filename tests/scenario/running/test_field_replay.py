@@ -61,7 +61,7 @@ def test_other_components_may_be_swapped_beside_it(loop, tmp_path):
         np.testing.assert_array_equal(again[signal], run[signal])
 
 
-def test_what_a_recording_of_another_tool_lacks_is_said(loop, tmp_path):
+def test_missing_fields_of_a_foreign_recording_are_reported(loop, tmp_path):
     """A scenario, a map; what only a log of a run has is refused."""
     path = field_log(tmp_path)
     with pytest.raises(UsageError) as refused, shell_language():
@@ -97,7 +97,7 @@ def test_a_recording_that_is_replayed_is_not_written_over(loop, tmp_path):
     assert cosim.replay(path, scenario=loop, map=PLANT)["plant.y"].size
 
 
-def test_what_is_no_mcap_is_refused_as_a_log(tmp_path):
+def test_another_format_is_refused_as_a_log(tmp_path):
     """Whoever reads it says what is wrong."""
     for content in (b"", b"nothing"):
         path = tmp_path / "x.mcap"

@@ -195,7 +195,7 @@ def test_an_offset_beyond_the_period_is_refused(offset):
 
 
 @each_case("keys", ["offset = 0.04", 'input_interpolation = "linear"'])
-def test_what_an_exported_controller_cannot_do_is_refused(tmp_path, keys):
+def test_an_exported_controller_has_no_offset_and_no_interpolation(tmp_path, keys):
     path = tmp_path / "sampled.toml"
     path.write_text(FEEDTHROUGH.format(keys=f", period = 0.1, {keys}"), encoding="utf-8")
     with pytest.raises((UsageError, CosimError), match="an exported controller samples first at"):

@@ -168,7 +168,5 @@ def test_a_computed_start_of_the_identification_counts_from_the_start_of_the_run
 
 
 def test_a_replay_keeps_its_start(logs):
-    with pytest.raises(
-        UsageError, match=r"scenario\.start_time: .*got 16\.5 s"
-    ):
+    with pytest.raises(UsageError, match=r"scenario\.start_time: .*got 16\.5 s"):
         cosim.replay(logs[START], set={"scenario.start_time": 16.5})

@@ -14,7 +14,7 @@ from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from tests.fmi.compiled import write_archive
+from tests.scenario.fmu_edits import rewritten
 from tests.scenario.signals import signals
 
 ONE = {"components.one": {"kind": "constant", "value": 1.0}}
@@ -23,8 +23,6 @@ FOREIGN2 = {
     "connections.plant.gain": "one.y",
     "connections.plant.sign": "one.y",
 }  # inputs that the scenario does not have
-
-DESCRIPTION = "modelDescription.xml"
 
 
 @pytest.fixture(scope="module")
@@ -277,18 +275,6 @@ def test_states_that_are_no_outputs_are_logged_too(tmp_path):
     for interface_type in ("me", "cs"):
         run = cosim.run(scenario, swap={"c": hidden}, set={"c.interface_type": interface_type})
         assert run["c.x"][-1] == pytest.approx(1.0 - np.exp(-0.1), rel=1e-9)
-
-
-def rewritten(path, target, *edits, members=lambda name: True):
-    """Copy an FMU with its modelDescription.xml edited and some members left out."""
-    kept: dict[str, bytes] = {}
-    with zipfile.ZipFile(path) as source:
-        for name in filter(members, source.namelist()):
-            kept[name] = source.read(name)
-    for before, after in edits:
-        assert before.encode() in kept[DESCRIPTION]
-        kept[DESCRIPTION] = kept[DESCRIPTION].replace(before.encode(), after.encode())
-    return write_archive(target, kept)
 
 
 def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path):

@@ -25,8 +25,8 @@ from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.swapping.port_comparison import ComparedAspect
 from cosim.scenario.swapping.swap_comparison import compare_swaps
 from cosim.scenario.swapping.swap_report import SwapReport, row_texts
+from tests.scenario.fmu_edits import rewritten
 from tests.scenario.swapping.renamed import MAP, packed, renamed
-from tests.scenario.swapping.test_swap import rewritten
 
 SHORT = {"scenario.stop": 0.1}
 
@@ -153,7 +153,7 @@ def test_a_recording_says_what_it_does_not_know(folder):
     assert verdicts(found, "ok")["y", "initial output"] == "ok"
 
 
-def test_what_is_replaced_need_not_work(folder):
+def test_the_replaced_component_need_not_work(folder):
     """The scenario's own plant is broken: nothing to compare with, nothing in the way."""
     document = find("academic")
     text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
@@ -313,7 +313,7 @@ def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
     assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
 
 
-def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):
+def test_poles_of_an_fmu_that_cannot_be_linearized_are_unknown(folder, tmp_path):
     """For co-simulation the FMU would be loaded once more; start values must be numbers."""
     once = (
         'canBeInstantiatedOnlyOncePerProcess="false"',
