@@ -91,11 +91,11 @@ def test_options_are_those_of_the_fit(logs):
 @each_case(
     ("bounds", "text"),
     [
-        ([[-1, 0]], "needed [lower, upper] for each of the 2 parameters"),
+        ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
         (3, "bounds: expected [lower, upper]"),
         ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
-        ({0: 1.0}, "bounds of theta[0]: found 1.0; needed two numbers"),
-        ({0: (1.0, 0.0)}, "bounds of theta[0]: the lower 1 is above the upper 0"),
+        ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
+        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper, got [1, 0]"),
     ],
 )
 def test_bounds_that_are_none_are_refused(logs, bounds, text):
@@ -111,7 +111,7 @@ def test_anything_but_a_log_is_refused(logs):
             cosim.identify(given)
     found = cosim.identify(logs[0])
     for index in (1, -1):
-        with pytest.raises(UsageError, match=f"index: expected {index}; needed 0 to 0"):
+        with pytest.raises(UsageError, match=f"index: expected 0 to 0.*got {index}"):
             found.smoothed(index)
 
 
@@ -127,7 +127,9 @@ def test_logs_of_other_models_are_refused(logs, tmp_path):
         },
     )
     records = [identifier_record(logs[0]), identifier_record(changed)]
-    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A; needed one"):
+    with pytest.raises(
+        UsageError, match=r"a\.mcap: the design models differ in A; expected one model"
+    ):
         identify_records(records)
 
 
@@ -138,7 +140,7 @@ def test_a_log_without_identifier_is_refused(tmp_path):
         '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
     )
     log = cosim.run(file, out=tmp_path / "a.mcap")
-    with pytest.raises(UsageError, match="found no identifier with a model of y; needed one whose"):
+    with pytest.raises(UsageError, match="expected an identifier with a model of y, got none"):
         identifier_record(log)
 
 

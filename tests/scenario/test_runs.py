@@ -449,9 +449,10 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
 
 
 def log_of(folder, scenario):
-    """Record a short run."""
-    path = folder / "a.mcap"
-    cosim.run(scenario, out=path, set={"scenario.stop": 0.1})
+    """Record a short run, once for a folder."""
+    path = folder / f"{scenario}.mcap"
+    if not path.exists():
+        cosim.run(scenario, out=path, set={"scenario.stop": 0.1})
     return path
 
 

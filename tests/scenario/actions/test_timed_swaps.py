@@ -79,7 +79,7 @@ def refusal(changes):
 def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
     """Before the run, with what is missing."""
     message = refusal(swapped(folder / "plant3.fmu#cs"))
-    assert re.search(r"swap\.plant: the state of 'plant' cannot be handed over to .*#cs", message)
+    assert re.search(r"swap\.plant: the state of 'plant' cannot be transferred to .*#cs", message)
     message = refusal(swapped(friction(tmp_path, 2)))
     assert re.search(r"found the states x, v; needed x_a\[0\], x_a\[1\]$", message)
     actions = [{"at": 1.0, "swap": {"u": str(folder / "plant3.fmu")}}]

@@ -236,8 +236,8 @@ def test_a_component_that_cannot_go_back_is_named(tmp_path, monkeypatch):
 
 REFUSED = {
     "x.y > 0.5 for 150 ms": "for: 0.15 s is not a whole number of 0.1 s steps; nearest: 0.2 s",
-    "x.v > 0.5": "the graph has no 'x.v': 'x' has no signal 'v'; there is: u, y",
-    "xx.y > 0.5": "the graph has no component 'xx'; did you mean 'x'? There is: s, x, z",
+    "x.v > 0.5": "the graph has no 'x.v': 'x' has no signal 'v'; available: u, y",
+    "xx.y > 0.5": "the graph has no component 'xx'; did you mean 'x'? Available: s, x, z",
     "x.y": "found 'x.y'; needed a comparison",
     "x.y > limit": "found unknown name 'limit'",
     "open('x') > 1": "found unknown function 'open'",

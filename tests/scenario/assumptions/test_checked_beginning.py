@@ -169,7 +169,7 @@ def test_a_scenario_without_any_assumption_has_a_beginning(tmp_path):
     report = check_assumptions(path)
     assert report.fulfilled
     assert list(report.of(FILE)) == [BEGINNING]
-    assert "2 component(s) are designed for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
+    assert "2 component(s) are prepared for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
 
 
 def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path, capsys):

@@ -142,7 +142,7 @@ def test_a_chosen_component_that_cannot_be_computed_is_refused_by_name(part):
         r"which is neither computed nor recorded .* recorded with \[record\] signals",
     ):
         cosim.replay(log, components=["regressor", "identifier", "u", "delta"])
-    with pytest.raises(LogError, match=r"nothing of it can be computed: the log is partial, .*\["):
+    with pytest.raises(LogError, match=r"no component can be computed: the log is partial, .*\["):
         cosim.replay(part(["observer.delta"]), components=["identifier"])
 
 

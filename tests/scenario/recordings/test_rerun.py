@@ -141,12 +141,12 @@ def test_another_fmu_is_refused_by_name_before_it_runs(folder):
         content.attachments = replace(content.attachments)
 
     changed = forged(log, folder / "b.mcap", change)
-    message = f"the FMU of 'plant': the FMU in .*b.mcap has the SHA-256 .*, that of .*{sha256}"
+    message = f"the FMU of 'plant': the FMU in .*b.mcap: expected the SHA-256 {sha256}"
     with pytest.raises(FmuError, match=message):
         cosim.replay(changed, **BOTH)
     log = run(folder)
     (folder / "lag.fmu").write_bytes(other)
-    message = rf"the FMU of 'plant': lag\.fmu has the SHA-256 .*{sha256}; it is not run"
+    message = rf"the FMU of 'plant': lag\.fmu: .*{sha256} .*; it is not run"
     with pytest.raises(FmuError, match=message):
         cosim.replay(log, **BOTH)
     assert not (folder / "mark").exists()
@@ -256,8 +256,8 @@ def test_an_fmu_that_is_too_large_is_refused_before_the_run(folder, monkeypatch,
     monkeypatch.setattr(embedding, "MOST_EMBEDDED", size - 1)
     code, _, err = call("run", "fmu.toml", "--embed", "--out", "b.mcap")
     assert code == 2
-    needed = f"lag.fmu: has {size} bytes, a log takes FMUs of at most {size - 1}; leave out --embed"
-    assert needed in err
+    for text in (f"lag.fmu: has {size} bytes", f"at most {size - 1}; omit --embed"):
+        assert text in err
     assert not (folder / "b.mcap").exists()
 
 

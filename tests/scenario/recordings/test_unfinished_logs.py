@@ -99,8 +99,8 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     [
         ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a time > 0 s, got 0\.0"),
         ({"flush": "1", "out": "a.mcap"}, "flush: found '1'; needed a number"),
-        ({"flush": 1.0}, "found flush=True, which is about the log at out, and no out"),
-        ({"sync": True}, "found sync=True, which is about the log at out, and no out"),
+        ({"flush": 1.0}, "flush=True applies to a log; expected out"),
+        ({"sync": True}, "sync=True applies to a log; expected out"),
         ({"sync": 1, "out": "a.mcap"}, "sync: found 1"),
     ],
 )

@@ -86,13 +86,13 @@ def test_a_window_begins_where_every_component_has_a_row(log):
     [
         ((0.0105, None), ClockError, r"where the window begins: 0\.0105 s is not a whole number"),
         ((None, 0.0105), ClockError, r"where the window ends: 0\.0105 s is not a whole number"),
-        ((-0.01, None), UsageError, r"begins at -0\.01 s, the recording is from 0\.0 s to 0\.2 s"),
-        ((None, 0.21), UsageError, r"ends at 0\.21 s, the recording is from 0\.0 s to 0\.2 s"),
-        ((float("nan"), None), UsageError, "begins at nan s, the recording is from"),
-        ((0.1, 0.1), UsageError, r"the window from 0\.1 s to 0\.1 s: needed at least one"),
-        ((0.2, 0.1), UsageError, r"the window from 0\.2 s to 0\.1 s: needed at least one"),
-        (("0.1", None), UsageError, r"the window begins at '0\.1'; needed a time"),
-        (0.1, UsageError, r"window: found 0\.1; needed where it begins and ends"),
+        ((-0.01, None), UsageError, r"begins at -0\.01 s; .* the recording, 0\.0 s to 0\.2 s"),
+        ((None, 0.21), UsageError, r"ends at 0\.21 s; .* the recording, 0\.0 s to 0\.2 s"),
+        ((float("nan"), None), UsageError, "begins at nan s; .* the recording"),
+        ((0.1, 0.1), UsageError, r"the window from 0\.1 s to 0\.1 s: expected at least one"),
+        ((0.2, 0.1), UsageError, r"the window from 0\.2 s to 0\.1 s: expected at least one"),
+        (("0.1", None), UsageError, r"the window begins at '0\.1'; expected a time"),
+        (0.1, UsageError, r"window: expected its begin and end .*, got 0\.1"),
     ],
 )
 def test_an_invalid_window_is_refused(log, window, error, message):
@@ -103,7 +103,7 @@ def test_an_invalid_window_is_refused(log, window, error, message):
 
 def test_a_stop_beside_a_window_is_refused(log):
     """The window says where the replay ends."""
-    with pytest.raises(UsageError, match=r"found both set\['scenario.stop'\] and a window"):
+    with pytest.raises(UsageError, match=r"expected set\['scenario.stop'\] or a window, got both"):
         cosim.replay(log, window=(0.1, None), set={"scenario.stop": 0.15})
 
 

@@ -66,18 +66,16 @@ def test_missing_fields_of_a_foreign_recording_are_reported(loop, tmp_path):
     path = field_log(tmp_path)
     with pytest.raises(UsageError) as refused, shell_language():
         cosim.replay(path, map=PLANT)
-    assert str(refused.value) == (
-        f"{path} is of another tool and carries no scenario; needed --scenario, the one whose "
-        "components it has recorded, and a map of these, --map plant.y=/topic.field"
-    )
-    with pytest.raises(UsageError, match="nothing says what it has recorded of the scenario 'loop"):
+    for text in (str(path), "--scenario", "--map plant.y=/topic.field"):
+        assert text in str(refused.value)
+    with pytest.raises(UsageError, match="'loop'; expected a map"):
         cosim.replay(path, scenario=loop)
     for options, name in (
         ({"allow_code": True}, "allow_code=True"),
         ({"window": (0.0, 1.0)}, "a window of time"),
         ({"components": ["model"]}, "components to compute"),
     ):
-        with pytest.raises(UsageError, match=f"found {name} and a recording of another tool"):
+        with pytest.raises(UsageError, match=f"{name} does not apply to a recording"):
             cosim.replay(path, scenario=loop, map=PLANT, **options)
 
 

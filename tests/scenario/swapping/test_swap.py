@@ -226,7 +226,7 @@ def test_a_missing_output_is_refused_before_the_run(plant, tmp_path):
     path = rewritten(plant, tmp_path / "renamed.fmu", ('name="y"', 'name="y_m"'))
     with pytest.raises(
         ScenarioError,
-        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, "
+        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?Available: y_m, "
         r"x_a, x_b",
     ):
         cosim.run("academic", swap={"plant": path})

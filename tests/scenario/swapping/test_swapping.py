@@ -269,7 +269,7 @@ WRONG = {
     "no such output there, for the truth": (
         True,
         {**MAP, "plant.x_a": "t"},
-        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; there is",
+        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; available",
     ),
     "no such element": (
         True,
