@@ -127,9 +127,7 @@ def test_logs_of_other_models_are_refused(logs, tmp_path):
         },
     )
     records = [identifier_record(logs[0]), identifier_record(changed)]
-    with pytest.raises(
-        UsageError, match=r"a\.mcap: the design models differ in A; expected one model"
-    ):
+    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A;"):
         identify_records(records)
 
 

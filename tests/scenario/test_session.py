@@ -262,6 +262,7 @@ def test_the_log_of_a_session_that_is_not_closed_is_completed(plant, tmp_path):
     assert verify(log, replay(log)).passed
 
 
+@pytest.mark.slow
 def test_the_log_of_a_session_is_completed_at_the_end_of_its_program(tmp_path):
     """Of which it may be a variable."""
     lines = [

@@ -18,11 +18,9 @@ STOP = {"scenario.stop": 2.0}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Export the plant of the shipped example for both versions."""
+    """Export the plant of the shipped example for FMI 3."""
     folder = tmp_path_factory.mktemp("swap")
-    for version in (2, 3):
-        target = folder / f"plant{version}.fmu"
-        export_component("academic", "plant", target, fmi=str(version))
+    export_component("academic", "plant", folder / "plant3.fmu", fmi="3")
     return folder
 
 
@@ -31,11 +29,14 @@ def swapped(path, **changes):
     return {**STOP, **changes, "actions": [{"at": 1.0, "swap": {"plant": str(path)}}]}
 
 
-@pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("block", [1, 7, None])
+@pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("block", [pytest.param(1, marks=pytest.mark.slow), 7])
 def test_an_fmu_goes_on_from_the_states_of_the_plant(folder, version, block, tmp_path):
     """The same model: the run goes on as without a swap, but for the tolerance of the solver."""
-    path = folder / f"plant{version}.fmu#me"
+    fmu = folder / f"plant{version}.fmu"
+    if not fmu.exists():
+        export_component("academic", "plant", fmu, fmi=str(version))
+    path = f"{fmu}#me"
     log = cosim.run("academic", set=swapped(path), out=tmp_path / "a.mcap", block=block)
     plain = cosim.run("academic", set=STOP)
     for name in ("plant.x_a", "plant.y", "plant.x_b"):
@@ -81,24 +82,22 @@ def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
     message = refusal(swapped(folder / "plant3.fmu#cs"))
     assert re.search(r"swap\.plant: the state of 'plant' cannot be transferred to .*#cs", message)
     message = refusal(swapped(friction(tmp_path, 2)))
-    assert re.search(r"found the states x, v; needed x_a\[0\], x_a\[1\]$", message)
+    assert re.search(r"expected the states x_a\[0\], x_a\[1\], got x, v$", message)
     actions = [{"at": 1.0, "swap": {"u": str(folder / "plant3.fmu")}}]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(
-        r"the state of 'u' cannot be handed over: it has no continuous states", message
-    )
+    assert re.search(r"the state of 'u' cannot be transferred: it has no named", message)
     actions = [{"at": 1.0, "swap": {"plnt": str(folder / "plant3.fmu")}}]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(r"swap\.plnt: there is no component 'plnt'; did you mean 'plant'", message)
+    assert re.search(r"swap\.plnt: unknown component 'plnt'; did you mean 'plant'", message)
     message = refusal(swapped(folder / "none.fmu"))
     assert re.search(r"swap\.plant: .*none\.fmu", message)
     actions = [{"at": at, "swap": {"plant": str(folder / "plant3.fmu")}} for at in (1.0, 1.5)]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(r"actions\.1\.swap\.plant: 'plant' is changed by actions\.0 too", message)
+    assert re.search(r"actions\.1\.swap\.plant: 'plant' is also changed by actions\.0", message)
 
 
 def test_a_co_simulation_fmu_has_no_states_to_hand_over(tmp_path):
     """They are not accessible."""
     path = compile_fmu(tmp_path / "lag2.fmu", lag.xml("2"), "lag2.c")
     message = refusal(swapped(path))
-    assert re.search(r"the state of 'plant' cannot be handed over to .*lag2.fmu", message)
+    assert re.search(r"the state of 'plant' cannot be transferred to .*lag2.fmu", message)

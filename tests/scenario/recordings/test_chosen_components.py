@@ -112,7 +112,7 @@ def test_an_impossible_choice_is_refused(tmp_path):
     )
     with pytest.raises(UsageError, match=message):
         cosim.replay(log, components=["observer", "plant"])
-    with pytest.raises(UsageError, match="components: expected at least one .*; got none"):
+    with pytest.raises(UsageError, match=r"components: expected at least one .*; got none"):
         cosim.replay(log, components=[])
     with pytest.raises(UsageError, match="components: found 'observer'; needed a list of strings"):
         cosim.replay(log, components="observer")

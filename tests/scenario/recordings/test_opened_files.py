@@ -74,6 +74,7 @@ def craft(folder, name, changes):
     return put_together(content, folder / name)
 
 
+@pytest.mark.slow
 def test_a_replay_opens_its_log_and_what_the_command_line_names(tmp_path):
     """No table, FMU, design model or recording that the log alone names, and no library of one."""
     bait(tmp_path)

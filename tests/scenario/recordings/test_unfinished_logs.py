@@ -31,13 +31,14 @@ def killed(tmp_path_factory):
         "        return\n"  # its rows have moved since it was opened
         "    if steps > 1000:\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
-        "cosim.run('academic', out=sys.argv[1], flush=1e-3, progress=kill, block=500)\n"
+        "cosim.run('academic', out=sys.argv[1], flush=1e-3, progress=kill, block=500,\n"
+        "          set={'scenario.stop': 5.0})\n"
     )
     path = folder / "killed.mcap"
     process = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
     assert process.returncode == -signal.SIGKILL
     whole = folder / "whole.mcap"
-    cosim.run("academic", out=whole)
+    cosim.run("academic", out=whole, set={"scenario.stop": 5.0})
     return path, whole
 
 
