@@ -179,7 +179,7 @@ def test_a_closed_environment_has_no_further_episodes(name):
     env = environment(name, steps=10)
     env.reset()
     env.close()
-    with pytest.raises(UsageError, match=r"reset: this environment is closed; needed another one"):
+    with pytest.raises(UsageError, match=r"reset: this environment is closed; make a new one"):
         env.reset()
     with pytest.raises(UsageError, match=r"closed"):
         env.step(np.zeros(1))

@@ -190,7 +190,7 @@ def test_logs_are_identified_by_path_or_opened(logs):
     found = cosim.identify(logs[0].path)
     assert [record.log.label for record in found.records] == [logs[0].label]
     assert len(found.smoothed().t) == len(found.records[0].data.t)
-    with pytest.raises(UsageError, match="found none; needed one or more"):
+    with pytest.raises(UsageError, match="logs: expected at least one"):
         cosim.identify([])
 
 

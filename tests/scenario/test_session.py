@@ -100,7 +100,7 @@ def test_a_closed_session_takes_no_steps():
     for use in (sim.step, lambda: sim.release("plant.u"), lambda: sim.state):
         with pytest.raises(UsageError, match="this simulation is closed; needed another one"):
             use()
-    with pytest.raises(UsageError, match="reset: this session is closed; needed another one"):
+    with pytest.raises(UsageError, match="reset: this session is closed; start a new one"):
         sim.reset()
 
 
@@ -195,11 +195,11 @@ def replace_values(event, values):
     [
         (
             {"signal": "plant.z"},
-            r"event of 'plant.z' at t = 0.007 s does not match: .*no input",
+            r"event of 'plant.z' at t = 0.007 s .*no input",
         ),
-        ({"values": (1.0, 2.0)}, r"the recorded event of 'plant.u' .*found 2 values; needed 1"),
+        ({"values": (1.0, 2.0)}, r"event of 'plant.u' at t = 0.007 s .*2.*1"),
         ({"time_ns": 7_000_001}, r"an event at t = 0.007000001 s: that is no communication point"),
-        ({"cause": "release"}, r"the event of 'plant.u' .* is not overridden"),
+        ({"cause": "release"}, r"event of 'plant.u' .* is not overridden"),
     ],
 )
 def test_an_event_that_does_not_fit_is_refused(change, text, tmp_path, monkeypatch):

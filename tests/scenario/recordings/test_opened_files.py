@@ -4,6 +4,8 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 import cosim
 from cosim.scenario.exporting import export_component
 from tests.log.crafting import put_together, take_apart
