@@ -37,36 +37,37 @@ SignalBounds: TypeAlias = Sequence[str] | Mapping[str, tuple[float, float]]
 
 @final
 class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
-    """A scenario whose inputs are the actions, and signals of which are the observations.
+    """A scenario with inputs as actions and signals as observations.
 
-    An action overrides inputs for some communication steps. An episode is truncated at the stop of
-    the scenario, and terminated where a component asks for the end, or ``terminated`` says so.
+    An action overrides inputs for a number of communication steps. An episode is truncated at the
+    stop time of the scenario, and terminated when a component stops the run or ``terminated``
+    returns True.
 
     A reset draws a new seed for every component with a ``seed`` in its table, so that a seeded
-    reset gives the same episode again; without such components all episodes begin alike.
+    reset repeats an episode; without such components all episodes start alike.
 
     Parameters
     ----------
     scenario : str, Path or Scenario
-        A shipped name, a path, or what :func:`cosim.load` gave.
+        A shipped name, a path, or what :func:`cosim.load` returned.
     act : sequence of str, or mapping of str to (lowest, highest)
-        Inputs that an action sets, one after the other, and the bounds of their elements.
+        Inputs that an action sets, in this order, and the bounds of their elements.
     observe : sequence of str, or mapping of str to (lowest, highest)
-        Signals of an observation, in the same manner; NaN where a signal has no value yet.
+        Signals of an observation, in the same form; NaN while a signal has no value.
     reward : callable
-        From the rows of an action to its reward.
+        Computes the reward from the rows of an action.
     steps : int
-        Communication steps of an action.
+        Communication steps per action.
     terminated : callable, optional
-        From the rows of an action to whether the episode ends with it.
+        Returns from the rows of an action whether the episode ends.
     out : str or Path, optional
-        Log of the first episode; those behind it go to ``x-2.mcap``, ``x-3.mcap``, ...
+        Log of the first episode; later ones go to ``x-2.mcap``, ``x-3.mcap``, ...
 
     Raises
     ------
     UsageError
-        If a signal is not there, bounds are none, an element of an input is there twice, or the
-        scenario is no whole number of actions.
+        If a signal does not exist, bounds are invalid, an element of an input is listed twice, or
+        the scenario is not a whole number of actions long.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by gymnasium)
@@ -108,7 +109,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Vector, dict[str, Any]]:
-        """Begin an episode; with a ``seed``, the one that this seed gives.
+        """Start an episode; the same ``seed`` gives the same episode.
 
         Raises
         ------
@@ -134,14 +135,14 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         Returns
         -------
         observation, reward, terminated, truncated, info
-            ``info`` has the time that is reached, ``t_ns``.
+            ``info`` has the current time, ``t_ns``.
 
         Raises
         ------
         UsageError
             If the action does not fit, or the episode has ended.
         RunError
-            If the scenario cannot go on.
+            If the run fails.
         """
         session = self._session
         if self._problem:

@@ -139,7 +139,7 @@ class LogIdentification:
         bound : float
             Of the irregular part, ``|delta_0| <= bound``.
         watch : callable, optional
-            Is told after every linear program how many have been solved.
+            Called after every linear program with the number solved so far.
 
         Raises
         ------
@@ -240,9 +240,9 @@ def identify(
     Parameters
     ----------
     logs : path, what a run returned, or a sequence of these
-        Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
+        Of one plant under one theta; each has its own amplitudes, phases and x(0).
     identifier : str, optional
-        The component that has the model, where a log has several.
+        The identifier to take the model from, if a log has several.
     offset, bounds
         As for :func:`identify_records`.
 
@@ -251,8 +251,8 @@ def identify(
     LogError
         If a log is damaged, or has no scenario.
     UsageError
-        If one is neither a path nor a run, a log has no such identifier, the logs are of different
-        models, two have the same rows, or the bounds are none.
+        If one is neither a path nor a run, a log has no such identifier, the models of the logs
+        differ, two logs have the same rows, or the bounds are invalid.
     AssumptionError
         If there are fewer samples than unknowns.
     """
@@ -280,7 +280,7 @@ def identify_records(
     Parameters
     ----------
     records : sequence of IdentifierRecord
-        Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
+        Of one plant under one theta; each has its own amplitudes, phases and x(0).
     offset : bool
         An unknown constant is on every output, also where the scenario does not say so.
     bounds : sequence of (lower, upper), or mapping of index to (lower, upper), optional

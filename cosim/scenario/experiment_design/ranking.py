@@ -60,29 +60,29 @@ def design(
     input: bool = False,
     set: Mapping[str, Any] | None = None,
 ) -> ExperimentDesign:
-    """Rank what may be chosen for a scenario by the error of theta that is to be expected.
+    """Rank choices for a scenario by the expected error of theta.
 
     Parameters
     ----------
     scenario : str, Path or Scenario
-        A shipped name, a path, or what :func:`load` returned; with one identifier.
+        A shipped name, a path, or what :func:`load` returned; it has one identifier.
     noise : float or sequence of float, optional
-        Deviation of the white noise of y, one or one an output; by default what the tables state.
+        Standard deviation of the white noise of y, one number or one per output; default: that of
+        the sensors.
     theta : sequence of float, optional
-        The true one, in the order of the regressor's terms; by default that of the disturbance.
+        The true theta, in the order of the regressor's terms; default: that of the disturbance.
     longest : float, optional
-        The longest delay that is tried [s]; by default a quarter of the run, or that of the
-        scenario.
+        The longest delay to try [s]; default: a quarter of the run, or that of the scenario.
     input : bool
-        Rank other sizes of the input too.
+        Rank other input amplitudes too.
     set : mapping of dotted key to value, optional
         As for :func:`run`.
 
     Raises
     ------
     UsageError
-        If there is not one identifier behind one observer, the plant has no model, or the noise or
-        theta is not known.
+        If there is not one identifier behind one observer, the plant has no model, or noise or
+        theta is unknown.
     ScenarioError
         With every problem of the file.
     """
