@@ -134,7 +134,9 @@ def test_a_replay_may_end_before_the_actions_do(write, tmp_path):
 def test_a_replay_keeps_the_actions(write, tmp_path):
     """They are recorded; another fault is another run."""
     log = cosim.run(write(), out=tmp_path / "a.mcap")
-    with pytest.raises(UsageError, match=r"set.*actions.0.offset.*: a replay follows the actions"):
+    with pytest.raises(
+        UsageError, match=r"set.*actions.0.offset.*: a replay repeats the recorded actions"
+    ):
         cosim.replay(log, set={"actions.0.offset": 1.0})
 
 
@@ -422,7 +424,7 @@ def test_a_session_meets_the_conditions_too(write, tmp_path):
 def test_a_component_is_set_at_a_condition_or_at_times(write):
     """What it would be else depends on which comes first."""
     actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
-    with pytest.raises(ScenarioError, match=r"actions\.4\..*'log' is set by actions\.3 too"):
+    with pytest.raises(ScenarioError, match=r"actions\.4\..*'log' is also set by actions\.3"):
         cosim.run(write(actions))
 
 

@@ -13,7 +13,7 @@ from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
-STOP = {"scenario.stop": 2.0}
+STOP = {"scenario.stop": 2.0, "scenario.step": 0.01, "observer.filter_rate": 100.0}
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +40,10 @@ def test_an_fmu_goes_on_from_the_states_of_the_plant(folder, version, block, tmp
     log = cosim.run("academic", set=swapped(path), out=tmp_path / "a.mcap", block=block)
     plain = cosim.run("academic", set=STOP)
     for name in ("plant.x_a", "plant.y", "plant.x_b"):
-        assert (log[name][:1001] == plain[name][:1001]).all()
+        assert (log[name][:101] == plain[name][:101]).all()
         # relative tolerance 1e-9 of values up to 4, over 1 s
         assert abs(log[name] - plain[name]).max() < 1e-7, name
-    assert (log["plant.x_a"][1001:] != plain["plant.x_a"][1001:]).any(), "another solver computes"
+    assert (log["plant.x_a"][101:] != plain["plant.x_a"][101:]).any(), "another solver computes"
     (event,) = [event for event in log.events() if event.cause != "follow"]
     assert event[:3] == (10**9, "swap", f"plant.{path}")
     row = {"t": 1.0, "signal": "plant", "cause": "swap", "values": str(path)}
@@ -62,11 +62,11 @@ def test_a_replay_takes_the_swapped_plant_from_the_log(folder, tmp_path):
 def test_a_session_goes_back_over_a_swap(folder):
     """To the plant that was there then."""
     with cosim.load("academic").edit(set=swapped(folder / "plant3.fmu#me")).start() as sim:
-        sim.step(900)
+        sim.step(90)
         saved = sim.state
-        first = sim.step(300)["plant.x_a"].tobytes()
+        first = sim.step(30)["plant.x_a"].tobytes()
         sim.state = saved
-        assert sim.step(300)["plant.x_a"].tobytes() == first
+        assert sim.step(30)["plant.x_a"].tobytes() == first
 
 
 def refusal(changes):

@@ -109,7 +109,7 @@ def test_a_condition_that_never_comes_true_is_said(tmp_path, call):
     log = cosim.run(path, out=tmp_path / "a.mcap")
     assert (log.steps, log.status, log.reason) == (40, "complete", "")
     last = log.messages()[-1]
-    assert tuple(last) == (4 * 10**9, "info", "run", "until 'x.y > 5': never came true")
+    assert tuple(last) == (4 * 10**9, "info", "run", "until 'x.y > 5': never met")
     code, out, _ = call("run", path, "--out", tmp_path / "b.mcap")
     assert code == 0
     assert "'x.y > 5' never came true up to the end of the run" in out
@@ -166,7 +166,7 @@ def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
     path = file(tmp_path, 'until = "x.y > 5"')
     with cosim.load(path).start(out=tmp_path / "a.mcap") as sim:
         sim.step(40)
-    assert cosim.open_log(tmp_path / "a.mcap").messages()[-1].text.endswith("never came true")
+    assert cosim.open_log(tmp_path / "a.mcap").messages()[-1].text.endswith("never met")
     with cosim.load(path).start(out=tmp_path / "b.mcap") as sim:
         sim.step(4)
     log = cosim.open_log(tmp_path / "b.mcap")
