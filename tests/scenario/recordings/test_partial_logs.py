@@ -43,7 +43,6 @@ def record(signals=None, every=None):
     return settings if every is None else settings | {"record.every": every}
 
 
-@pytest.mark.parametrize("in_memory", [False, True])
 @pytest.mark.parametrize(
     ("signals", "every"),
     [
@@ -54,6 +53,7 @@ def record(signals=None, every=None):
         (["plant.y"], 1000),  # more steps than the run has
     ],
 )
+@each_case("in_memory", [False, True])
 def test_recorded_signals_have_the_bits_of_the_whole_run(
     whole, tmp_path, signals, every, in_memory
 ):

@@ -80,7 +80,7 @@ def at_all_points(log, name):
     ],
     ids=["2, 3", "3, 2", "2, 3, 4", "2, 3 with offsets", "no offsets"],
 )
-@pytest.mark.parametrize("block", [1, 5, None])
+@each_case("block", [1, 5, None])
 def test_chain_follows_the_table(rates, offsets, stop, expected, block):
     log = cosim.run(chain_of(*rates, stop=stop, offsets=offsets), block=block)
     for number, row in enumerate(expected, start=1):
