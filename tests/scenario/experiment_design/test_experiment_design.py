@@ -24,7 +24,7 @@ THETA = np.array([-0.1, -0.3])
 
 @pytest.fixture(scope="module")
 def designed():
-    return cosim.design("academic-noisy", set=FAST, input=True, longest=4.0)
+    return cosim.design("academic-noisy", set=FAST, input=True, longest=3.0)
 
 
 def first(design, choice, method):
@@ -227,6 +227,7 @@ def test_the_table_shows_the_best_of_every_choice(designed, capsys):
     assert out.count("\nfilter\t") == 6
 
 
+@pytest.mark.slow
 def test_every_choice_has_a_row_or_a_reason(capsys):
     """Steps that the delays do not fit, or too few of them; filters and windows too long to try."""
     from cosim.report.tables.experiment_design import print_design

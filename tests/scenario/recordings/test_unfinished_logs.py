@@ -42,6 +42,7 @@ def killed(tmp_path_factory):
     return path, whole
 
 
+@pytest.mark.slow
 def test_a_killed_log_has_every_bit_of_its_run(killed):
     """Up to the step that it ends at."""
     log, whole = map(cosim.open_log, killed)
@@ -56,6 +57,7 @@ def test_a_killed_log_has_every_bit_of_its_run(killed):
     assert "unfinished" in repr(log)
 
 
+@pytest.mark.slow
 def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
     """It says that there is none to check; a flipped bit of a row is damage all the same."""
     path, _ = killed
@@ -73,6 +75,7 @@ def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
         verify(cosim.open_log(broken), cosim.replay(broken))
 
 
+@pytest.mark.slow
 def test_the_recovered_log_of_a_killed_run_is_verified(killed, tmp_path):
     """It has a hash, which no run recorded, and nothing of how the run ended."""
     path, _ = killed
@@ -86,6 +89,7 @@ def test_the_recovered_log_of_a_killed_run_is_verified(killed, tmp_path):
     assert "last row" not in lines
 
 
+@pytest.mark.slow
 def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     """Its hole takes no space, and a copy without one reads the same."""
     path, _ = killed

@@ -46,17 +46,14 @@ def test_a_window_has_the_rows_of_the_whole_replay(name, tmp_path):
     source = cosim.run(name, out=tmp_path / "a.mcap", set={"scenario.stop": 0.5})
     changes = {"observer.filter_rate": 500.0} if name.startswith("academic") else {}
     whole = cosim.replay(source, set=changes)
-    for begin, end in ((0.1, 0.35), (None, 0.35), (0.1, None), (0.4, 0.41)):
-        window = (begin, end)
-        first = 0.0 if begin is None else begin
-        last = 0.5 if end is None else end
-        part = cosim.replay(source, set=changes, window=window)
-        check_same_rows(part, whole, first, last)
-        written = cosim.replay(
-            source, set=changes, window=window, out=tmp_path / "b.mcap", force=True
-        )
-        check_same_rows(written, whole, first, last)
-        assert written.recorded_hash == written.content_hash()
+    open_ends = ((None, 0.35), (0.1, None)) if name == "academic" else ()
+    for begin, end in ((0.4, 0.41), *open_ends):
+        part = cosim.replay(source, set=changes, window=(begin, end))
+        check_same_rows(part, whole, begin or 0.0, end or 0.5)
+    out = tmp_path / "b.mcap"
+    written = cosim.replay(source, set=changes, window=(0.1, 0.35), out=out)
+    check_same_rows(written, whole, 0.1, 0.35)
+    assert written.recorded_hash == written.content_hash()
 
 
 def test_blocks_do_not_change_a_window(log):
@@ -71,10 +68,7 @@ def test_blocks_do_not_change_a_window(log):
 
 def test_a_window_begins_where_every_component_has_a_row(log):
     """A component with a period of its own would have none at the begin."""
-    message = (
-        r"the window begins at 0\.053 s, where 'identifier' has no row: it has one in 10 "
-        r"communication steps; nearest before: 0\.05 s"
-    )
+    message = r"the window begins at 0\.053 s, where 'identifier' has no row: .* 10 .*: 0\.05 s"
     with pytest.raises(UsageError, match=message):
         cosim.replay(log, window=(0.053, None))
     part = cosim.replay(log, window=(0.05, 0.103))
