@@ -212,7 +212,7 @@ def test_a_signal_ends_a_run_with_a_whole_log(start, tmp_path, number, code, rea
     out, err = process.communicate(timeout=60)
     end = cosim.open_log(path).end_ns / 1e9
     assert (process.returncode, out) == (code, "")
-    assert err == f"cosim: {reason}\ncosim: {path} has the run up to t = {end} s\n"
+    assert err == f"cosim: {reason}\ncosim: {path} holds the run up to t = {end} s\n"
     assert_whole(path, reason)
     assert sorted(os.listdir(tmp_path)) == ["a.mcap", "temporary"]
     assert not os.listdir(tmp_path / "temporary")

@@ -41,7 +41,7 @@ def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
         (("run", "P.FMU"), "needed a scenario"),
         (("run", "no.Toml"), "cannot be read"),
         (("run", "academic", "--out", "a.log"), "expected a path that ends in .mcap"),
-        ((*export, "P.so"), "needed a path that ends in .fmu"),
+        ((*export, "P.so"), "expected a path that ends in .fmu"),
     ]:
         code, _, err = call(*command)
         assert (code, needed in err) == (2, True), err

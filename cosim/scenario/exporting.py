@@ -65,7 +65,7 @@ def export_component(
     out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
     _check_path(out, force=force)
     if component not in loaded.specs:
-        raise UsageError(f"unknown component {component!r}; {nearest(component, loaded.specs)}")
+        raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     name = model_identifier(f"{loaded.name}_{component}")
     description = f"{component} of scenario {loaded.name}"
     with ExitStack() as resources:

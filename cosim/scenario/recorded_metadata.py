@@ -388,4 +388,4 @@ def _checked(adapter: TypeAdapter[_Checked], value: Any, what: str) -> _Checked:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise LogError(f"{what}: invalid: {place}: {first['msg']}") from error
+        raise LogError(f"{what} cannot be understood: {place}: {first['msg']}") from error

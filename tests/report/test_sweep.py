@@ -165,7 +165,7 @@ def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
     assert cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs", force=True).passed
     with pytest.raises(UsageError, match=r"out: found '.*x\.mcap'; needed a folder for 2 logs"):
         cosim.replay_sweep(failing, vary=vary, out=tmp_path / "x.mcap")
-    with pytest.raises(UsageError, match="found force=True, which is about the log at out"):
+    with pytest.raises(UsageError, match="force=True applies to a log"):
         cosim.replay_sweep(failing, vary=vary, force=True)
 
 
@@ -229,7 +229,7 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         cosim.replay_sweep(
             path, vary={"model.time_constant": [0.1, -1.0]}, scenario=scenario, map=BOTH
         )
-    with pytest.raises(UsageError, match="carries no scenario; needed scenario"):
+    with pytest.raises(UsageError, match="has no scenario; expected scenario"):
         cosim.replay_sweep(path, vary=vary, map=BOTH)
     with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)

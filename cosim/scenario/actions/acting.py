@@ -217,7 +217,9 @@ class ActionChecker:
         if name in self._invalid:
             raise NotChecked
         if name not in self._ports.channels:
-            raise GraphError(f"unknown component {name!r}; {nearest(name, self._ports.channels)}")
+            raise GraphError(
+                f"there is no component {name!r}; {nearest(name, self._ports.channels)}"
+            )
 
     def _add(self, number: int, problems: tuple[Problem, ...] | list[Problem]) -> None:
         for key, text in problems:

@@ -35,7 +35,7 @@ def recorded_document(log: CompleteRecording) -> Document:
         document = Document.recorded(text, edits, Path.cwd())
         return replace(document, foreign_kinds=_foreign_kinds(log))
     except ValueError as error:
-        raise LogError(f"{log.label}: invalid scenario: {error}") from error
+        raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
 
 
 def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:

@@ -92,7 +92,7 @@ def test_a_log_that_is_only_called_like_a_part_is_replayed_alone(tmp_path):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"rotate": "1GB"}, "found rotate, which is about the log at out, and no out;"),
+        ({"rotate": "1GB"}, "rotate applies to a log; expected out"),
         ({"rotate": "1kB", "out": "run.mcap"}, "rotate: found '1kB'; needed at least 1MB"),
         ({"rotate": 1e9, "out": "run.mcap"}, "rotate: found 1000000000.0; needed a size in B,"),
     ],
