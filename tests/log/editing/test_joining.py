@@ -151,7 +151,7 @@ def test_a_replay_does_not_replace_a_file_of_its_log(run, name):
     source = run.with_name("run.part3.mcap" if name == "run.mcap" else "run.part2.mcap")
     text = "is one of the rotated files of the log being replayed"
     if source.name == name:
-        text = "is the log that is replayed; choose another path$"
+        text = "is the log being replayed; choose another path$"
     with pytest.raises(UsageError, match=text):
         cosim.replay(source, out=run.with_name(name), force=True)
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == files
