@@ -126,12 +126,12 @@ def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
     assert json.loads(out)["run"]["status"] == "failed"
     text = (tmp_path / "bad.toml").read_text()
     for wrong, reached in (
-        ("log(-t)", "no row of the run"),
-        ("log(0.01 - t)", "the run up to t = 0.0 s"),
+        ("log(-t)", "has no row of the run"),
+        ("log(0.01 - t)", "holds the run up to t = 0.0 s"),
     ):
         (tmp_path / "bad.toml").write_text(text.replace("log(0.5 - t)", wrong))
         _, _, err = call("run", "bad.toml", "--out", "bad.mcap", "--force")
-        assert f"cosim: bad.mcap has {reached}\n" in err
+        assert f"cosim: bad.mcap {reached}\n" in err
 
 
 def test_verify_finds_the_first_difference(call):
