@@ -37,36 +37,37 @@ SignalBounds: TypeAlias = Sequence[str] | Mapping[str, tuple[float, float]]
 
 @final
 class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
-    """A scenario whose inputs are the actions, and signals of which are the observations.
+    """A scenario with inputs as actions and signals as observations.
 
-    An action overrides inputs for some communication steps. An episode is truncated at the stop of
-    the scenario, and terminated where a component asks for the end, or ``terminated`` says so.
+    An action overrides inputs for a number of communication steps. An episode is truncated at the
+    stop time of the scenario, and terminated when a component stops the run or ``terminated``
+    returns True.
 
     A reset draws a new seed for every component with a ``seed`` in its table, so that a seeded
-    reset gives the same episode again; without such components all episodes begin alike.
+    reset repeats an episode; without such components all episodes start alike.
 
     Parameters
     ----------
     scenario : str, Path or Scenario
-        A shipped name, a path, or what :func:`cosim.load` gave.
+        A shipped name, a path, or what :func:`cosim.load` returned.
     act : sequence of str, or mapping of str to (lowest, highest)
-        Inputs that an action sets, one after the other, and the bounds of their elements.
+        Inputs that an action sets, in this order, and the bounds of their elements.
     observe : sequence of str, or mapping of str to (lowest, highest)
-        Signals of an observation, in the same manner; NaN where a signal has no value yet.
+        Signals of an observation, in the same form; NaN while a signal has no value.
     reward : callable
-        From the rows of an action to its reward.
+        Computes the reward from the rows of an action.
     steps : int
-        Communication steps of an action.
+        Communication steps per action.
     terminated : callable, optional
-        From the rows of an action to whether the episode ends with it.
+        Returns from the rows of an action whether the episode ends.
     out : str or Path, optional
-        Log of the first episode; those behind it go to ``x-2.mcap``, ``x-3.mcap``, ...
+        Log of the first episode; later ones go to ``x-2.mcap``, ``x-3.mcap``, ...
 
     Raises
     ------
     UsageError
-        If a signal is not there, bounds are none, an element of an input is there twice, or the
-        scenario is no whole number of actions.
+        If a signal does not exist, bounds are invalid, an element of an input is listed twice, or
+        the scenario is not a whole number of actions long.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by gymnasium)
@@ -108,7 +109,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Vector, dict[str, Any]]:
-        """Begin an episode; with a ``seed``, the one that this seed gives.
+        """Start an episode; the same ``seed`` gives the same episode.
 
         Raises
         ------
@@ -116,7 +117,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             If the environment is closed.
         """
         if self._is_closed:
-            raise UsageError("reset: this environment is closed; needed another one")
+            raise UsageError("reset: this environment is closed; make a new one")
         super().reset(seed=seed)
         if self._seeded or (self._out is not None and not self._session.logs):
             self._session.close()
@@ -134,18 +135,18 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         Returns
         -------
         observation, reward, terminated, truncated, info
-            ``info`` has the time that is reached, ``t_ns``.
+            ``info`` has the current time, ``t_ns``.
 
         Raises
         ------
         UsageError
             If the action does not fit, or the episode has ended.
         RunError
-            If the scenario cannot go on.
+            If the run fails.
         """
         session = self._session
         if self._problem:
-            raise UsageError(f"step: {self._problem}; needed reset() first")
+            raise UsageError(f"step: {self._problem}; call reset() first")
         values = self._checked(action)
         for to, part in self._parts.items():
             session[to] = values[part]
@@ -190,11 +191,11 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         try:
             values = np.asarray(action, np.float64)
         except (TypeError, ValueError) as error:
-            raise UsageError(f"action: found {kind_of(action)}; needed numbers") from error
+            raise UsageError(f"action: expected numbers, got {kind_of(action)}") from error
         if values.shape != self._low.shape:
             raise UsageError(
-                f"action: found shape {values.shape}; needed {self._low.shape}: "
-                f"{', '.join(self._act)}"
+                f"action: expected shape {self._low.shape} ({', '.join(self._act)}), got "
+                f"{values.shape}"
             )
         is_inside = (values >= self._low) & (values <= self._high)
         if not is_inside.all():
@@ -202,7 +203,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             low = float(self._low[first])
             high = float(self._high[first])
             raise UsageError(
-                f"action: found {float(values[first])} as element {first}; needed {low} to {high}"
+                f"action[{first}]: expected {low} to {high}, got {float(values[first])}"
             )
         return values
 
@@ -211,8 +212,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         is_whole = isinstance(self._steps, Integral) and not isinstance(self._steps, bool)
         if not is_whole or self._steps < 1 or total % self._steps:
             raise UsageError(
-                f"steps: found {self._steps!r}; needed a whole number of communication steps, of "
-                f"which the scenario, {total} steps, is a multiple"
+                f"steps: expected a whole number of communication steps that divides the {total} "
+                f"steps of the scenario, got {self._steps!r}"
             )
 
     def _input_parts(self) -> dict[str, slice]:
@@ -225,8 +226,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             self._session[name] = np.zeros(len(values))  # refuses what is no input
             if len(self._session.overrides) < len(before) + len(values):
                 raise UsageError(
-                    f"act: found '{name}', elements of which another input of the action has; "
-                    "needed every element once"
+                    f"act: '{name}' has elements of another input of the action; expected every "
+                    "element once"
                 )
             parts[name] = slice(start, start + len(values))
             start += len(values)
@@ -235,7 +236,7 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     def _bounds(self, key: str, signals: SignalBounds) -> tuple[Vector, Vector]:
         """Return the lowest and highest values of signals, one after the other."""
         if not signals or isinstance(signals, str):
-            raise UsageError(f"{key}: found {signals!r}; needed the names of signals, in a list")
+            raise UsageError(f"{key}: expected a list of signal names, got {signals!r}")
         low: list[float] = []
         high: list[float] = []
         for name in signals:
@@ -257,11 +258,11 @@ def _checked_bounds(key: str, name: str, bounds: tuple[float, float]) -> tuple[f
         lowest, highest = map(float, bounds)
     except (TypeError, ValueError) as error:
         raise UsageError(
-            f"{key}: found {bounds!r} as the bounds of '{name}'; needed (lowest, highest)"
+            f"{key}: expected (lowest, highest) as the bounds of '{name}', got {bounds!r}"
         ) from error
     if not lowest < highest:
         raise UsageError(
-            f"{key}: found {lowest} to {highest} for '{name}'; needed the lowest value first"
+            f"{key}: expected lowest <= highest for '{name}', got {lowest} to {highest}"
         )
     return lowest, highest
 

@@ -215,7 +215,7 @@ def test_a_signal_ends_a_run_with_a_whole_log(start, tmp_path, number, code, rea
     out, err = process.communicate(timeout=60)
     end = cosim.open_log(path).end_ns / 1e9
     assert (process.returncode, out) == (code, "")
-    assert err == f"cosim: {reason}\ncosim: {path} has the run up to t = {end} s\n"
+    assert err == f"cosim: {reason}\ncosim: {path} holds the run up to t = {end} s\n"
     assert_whole(path, reason)
     assert sorted(os.listdir(tmp_path)) == ["a.mcap", "temporary"]
     assert not os.listdir(tmp_path / "temporary")
@@ -424,7 +424,7 @@ def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypa
         (("--out", "a.mcap", "--plot", "a.mcap"), "found the ending '.mcap'"),
         (("--out", "a.mcap", "--plot", "a.mcap/x.png"), "found the path of the log"),
         (("--plot", "pipe.png"), "it is a pipe, not a regular file"),
-        (("--out", "a.log"), "a log needs a path that ends in .mcap"),
+        (("--out", "a.log"), "expected a path that ends in .mcap"),
         (("--out", "folder.mcap"), "is a folder; name a file"),
     ]:
         code, err = call("run", "academic", *arguments)

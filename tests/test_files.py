@@ -40,8 +40,8 @@ def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
         (("replay", "P.FMU"), "needed a log"),
         (("run", "P.FMU"), "needed a scenario"),
         (("run", "no.Toml"), "cannot be read"),
-        (("run", "academic", "--out", "a.log"), "a log needs a path that ends in .mcap"),
-        ((*export, "P.so"), "needed a path that ends in .fmu"),
+        (("run", "academic", "--out", "a.log"), "expected a path that ends in .mcap"),
+        ((*export, "P.so"), "expected a path that ends in .fmu"),
     ]:
         code, _, err = call(*command)
         assert (code, needed in err) == (2, True), err

@@ -29,9 +29,8 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
 
 ZERO_ORDER_HOLD_OUTPUTS = (
-    "its inputs have a zero-order hold over a step here, so its outputs have one too; "
-    "co-simulation in FMI 2.0 has no events, and they are declared continuous: FMI 3.0 declares "
-    "them discrete"
+    "its inputs have a zero-order hold over a step here, and so have its outputs; co-simulation "
+    "in FMI 2.0 has no events, so they are declared continuous: FMI 3.0 declares them discrete"
 )
 
 
@@ -91,7 +90,7 @@ def export_component(
 def _check_path(out: Path, *, force: bool) -> None:
     check_path(out)
     if file_type(out) != "FMU":
-        raise UsageError(f"{out}: needed a path that ends in .fmu")
+        raise UsageError(f"{out}: expected a path that ends in .fmu")
     if out.exists() and not force:
         raise UsageError(f"{out} exists; choose another path, or {flag('force')} to replace it")
     try:
@@ -120,8 +119,8 @@ def _descriptor_model(scenario: Scenario, component: str, resources: ExitStack) 
     spec = scenario.specs[component]
     if not isinstance(spec, DescriptorKind):
         raise UsageError(
-            f"{component!r} is of kind {spec.kind!r}, which has no algebraic equations; "
-            "what has: descriptor"
+            f"{component!r} is of kind {spec.kind!r}, which has no algebraic equations; expected "
+            "a component of kind 'descriptor'"
         )
     return spec.descriptor_form(build_context(scenario, resources))
 
@@ -137,8 +136,8 @@ def _model(
     if not isinstance(spec, ExportableKind):
         exportable = [name for name, kind in KINDS.items() if issubclass(kind, ExportableKind)]
         raise UsageError(
-            f"{component!r} is of kind {spec.kind!r}, which cannot be exported; "
-            f"what can be: {', '.join(exportable)}"
+            f"{component!r} is of kind {spec.kind!r}, which cannot be exported; available: "
+            f"{', '.join(exportable)}"
         )
     wiring = _GraphWiring(scenario, component, resources)
     model = spec.exportable(component, build_context(scenario, resources), wiring)

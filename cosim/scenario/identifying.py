@@ -126,7 +126,9 @@ class LogIdentification:
             If the plant is unstable.
         """
         if not 0 <= index < len(self.records):
-            raise UsageError(f"index: found {index}; needed 0 to {len(self.records) - 1}, a log")
+            raise UsageError(
+                f"index: expected 0 to {len(self.records) - 1}, the number of a log, got {index}"
+            )
         return smoothed_signals(self.assessment.fitted, index)
 
     def guaranteed_interval(self, bound: float, watch: Watch | None = None) -> GuaranteedInterval:
@@ -137,7 +139,7 @@ class LogIdentification:
         bound : float
             Of the irregular part, ``|delta_0| <= bound``.
         watch : callable, optional
-            Is told after every linear program how many have been solved.
+            Called after every linear program with the number solved so far.
 
         Raises
         ------
@@ -149,8 +151,8 @@ class LogIdentification:
         """
         if len(self.records) > 1:
             raise UsageError(
-                f"found {len(self.records)} logs; needed one to bound theta for an irregular part "
-                "of the disturbance"
+                "expected one log to bound theta for an irregular part of the disturbance, got "
+                f"{len(self.records)}"
             )
         return interval_of(self.assessment, bound, Programs.ALWAYS, watch)
 
@@ -238,9 +240,9 @@ def identify(
     Parameters
     ----------
     logs : path, what a run returned, or a sequence of these
-        Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
+        Of one plant under one theta; each has its own amplitudes, phases and x(0).
     identifier : str, optional
-        The component that has the model, where a log has several.
+        The identifier to take the model from, if a log has several.
     offset, bounds
         As for :func:`identify_records`.
 
@@ -249,8 +251,8 @@ def identify(
     LogError
         If a log is damaged, or has no scenario.
     UsageError
-        If one is neither a path nor a run, a log has no such identifier, the logs are of different
-        models, two have the same rows, or the bounds are none.
+        If one is neither a path nor a run, a log has no such identifier, the models of the logs
+        differ, two logs have the same rows, or the bounds are invalid.
     AssumptionError
         If there are fewer samples than unknowns.
     """
@@ -263,7 +265,7 @@ def _opened(log: str | Path | CompleteRecording) -> CompleteRecording:
     if isinstance(log, str | Path):
         return open_log(log)
     if not isinstance(log, RecordedSignals):
-        raise UsageError(f"logs: found {quoted(log)}; needed a path, or what a run returned")
+        raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(log)}")
     return log
 
 
@@ -278,7 +280,7 @@ def identify_records(
     Parameters
     ----------
     records : sequence of IdentifierRecord
-        Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
+        Of one plant under one theta; each has its own amplitudes, phases and x(0).
     offset : bool
         An unknown constant is on every output, also where the scenario does not say so.
     bounds : sequence of (lower, upper), or mapping of index to (lower, upper), optional
@@ -293,7 +295,7 @@ def identify_records(
         If there are fewer samples than unknowns.
     """
     if not records:
-        raise UsageError("logs: found none; needed one or more")
+        raise UsageError("logs: expected at least one, got none")
     first = records[0]
     for number, record in enumerate(records):
         _check_unused(record, records[:number])
@@ -328,7 +330,7 @@ def check_one_model(first: IdentifierRecord, other: IdentifierRecord) -> None:
         if not np.array_equal(one, another):
             raise _different(first, other, f"the design models differ in {field.name}")
     if list(first.identified.families) != list(other.identified.families):
-        raise _different(first, other, "the terms of their regressors are of other families")
+        raise _different(first, other, "the terms of their regressors differ in family")
 
 
 def _check_unused(record: IdentifierRecord, used: Sequence[IdentifierRecord]) -> None:
@@ -343,7 +345,7 @@ def _check_unused(record: IdentifierRecord, used: Sequence[IdentifierRecord]) ->
         if _same_samples(other.data, record.data):
             raise UsageError(
                 f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
-                "needed data of another run"
+                "expected data of another run"
             )
 
 
@@ -354,7 +356,7 @@ def _same_samples(one: DataSet, other: DataSet) -> bool:
 
 
 def _different(first: IdentifierRecord, other: IdentifierRecord, what: str) -> UsageError:
-    return UsageError(f"{first.log.label} and {other.log.label}: {what}; needed one model")
+    return UsageError(f"{first.log.label} and {other.log.label}: {what}; expected one model")
 
 
 def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: str | None) -> str:
@@ -368,14 +370,18 @@ def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: s
     partial = partial_of(log.channels)
     if not identified and partial is not None:
         raise UsageError(
-            f"{log.label}: found no identifier with a model of y whose signals are recorded at "
-            f"every step; {partial.reason(log.channels)}"
+            f"{log.label}: expected an identifier with a model of y whose signals are recorded at "
+            f"every step, got none; {partial.reason(log.channels)}"
         )
     if not identified:
         raise UsageError(
-            f"{log.label}: found no identifier with a model of y; needed one whose regressor is "
-            "driven by an observer of kind 'unknown-input-observer' alone, with one disturbance"
+            f"{log.label}: expected an identifier with a model of y, got none; its regressor must "
+            "be driven by a single observer of kind 'unknown-input-observer', with one "
+            "disturbance"
         )
     if len(identified) > 1:
-        raise UsageError(f"{log.label}: found the identifiers {', '.join(identified)}; name one")
+        raise UsageError(
+            f"{log.label}: expected the name of one identifier, as there are several; available: "
+            f"{', '.join(identified)}"
+        )
     return next(iter(identified))

@@ -122,9 +122,9 @@ def component_record(recording: Recording, component: str) -> ComponentRecord:
     record = _checked(_COMPONENT, _component_json(recording, component), what)
     known = record.model_fields_set
     if "unknowns" in known and not known.issuperset(_OF_IDENTIFIERS):
-        raise LogError(f"{what}: needed {' and '.join(_OF_IDENTIFIERS)} of an identifier")
+        raise LogError(f"{what}: expected {' and '.join(_OF_IDENTIFIERS)} of an identifier")
     if len(record.times) not in (0, len(_TIMES)):
-        raise LogError(f"{what}: needed {', '.join(_TIMES)}, or none of them")
+        raise LogError(f"{what}: expected all of {', '.join(_TIMES)}, or none of them")
     return record
 
 
@@ -286,7 +286,7 @@ def replay_origin(recording: Recording) -> ReplayOrigin:
     """
     text = run_metadata(recording).get("replay")
     if text is None:
-        raise LogError("this is no replay; needed what cosim.replay() returned")
+        raise LogError("this is not a replay; expected what cosim.replay() returned")
     return _checked(TypeAdapter(ReplayOrigin), _json(text, "replay"), "replay")
 
 
@@ -379,7 +379,7 @@ def _json(text: str, what: str) -> Any:
     try:
         return read_json(text)
     except ValueError as error:
-        raise LogError(f"{what}: no JSON: {error}") from error
+        raise LogError(f"{what}: invalid JSON: {error}") from error
 
 
 def _checked(adapter: TypeAdapter[_Checked], value: Any, what: str) -> _Checked:

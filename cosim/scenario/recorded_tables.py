@@ -155,15 +155,15 @@ class CodeRecord(_Record):
     def difference(self, recorded: CodeRecord | None) -> str:
         """Return in words what differs from the code of a recorded run."""
         if recorded is None:
-            return f"{self.class_name!r}, and the log does not say what code its run had"
+            return f"{self.class_name!r}; the log does not record the code of its run"
         if self.class_name != recorded.class_name:
-            return f"the class {self.class_name!r}, the log's run had {recorded.class_name!r}"
+            return f"the class {self.class_name!r}; the recorded run had {recorded.class_name!r}"
         for file in {**self.sources, **recorded.sources}:
-            own = self.sources.get(file, "none, for it is not imported")
-            needed = recorded.sources.get(file, "none, for it was not imported")
+            own = self.sources.get(file, "none (not imported)")
+            needed = recorded.sources.get(file, "none (not imported)")
             if own != needed:
-                return f"{file} with the SHA-256 {own}, that of the log's run: {needed}"
-        return f"{self.distribution or 'no package'}, the log's run had {recorded.distribution}"
+                return f"{file} with the SHA-256 {own}; the recorded run had {needed}"
+        return f"{self.distribution or 'no package'}; the recorded run had {recorded.distribution}"
 
 
 class ComponentRecord(_Record):

@@ -51,12 +51,12 @@ Opener: TypeAlias = Callable[[ExitStack, bool], Opened]
 
 @final
 class Session:
-    """A scenario that is advanced by hand; :meth:`cosim.scenario.parsing.Scenario.start` starts it.
+    """A scenario advanced by the caller; :meth:`cosim.scenario.parsing.Scenario.start` returns it.
 
-    A context manager: at its end the log is complete, and FMUs are closed. It is used by the thread
-    that started it. The log of one that nobody has any more is completed, too, with a
-    ``ResourceWarning``. What it does with time, signals and states is that of its
-    :class:`cosim.core.Simulation`, whose methods say which errors they raise.
+    A context manager: on exit the log is completed and FMUs are closed. Only the thread that
+    started a session may use it. The log of a session that is garbage-collected is completed, too,
+    with a ``ResourceWarning``. Time, signals and states are those of its
+    :class:`cosim.core.Simulation`, whose methods document their errors.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Session:
         CosimError
             If the log cannot be completed, or an FMU fails at its end.
         UsageError
-            If it is the session of another thread, which goes on.
+            If another thread started the session; it continues.
         """
         self._close(error, "closed")
 
@@ -112,7 +112,7 @@ class Session:
         CosimError
             If the log cannot be completed, or an FMU fails at its end.
         UsageError
-            If it is the session of another thread, which goes on.
+            If another thread started the session; it continues.
         """
         self._close(None, "closed")
 
@@ -144,12 +144,12 @@ class Session:
 
     @property
     def t_ns(self) -> int:
-        """The time that is reached [ns]."""
+        """The current time [ns]."""
         return self._simulation.t_ns
 
     @property
     def t(self) -> float:
-        """The time that is reached [s]."""
+        """The current time [s]."""
         return self._simulation.t
 
     @property
@@ -158,18 +158,17 @@ class Session:
         return self._simulation.steps_left
 
     def step(self, count: int = 1) -> StepRows:
-        """Advance over some communication steps; return their rows by the names of signals.
+        """Advance by a number of communication steps; return their rows by signal name.
 
-        See :meth:`cosim.core.Simulation.step`. An array of the rows has shape (count, size), cannot
-        be written to, and is yours to keep. Where the run ends before, by ``until`` or as a
-        component asks for it, :class:`cosim.core.Stopped` says why, and :attr:`rows` has what came
-        before.
+        See :meth:`cosim.core.Simulation.step`. The arrays have shape (count, size) and are
+        read-only. If the run ends earlier, by ``until`` or because a component stops it,
+        :class:`cosim.core.Stopped` is raised with the reason, and :attr:`rows` has the rows before.
         """
         return self._simulation.step(count)
 
     @property
     def rows(self) -> StepRows | None:
-        """What the last step advanced over, also where it ended early; None: there was none."""
+        """The rows of the last step, also if it ended early; None: there was no step."""
         return self._simulation.rows
 
     def run_until(self, t: float) -> StepRows:
@@ -184,14 +183,15 @@ class Session:
         return self._simulation.signals
 
     def __getitem__(self, signal: str) -> Vector:
-        """Return what a signal is at the time reached, behind its jumps; shape (size,)."""
+        """Return a signal at the current time, after its jumps; shape (size,)."""
         return self._simulation[signal]
 
     def __setitem__(self, to: str, value: OverrideValue) -> None:
-        """Override an input, or elements of it, from the time reached on.
+        """Override an input, or elements of it, from the current time on.
 
-        It holds until it is changed or released. The row at this instant keeps the value before;
-        outputs that feed through follow at once. See :meth:`cosim.core.Simulation.__setitem__`.
+        The override holds until it is changed or released. The row at this instant keeps the value
+        before; outputs with direct feedthrough follow at once. See
+        :meth:`cosim.core.Simulation.__setitem__`.
         """
         self._simulation[to] = value
 
@@ -201,14 +201,14 @@ class Session:
 
     @property
     def overrides(self) -> dict[str, float]:
-        """The elements of inputs that are overridden, and their values."""
+        """The overridden elements of inputs, and their values."""
         return self._simulation.overrides
 
     # --- going back ---
 
     @property
     def state(self) -> SimulationState:
-        """The state at the time reached, to go back to; it can be pickled."""
+        """The state at the current time, to go back to; it can be pickled."""
         return self._simulation.state
 
     @state.setter
@@ -217,17 +217,17 @@ class Session:
         self._simulation.state = state
 
     def reset(self) -> None:
-        """Begin again at the start, without overrides.
+        """Restart at the start time, without overrides.
 
-        A log is completed, and the next one begins beside it: ``x-2.mcap``, ``x-3.mcap``, ...
+        The log is completed, and the next one is written beside it: ``x-2.mcap``, ...
 
         Raises
         ------
         UsageError
-            If the session is closed, or that of another thread.
+            If the session is closed, or another thread started it.
         """
         if not self._is_open:
-            raise UsageError("reset: this session is closed; needed another one: start it again")
+            raise UsageError("reset: this session is closed; start a new one")
         if self._opened.recorder is None:
             self._simulation.reset()
             return
@@ -239,7 +239,7 @@ class Session:
 
     @property
     def logs(self) -> tuple[Path, ...]:
-        """The logs of this session, in their order: one, and one more for every reset."""
+        """The logs of this session in order: one, and one more for every reset."""
         return tuple(self._logs)
 
 
@@ -269,5 +269,5 @@ def _complete_unclosed(opened: Opened, resources: ExitStack, process: int) -> No
         with suppress(CosimError):
             simulation.close()
         _conclude(opened, ended)
-    text = f"{path}: the session was not closed; needed sim.close(), or a with block"
+    text = f"{path}: the session was not closed; call sim.close(), or use a with block"
     warnings.warn(text, ResourceWarning, stacklevel=2)

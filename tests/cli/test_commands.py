@@ -120,18 +120,18 @@ def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
     assert code == 1
     assert err == (
         "cosim: 'u.y' became -inf at t = 0.5 s; everything before is kept\n"
-        "cosim: bad.mcap has the run up to t = 0.49 s\n"
+        "cosim: bad.mcap holds the run up to t = 0.49 s\n"
     )
     code, out, _ = call("info", "bad.mcap", "--json")
     assert json.loads(out)["run"]["status"] == "failed"
     text = (tmp_path / "bad.toml").read_text()
     for wrong, reached in (
-        ("log(-t)", "no row of the run"),
-        ("log(0.01 - t)", "the run up to t = 0.0 s"),
+        ("log(-t)", "has no row of the run"),
+        ("log(0.01 - t)", "holds the run up to t = 0.0 s"),
     ):
         (tmp_path / "bad.toml").write_text(text.replace("log(0.5 - t)", wrong))
         _, _, err = call("run", "bad.toml", "--out", "bad.mcap", "--force")
-        assert f"cosim: bad.mcap has {reached}\n" in err
+        assert f"cosim: bad.mcap {reached}\n" in err
 
 
 def test_verify_finds_the_first_difference(call):
@@ -406,7 +406,7 @@ def test_export_refuses_what_cannot_be_an_fmu(call):
     code, _, err = call("export", "academic", "--component", "delta", "--out", "i.fmu")
     assert code == 2
     assert (
-        "'delta' is of kind 'disturbance', which cannot be exported; what can be: "
+        "'delta' is of kind 'disturbance', which cannot be exported; available: "
         "sum, gain, product, limit, switch, lag, integrator, transfer-function, delay, controller, "
         "discrete-state-space, pid, descriptor, unknown-input-observer, regressor, identifier\n"
     ) in err

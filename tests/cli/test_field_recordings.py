@@ -39,7 +39,7 @@ def test_a_recording_is_replayed_with_its_scenario(call):
     assert "model.y" in out
     code, _, err = call("replay", "field.mcap", *MAPS)
     assert code == 2
-    assert "is of another tool and carries no scenario; needed --scenario" in err
+    assert "was written by another tool and has no scenario; expected --scenario" in err
     code, out, err = call("replay", "field.mcap", *names, "--vary", "model.time_constant=0.1,0.2")
     assert code == 0, err
     assert "model.time_constant" in out
@@ -50,7 +50,7 @@ def test_a_recording_is_replayed_with_its_scenario(call):
     assert code == 0, err
     code, _, err = call(*vary, "--scenario", "loop.toml")
     assert code == 2
-    assert "once.mcap carries its own scenario; leave out --scenario" in err
+    assert "once.mcap has its own scenario; omit --scenario" in err
     code, _, err = call("replay", "field.mcap", *names, "--verify")
     assert code == 2
     assert "--verify compares with a log of cosim; field.mcap is of another tool" in err

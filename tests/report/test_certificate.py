@@ -41,7 +41,7 @@ def test_table_has_estimates_and_reasons(log):
     assert table[1] == "\tlargest\tat t\tat the end\torder"
     assert table[2].startswith("mass.y\t0.0337\t3.3 s\t")
     assert table[2].endswith("\t1.02")
-    reason = "late.y: jump.y jumps between communication points, or a quarter of the step does not"
+    reason = "late.y: jump.y jumps between communication points, or is not resolved by"
     assert any(line.startswith(f"no estimate\t\t\t\t{reason}") for line in table)
     assert "0\t\t\t\tthe same in all three runs: jump.y" in table
     (share,) = [line for line in table if "is the coupling" in line]

@@ -213,7 +213,7 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
         (("--bounds", "[[-1,0],[true,1]]"), "bounds of theta[1]: found [True, 1]; needed two"),
         (("--bounds", f"[[-1,0],[1,{10**400}]]"), "bounds of theta[1]: found [1, 1000"),
         (("--bounds", "[[-1,0],[inf,inf]]"), "[inf, inf] has no number between"),
-        (("--bounds", "wide"), "bounds: found wide; needed [lower, upper]"),
+        (("--bounds", "wide"), "bounds: expected [lower, upper]"),
         (("--irregular", "-1"), "--irregular: found -1, needed a positive number"),
         (("--irregular", "nan"), "--irregular: found nan, needed a positive number"),
         (("--component", "observer"), "no identifier 'observer' with a model of y"),

@@ -180,7 +180,7 @@ def test_differing_bits_are_counted(a, b, bits, texts):
 
 def test_only_a_replay_is_verified(valid):
     """A run says nothing of what was copied."""
-    with pytest.raises(LogError, match="this is no replay"):
+    with pytest.raises(LogError, match="this is not a replay"):
         verify(open_log(valid), open_log(valid))
 
 

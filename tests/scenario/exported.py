@@ -37,9 +37,11 @@ SAMPLED_COMPONENTS = [
     ("online", "identifier"),
 ]
 COMPONENTS = [
-    *ACADEMIC,
-    *LOOP,
-    *SAMPLED_COMPONENTS,
+    ACADEMIC[0],
+    *(
+        pytest.param(*component, marks=pytest.mark.slow)
+        for component in (*ACADEMIC[1:], *LOOP, *SAMPLED_COMPONENTS)
+    ),
     *(pytest.param(*component, marks=pytest.mark.campaign) for component in AGAIN),
 ]
 # linear models that have states

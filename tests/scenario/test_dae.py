@@ -31,6 +31,7 @@ def plant(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_both_forms_give_the_plant_and_its_parameters(plant):
     """The residual form is as good as the exact solver.
 
@@ -52,6 +53,7 @@ def test_both_forms_give_the_plant_and_its_parameters(plant):
         )
 
 
+@pytest.mark.slow
 def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
     """Bit for bit: the same C steps both, and the residual is beside it."""
     ordinary = tmp_path / "ordinary.fmu"
@@ -77,8 +79,7 @@ def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
         (
             "observer",
             "3",
-            "'observer' is of kind 'unknown-input-observer', which has no algebraic equations; "
-            "what has: descriptor",
+            "'observer' is of kind 'unknown-input-observer', which has no algebraic equations",
         ),
     ],
 )
@@ -102,7 +103,7 @@ def test_dae_is_for_descriptor_plants_and_fmi_3(component, fmi, message, tmp_pat
     assert message in capsys.readouterr().err
 
 
-def test_a_form_that_there_is_not_is_refused(plant):
-    """Where the scenario is read."""
-    with pytest.raises(CosimError, match=r"plant\.dae: found 'dae'; did you mean 'ode'\?"):
-        cosim.run("academic", swap={"plant": plant}, set={"plant.dae": "dae"})
+def test_a_form_that_there_is_not_is_refused():
+    """Where the scenario is read, before the FMU is."""
+    with pytest.raises(CosimError, match=r"plant\.dae: .*'dae'.*did you mean 'ode'\?"):
+        cosim.run("academic", swap={"plant": "plant.fmu"}, set={"plant.dae": "dae"})

@@ -11,6 +11,7 @@ import cosim
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify_records
+from tests.case_tables import each_case
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -87,14 +88,14 @@ def test_options_are_those_of_the_fit(logs):
     np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("bounds", "text"),
     [
-        ([[-1, 0]], "needed [lower, upper] for each of the 2 parameters"),
-        (3, "bounds: found 3; needed [lower, upper]"),
+        ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
+        (3, "bounds: expected [lower, upper]"),
         ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
-        ({0: 1.0}, "bounds of theta[0]: found 1.0; needed two numbers"),
-        ({0: (1.0, 0.0)}, "bounds of theta[0]: the lower 1 is above the upper 0"),
+        ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
+        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper, got [1, 0]"),
     ],
 )
 def test_bounds_that_are_none_are_refused(logs, bounds, text):
@@ -103,14 +104,14 @@ def test_bounds_that_are_none_are_refused(logs, bounds, text):
         cosim.identify(logs[0], bounds=bounds)
 
 
-def test_what_is_no_log_is_refused(logs):
+def test_anything_but_a_log_is_refused(logs):
     """Alone, beside a log, and as the number of a log that the fit does not have."""
     for given in (3, [logs[0], None]):
-        with pytest.raises(UsageError, match=r"logs: found (3|None); needed a path, or what"):
+        with pytest.raises(UsageError, match=r"logs: expected a path.*got (3|None)"):
             cosim.identify(given)
     found = cosim.identify(logs[0])
     for index in (1, -1):
-        with pytest.raises(UsageError, match=f"index: found {index}; needed 0 to 0"):
+        with pytest.raises(UsageError, match=f"index: expected 0 to 0.*got {index}"):
             found.smoothed(index)
 
 
@@ -126,7 +127,7 @@ def test_logs_of_other_models_are_refused(logs, tmp_path):
         },
     )
     records = [identifier_record(logs[0]), identifier_record(changed)]
-    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A; needed one"):
+    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A;"):
         identify_records(records)
 
 
@@ -137,7 +138,7 @@ def test_a_log_without_identifier_is_refused(tmp_path):
         '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
     )
     log = cosim.run(file, out=tmp_path / "a.mcap")
-    with pytest.raises(UsageError, match="found no identifier with a model of y; needed one whose"):
+    with pytest.raises(UsageError, match="expected an identifier with a model of y, got none"):
         identifier_record(log)
 
 
@@ -189,7 +190,7 @@ def test_logs_are_identified_by_path_or_opened(logs):
     found = cosim.identify(logs[0].path)
     assert [record.log.label for record in found.records] == [logs[0].label]
     assert len(found.smoothed().t) == len(found.records[0].data.t)
-    with pytest.raises(UsageError, match="found none; needed one or more"):
+    with pytest.raises(UsageError, match="logs: expected at least one"):
         cosim.identify([])
 
 

@@ -13,12 +13,7 @@ from cosim.scenario.building.build import build_context
 from cosim.scenario.exporting import export_component
 from cosim.scenario.running.execution import load
 
-pytest.importorskip("libcosimpy")
-
-from libcosimpy.CosimExecution import CosimExecution
-from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
-from libcosimpy.CosimObserver import CosimObserver
-from libcosimpy.CosimSlave import CosimLocalSlave
+pytestmark = pytest.mark.slow
 
 STOP = 2.0  # s
 INPUTS = np.array([0.5, -1.0])  # u and delta of the plant
@@ -39,6 +34,8 @@ def models():
 
 @pytest.fixture(scope="module")
 def fmus(tmp_path_factory):
+    from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
+
     log_output_level(CosimLogLevel.WARNING)
     folder = tmp_path_factory.mktemp("libcosim")
     paths = {name: folder / f"{name}.fmu" for name in ("plant", "observer")}
@@ -51,12 +48,17 @@ class Run:
     """An execution with its FMUs; libcosim keeps no reference to them."""
 
     def __init__(self, step):
+        from libcosimpy.CosimExecution import CosimExecution
+        from libcosimpy.CosimObserver import CosimObserver
+
         self.execution = CosimExecution.from_step_size(step_size=step * 1e9)
         self.observer = CosimObserver.create_last_value()
         self.execution.add_observer(self.observer)
         self.kept = []
 
     def add(self, path, values):
+        from libcosimpy.CosimSlave import CosimLocalSlave
+
         self.kept.append(CosimLocalSlave(fmu_path=str(path), instance_name=path.stem))
         at = self.execution.add_local_slave(self.kept[-1])
         for reference, value in values.items():

@@ -100,11 +100,11 @@ def test_a_closed_session_takes_no_steps():
     for use in (sim.step, lambda: sim.release("plant.u"), lambda: sim.state):
         with pytest.raises(UsageError, match="this simulation is closed"):
             use()
-    with pytest.raises(UsageError, match="reset: this session is closed; needed another one"):
+    with pytest.raises(UsageError, match="reset: this session is closed; start a new one"):
         sim.reset()
 
 
-def test_what_is_read_or_overridden_is_there(tmp_path):
+def test_a_signal_that_does_not_exist_is_neither_read_nor_overridden(tmp_path):
     """The messages of the core, with the scenario's names; a refusal does not end the session."""
     with scenario().start(out=tmp_path / "x.mcap") as sim:
         with pytest.raises(GraphError, match=r"'plant.w': 'plant' has no input 'w'; .*: u, delta"):
@@ -193,10 +193,13 @@ def replace_values(event, values):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"signal": "plant.z"}, r"the event of 'plant.z' at t = 0.007 s does not fit: .*no input"),
-        ({"values": (1.0, 2.0)}, r"the event of 'plant.u' .*found 2 values; needed 1"),
-        ({"time_ns": 7_000_001}, r"the event at t = 0.007000001 s is not at a communication point"),
-        ({"cause": "release"}, r"the event of 'plant.u' .* is not overridden"),
+        (
+            {"signal": "plant.z"},
+            r"event of 'plant.z' at t = 0.007 s .*no input",
+        ),
+        ({"values": (1.0, 2.0)}, r"event of 'plant.u' at t = 0.007 s .*2.*1"),
+        ({"time_ns": 7_000_001}, r"an event at t = 0.007000001 s: that is no communication point"),
+        ({"cause": "release"}, r"event of 'plant.u' .* is not overridden"),
     ],
 )
 def test_an_event_that_does_not_fit_is_refused(change, text, tmp_path, monkeypatch):
@@ -259,6 +262,7 @@ def test_the_log_of_a_session_that_is_not_closed_is_completed(plant, tmp_path):
     assert verify(log, replay(log)).passed
 
 
+@pytest.mark.slow
 def test_the_log_of_a_session_is_completed_at_the_end_of_its_program(tmp_path):
     """Of which it may be a variable."""
     lines = [
@@ -335,7 +339,7 @@ class Relay:
         return np.zeros((len(t) - 1, 1))
 
 
-def test_what_stops_a_session_is_in_its_log(tmp_path):
+def test_the_error_that_ends_a_session_is_in_its_log(tmp_path):
     """Also where the block goes on."""
     path = tmp_path / "x.mcap"
     with scenario().start(out=path) as sim:
@@ -354,9 +358,9 @@ def test_a_log_that_cannot_be_written_is_refused_first(tmp_path):
     path.write_text("")
     with pytest.raises(LogError, match="exists; choose another path, or force=True"):
         scenario().start(out=path)
-    with pytest.raises(UsageError, match="found force=True, which is about the log at out"):
+    with pytest.raises(UsageError, match="force=True applies to a log"):
         scenario().start(force=True)
-    with pytest.raises(UsageError, match=r"a log needs a path that ends in .mcap"):
+    with pytest.raises(UsageError, match=r"expected a path that ends in .mcap"):
         scenario().start(out=tmp_path / "x.txt")
     with pytest.raises(UsageError, match="numbered"):
         scenario().start(numbered=3)

@@ -16,8 +16,6 @@ import pytest
 import cosim
 from cosim.core.recorders import Memory
 
-pytest.importorskip("libcosimpy")
-
 COLLECTION = os.environ.get("COSIM_FMU_COLLECTION")
 pytestmark = [
     pytest.mark.campaign,

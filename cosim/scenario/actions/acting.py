@@ -153,7 +153,9 @@ class ActionChecker:
             for text, value in (actions[number].set or {}).items():
                 other = together.add(number, index, text, value)
                 if other is not None:
-                    problem = f"is set by actions.{other} at the same instant; needed one of them"
+                    problem = (
+                        f"is also set by actions.{other} at the same instant; remove one of the two"
+                    )
                     self._add(number, [(("set", text), problem)])
         for index, name, values, places in together.in_order():
             number, place = first(places)
@@ -162,8 +164,8 @@ class ActionChecker:
                 other = together.another(index, name)
                 if other is not None and other < number and not builder.is_fmu(name):
                     raise GraphError(
-                        f"{name!r} is set by actions.{other} too, before or after a condition; "
-                        "needed one action that sets it, or times"
+                        f"{name!r} is also set by actions.{other}, in an order that depends on a "
+                        "condition; set it in one action, or at fixed times"
                     )
                 self._take(number, index, builder.action(name, values))
             except TableProblems as error:
@@ -192,7 +194,8 @@ class ActionChecker:
                     self._check_component(name)
                     if name in changed:
                         raise GraphError(
-                            f"{name!r} is changed by actions.{changed[name]} too; needed one action"
+                            f"{name!r} is also changed by actions.{changed[name]}; expected one "
+                            "action"
                         )
                     changed[name] = number
                     self._take(number, index, builder.action(name, path))
@@ -279,19 +282,19 @@ class _Overridden:
         for column in columns:
             other = self._changed.get(column)
             if other == (number, index):
-                raise GraphError(f"'{end.port}' is there twice; needed it once")
+                raise GraphError(f"'{end.port}' is listed twice")
             if other is not None and other[1] == index:
                 raise GraphError(
-                    f"'{end.port}' is changed by actions.{other[0]} at the same instant; needed "
-                    "one of them, or another time"
+                    f"'{end.port}' is also changed by actions.{other[0]} at the same instant; "
+                    "remove one of the two, or choose another time"
                 )
         if index < 0:
             self._unknown.update(columns)
         is_unknown = not self._unknown.isdisjoint(columns)
         if is_release and not (is_unknown or self._active.issuperset(columns)):
             raise GraphError(
-                f"'{end.port}' is not overridden then, as a whole; needed an earlier action that "
-                "does, or no release"
+                f"'{end.port}' is not overridden as a whole at that time; override it in an "
+                "earlier action, or remove the release"
             )
         for column in columns:
             self._changed[column] = (number, index)
@@ -345,11 +348,13 @@ def _point(at: float, clock: Clock) -> int:
     """
     index = clock.steps_until(at, "at")
     if index < 0:
-        raise ClockError(f"at: found {at} s, before the start of the run at {clock.start_time} s")
+        raise ClockError(
+            f"at: expected a time >= {clock.start_time} s (start of the run), got {at} s"
+        )
     if index >= clock.steps:
         raise ClockError(
-            f"at: found {at} s, and the run ends at {clock.stop} s; needed an earlier time, as the "
-            "last step begins before the end"
+            f"at: expected a time < {clock.stop} s (end of the run), got {at} s; the last step "
+            "begins before the end"
         )
     return index
 
@@ -403,7 +408,9 @@ def _parameters(table: ActionTable, effect: str, size: int, clock: Clock) -> tup
             return (float(_late_steps(value, clock)),) * size
     values = _broadcast(value, size)
     if len(values) != size:
-        raise GraphError(f"found {len(values)} values; needed {size}, one an element, or one")
+        raise GraphError(
+            f"expected {size} values (one per element) or a single one, got {len(values)}"
+        )
     if effect == "noise":
         parameters: list[float] = []
         for deviation in values:
@@ -422,6 +429,6 @@ def _late_steps(delay: float, clock: Clock) -> int:
     """
     if delay < clock.step:
         raise UsageError(
-            f"delay: found {delay} s; needed at least a communication step, {clock.step} s"
+            f"delay: expected at least one communication step ({clock.step} s), got {delay} s"
         )
     return whole_steps(delay, clock.step_ns, "delay")

@@ -123,8 +123,8 @@ class SettingBuilder:
         component = self._component(name, spec)
         if component.interface != self._components[name].interface:
             raise UsageError(
-                f"{name!r} would have other signals, or depend on others; needed values of the "
-                "same sizes, which keep what feeds through"
+                f"the new values change the signals or the direct feedthrough of {name!r}; "
+                "expected values of the same sizes that keep both"
             )
         self._specs[name] = spec
         return Setting(name, component, {key: _numbers(value) for key, value in values.items()})
@@ -140,16 +140,16 @@ class SettingBuilder:
         problems: list[Problem] = []
         for key in values:
             if not key:
-                there_are = f": {', '.join(known)}" if known else ", and it has none"
-                text = f"found no parameter of {name!r}; needed one that is tunable{there_are}"
+                there_are = f"; available: {', '.join(known)}" if known else "; none is available"
+                text = f"expected a tunable parameter of {name!r}, got none{there_are}"
                 problems.append(((key,), text))
             elif key not in known and key in spec.tunable:
                 text = (
-                    f"{key!r} of {name!r} is no number or list of numbers; needed one in its table"
+                    f"expected a number or a list of numbers for {key!r} in the table of {name!r}"
                 )
                 problems.append(((key,), text))
             elif key not in known:
-                there_are = f"tunable: {', '.join(known)}" if known else "it has none that is"
+                there_are = f"tunable: {', '.join(known)}" if known else "none is tunable"
                 is_there = key in type(spec).model_fields
                 suggestion = there_are if is_there or not known else nearest(key, known)
                 problems.append(
@@ -173,7 +173,8 @@ class SettingBuilder:
                 readers.append(other)
         if readers:
             raise UsageError(
-                f"{name!r} cannot change in the run: {listing(readers)} rests on its table"
+                f"{name!r} cannot change during the run: {listing(readers)} is derived from its "
+                "table"
             )
 
     def _component(self, name: str, spec: Kind) -> Component:
@@ -205,7 +206,7 @@ def _check_values(spec: Kind, values: Mapping[str, Any]) -> None:
             is_right = all(map(_is_number, _row(value)))
             needed = "a number or a list of numbers"
         if not is_right:
-            problems.append(((key,), f"found {quoted(value)}; needed {needed}"))
+            problems.append(((key,), f"expected {needed}, got {quoted(value)}"))
     if problems:
         raise TableProblems(problems)
 
@@ -221,7 +222,7 @@ def _check_starts(values: Mapping[str, Any]) -> None:
     problems = []
     for key, value in values.items():
         if not _is_start(value):
-            text = f"found {quoted(value)}; needed a number, a text, or a list of these"
+            text = f"expected a number, a string, or a list of these, got {quoted(value)}"
             problems.append(((key,), text))
     if problems:
         raise TableProblems(problems)
@@ -299,7 +300,7 @@ def recorded_settings(
             actions[time_ns, name] = builder.recorded(name, own)
         except (UsageError, KeyError) as error:
             where = f"{name!r} at t = {time_ns / 1e9} s"
-            raise LogError(f"the event of {where} does not fit: {error}") from error
+            raise LogError(f"the recorded event of {where} does not match: {error}") from error
     return actions
 
 

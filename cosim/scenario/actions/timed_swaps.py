@@ -87,8 +87,8 @@ class SwapBuilder:
         source = self._context.fmus.model_exchange.get(name)
         if source is None or not source.state_names:
             raise UsageError(
-                f"the state of {name!r} cannot be handed over: it has no continuous states with "
-                "names; needed a plant, or an FMU of FMI 2 or 3 for model exchange"
+                f"the state of {name!r} cannot be transferred: it has no named continuous states; "
+                "expected a plant, or a model exchange FMU (FMI 2 or 3)"
             )
         table = component_table(name, path)
         spec = KINDS[table["kind"]].model_validate(table)
@@ -100,8 +100,8 @@ class SwapBuilder:
         target = context.fmus.model_exchange.get(name)
         if target is None:
             raise UsageError(
-                f"the state of {name!r} cannot be handed over to {path}, which has no continuous "
-                "states with names; needed an FMU for model exchange"
+                f"the state of {name!r} cannot be transferred to {path}, which has no named "
+                "continuous states; expected a model exchange FMU"
             )
         _check_states(name, path, source, target)
         interface = self._components[name].interface
@@ -121,8 +121,8 @@ def _check_states(name: str, path: str, source: ModelExchange, target: ModelExch
     if sorted(source.state_names) != sorted(target.state_names):
         found = listing(target.state_names) or "none"
         raise UsageError(
-            f"the state of {name!r} cannot be handed over to {path}: found the states {found}; "
-            f"needed {listing(source.state_names)}"
+            f"the state of {name!r} cannot be transferred to {path}: expected the states "
+            f"{listing(source.state_names)}, got {found}"
         )
 
 
@@ -142,18 +142,18 @@ def _check_interface(name: str, path: str, place: Interface, other: Interface) -
         if needed != [(signal.name, signal.size, signal.type) for signal in found_signals]:
             names = listing([signal.name for signal in needed_signals])
             raise UsageError(
-                f"{path} does not fit into the place of {name!r}: needed the {kind} {names}, of "
-                "the same sizes and types, in this order"
+                f"{path} cannot replace {name!r}: expected the {kind} {names}, with the same "
+                "sizes and types, in this order"
             )
     for output in place.outputs:
         more = set(other.feeds(output.name)) - set(place.feeds(output.name))
         if more:
             raise UsageError(
-                f"{path} does not fit into the place of {name!r}: {output.name} depends on "
-                f"{listing(sorted(more))} at the same instant, which the order does not know of"
+                f"{path} cannot replace {name!r}: {output.name} has direct feedthrough from "
+                f"{listing(sorted(more))}, which the execution order does not allow for"
             )
     if place.rollback and not other.rollback:
         raise UsageError(
-            f"{path} cannot save its state, as {name!r} can; needed an FMU that can "
-            "(canGetAndSetFMUstate)"
+            f"{path} cannot save its state, but {name!r} can; expected an FMU with the capability "
+            "canGetAndSetFMUstate"
         )

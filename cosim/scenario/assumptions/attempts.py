@@ -10,7 +10,7 @@ from cosim.scenario.building.build import out_of_range
 from cosim.scenario.context.build_context import DependsOnInvalid
 from cosim.theory.observers.assumptions import AssumptionVerdict, checked, refused, undecided
 
-RESTS_ON_INVALID: Final = "it rests on what is not valid"
+RESTS_ON_INVALID: Final = "depends on something invalid"
 Evidence: TypeAlias = tuple[str, Mapping[str, Any]]  # in a sentence, and its numbers
 
 

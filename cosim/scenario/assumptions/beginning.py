@@ -91,7 +91,7 @@ class Beginning:
         """
         graph = self.graph
         if self.refused:
-            raise DependsOnInvalid(f"there is no design of {', '.join(map(repr, self.refused))}")
+            raise DependsOnInvalid(f"no gains of {', '.join(map(repr, self.refused))}")
         clock = self._builder.clock
         row = np.zeros(graph.layout.width)
         try:
@@ -102,7 +102,7 @@ class Beginning:
         self._row = row
         count = len(graph.components)
         evidence = (
-            f"{count} component(s) are designed for steps of {clock.step_ns / 1e9:g} s and have "
+            f"{count} component(s) are prepared for steps of {clock.step_ns / 1e9:g} s and have "
             "their initial values"
         )
         changes = changed_states(graph, self._builder.given_states, row)

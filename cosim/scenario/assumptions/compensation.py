@@ -94,7 +94,7 @@ class CompensatorCheck:
         eigenvalues = np.linalg.eigvals(plant.A - plant.B @ K).astype(np.complex128)
         fixed = unreached_modes(plant)
         n = len(plant.A)
-        reached = f"u reaches {n - len(fixed)} of {n} modes"
+        reached = f"{n - len(fixed)} of {n} modes are controllable from u"
         if len(fixed):
             reached += f", the others are stable: {modes(fixed)}"
         slowest = slowest_rate(K, plant)
@@ -153,13 +153,13 @@ class CompensatorCheck:
         gains = self._gains
         box = gains.box
         if not len(box.lower):
-            return "the class has no parameter: the internal model is used from the start on", {}
+            return "the class has no parameter: the internal model is active from the start", {}
         activation = Activation(box.lower, box.upper, self.kind.largest_error)
         values: dict[str, Any] = {"largest_error": self.kind.largest_error}
-        condition = f"used once the 95 % interval of theta is within {box.text}"
+        condition = f"active once the 95 % interval of theta is within {box.text}"
         if self.theta is None:
             return (
-                f"{condition} and its standard error at most {self.kind.largest_error:g} of it",
+                f"{condition} and its standard error is at most {self.kind.largest_error:g} of it",
                 values,
             )
         allowed = activation.largest_standard_error(self.theta)
@@ -167,28 +167,30 @@ class CompensatorCheck:
         if (allowed <= 0.0).any():
             raise self._outside(activation, self.theta)
         needed = (
-            f"at theta = {_numbers(self.theta)} of the disturbance it needs a standard error of at "
+            f"at theta = {_numbers(self.theta)} of the disturbance the standard error must be at "
             f"most {_numbers(allowed)}"
         )
         reached = self._least_error()
         if reached is None:
             return f"{condition}: {needed}", values
         values["least_standard_error"] = reached.tolist()
-        least = f"y allows {_numbers(reached)} at the end of the run (Cramer-Rao)"
+        least = f"at best y allows {_numbers(reached)} by the end of the run (Cramer-Rao bound)"
         if not (reached <= allowed).all():
             raise AssumptionError(
-                f"the internal model is never used: {needed}, and {least}",
-                cure="needed a longer run, less noise of y, or a larger largest_error or interval",
+                f"the internal model is never activated: {needed}, and {least}",
+                cure="use a longer run, less noise of y, or a larger largest_error or interval",
             )
         return f"{condition}: {needed}; {least}", values
 
     def _outside(self, activation: Activation, theta: Vector) -> AssumptionError:
         """Return the error of an interval that has not theta inside it."""
         exact = np.zeros(len(theta))
-        at_end = f"theta = {_numbers(theta)} is an end of the certified {self._gains.box.text}"
+        at_end = (
+            f"theta = {_numbers(theta)} is on the boundary of the certified {self._gains.box.text}"
+        )
         return AssumptionError(
-            f"the internal model is never used: {activation.reason(theta, exact) or at_end}",
-            cure="needed an interval with the theta of the disturbance inside it",
+            f"the internal model is never activated: {activation.reason(theta, exact) or at_end}",
+            cure="choose an interval that contains the theta of the disturbance",
         )
 
     def _least_error(self) -> Vector | None:
@@ -238,15 +240,15 @@ class CompensatorCheck:
             highest = needed.max(axis=0)
             values = {"needed": [lowest.tolist(), highest.tolist()]}
             effort = (
-                f"to reject the disturbance u goes from {_numbers(lowest)} to {_numbers(highest)}"
+                f"rejecting the disturbance takes u from {_numbers(lowest)} to {_numbers(highest)}"
             )
         if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
-            return f"u has none; {effort}".removesuffix("; "), values
+            return f"u has no limits; {effort}".removesuffix("; "), values
         limits = f"limits from {_numbers(lower)} to {_numbers(upper)}"
         if needed is not None and ((lowest < lower) | (highest > upper)).any():
             raise AssumptionError(
-                f"{effort}, and it has {limits}",
-                cure="needed wider limits, or a smaller disturbance",
+                f"{effort}, but it has {limits}",
+                cure="widen the limits, or reduce the disturbance",
             )
         return "; ".join(filter(None, (limits, effort, self._windup))), values
 
@@ -254,10 +256,10 @@ class CompensatorCheck:
     def _windup(self) -> str:
         """What becomes of the internal model where u is at a limit."""
         if not self.kind.internal_model:
-            return "there is nothing to wind up"
+            return "there is no internal model to wind up"
         if not self.kind.anti_windup:
             return "anti_windup = false: at a limit the internal model winds up"
-        return "at a limit the internal model follows u (back-calculation), and decays"
+        return "at a limit the internal model tracks u (back-calculation) and decays"
 
     def _needed_input(self) -> Matrix | None:
         """Return the course of u that rejects the disturbance; None: it is not known."""

@@ -25,7 +25,7 @@ from cosim.theory.experiment_design.effect_of_theta import effect_of_theta
 from cosim.theory.experiment_design.minors import Minors
 from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
-START: Final = "start time (36)"
+START: Final = "identification start time"
 STEP: Final = "communication step"
 METHOD: Final = "method"
 EXCITATION: Final = "persistent excitation"
@@ -81,8 +81,8 @@ class IdentifierCheck:
             parts = f" = {listed} s"
         if T_id >= clock.stop:
             raise AssumptionError(
-                f"(36): T_id = {T_id:.6g} s{parts}, and the run ends at {clock.stop:g} s",
-                cure="needed a longer run, poles farther left, a faster filter or shorter delays",
+                f"T_id = {T_id:.6g} s{parts}, but the run ends at {clock.stop:g} s",
+                cure="use a longer run, faster poles, a faster filter or shorter delays",
             )
         return f"T_id = {T_id:.6g} s{parts}, of a run that ends at {clock.stop:g} s", values
 
@@ -91,8 +91,12 @@ class IdentifierCheck:
         source.check_step()
         step = self.builder.context.step_ns / 1e9
         if not source.regression.known.known:
-            return "the alphas are signals of the run, and lines between its points", {"step": step}
-        return f"between points {step:g} s apart every alpha is a line within 1 %", {"step": step}
+            return "the alphas are signals of the run, interpolated linearly between its points", {
+                "step": step
+            }
+        return f"over a step of {step:g} s linear interpolation of every alpha is within 1 %", {
+            "step": step
+        }
 
     def _method(self) -> Evidence:
         design = self._source.regression
@@ -106,7 +110,7 @@ class IdentifierCheck:
         values = {"theta": parameters}
         if method in LINEAR:
             n_eta = len(design.terms) - 1
-            evidence = f"{method}: {n_eta} coefficients, with formulas (35) for theta"
+            evidence = f"{method}: {n_eta} coefficients, theta by formula"
             return evidence, {**values, "eta": n_eta}
         origin = "the model of y" if method in OF_Y else "the regression"
         return f"{method}: {parameters} parameters, from {origin}", values
@@ -124,7 +128,7 @@ class IdentifierCheck:
         if self.kind.method in OF_Y:
             return self._of_disturbance(design)
         if not design.is_expanded:
-            raise DependsOnInvalid(f"method {self.kind.method!r} cannot do with these terms")
+            raise DependsOnInvalid(f"method {self.kind.method!r} does not support these terms")
         mu = self._regression(design)
         clock = self.builder.clock
         step = clock.step_ns / 1e9
@@ -137,7 +141,7 @@ class IdentifierCheck:
         assert self.delta is not None
         assert self.theta is not None
         if design.known.unknown:
-            raise AssumptionError("alphas are known of the run alone")
+            raise AssumptionError("the alphas are known only during the run")
         t = communication_points(self.builder.clock)
         of_groups = design.known(t)
         alpha = np.empty((len(t), len(design.families)))
@@ -155,7 +159,7 @@ class IdentifierCheck:
             raise AssumptionError(
                 f"the disturbance does not determine theta: {found}; a component is absent, or "
                 "two are alike",
-                cure="needed amplitudes that are not 0, and components that differ",
+                cure="use amplitudes that are not 0, and components that differ",
             )
         found = effect.format("any direction", "at least")
         return f"without noise the disturbance determines theta: {found}", numbers
@@ -179,7 +183,7 @@ class IdentifierCheck:
         """Return mu of the disturbance itself, from the start time on."""
         assert self.delta is not None
         if design.known.unknown:
-            raise AssumptionError("alphas are known of the run alone")
+            raise AssumptionError("the alphas are known only during the run")
         clock = self.builder.clock
         delta = self.delta
         T_id = start_time(self.kind.start, self._source, self.builder.context)
@@ -213,8 +217,8 @@ def _nonlinear(design: RegressorDesign, R: Matrix, theta: Vector) -> Evidence:
             f"the regression does not determine theta: along one direction of it the regression "
             f"changes by {smallest:.2g} of itself; a component is absent, or two are alike, or "
             "the alphas or delays differ too little",
-            cure="needed amplitudes that are not 0, components that differ, other delays, or "
-            'method = "output-error"',
+            cure="use amplitudes that are not 0, components that differ, other delays, or method = "
+            '"output-error"',
         )
     return (
         f"without noise the regression determines theta: along every direction it changes by at "

@@ -23,7 +23,7 @@ from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
 CLASS: Final = "disturbance class (Assumption 3)"
 DELAYS: Final = "delays (Assumption 3)"
-ALPHAS: Final = "alphas (21)"
+ALPHAS: Final = "alphas"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +48,11 @@ class RegressorCheck:
         """Return what is fulfilled."""
         of_class = attempted(CLASS, self._class)
         if not of_class.fulfilled:
-            reason = "the disturbance class is not valid"
+            reason = "the disturbance class is invalid"
             return [of_class, undecided(DELAYS, reason), undecided(ALPHAS, reason)]
         delays = attempted(DELAYS, self._delays)
         if not delays.fulfilled:
-            return [of_class, delays, undecided(ALPHAS, "the delays are not valid")]
+            return [of_class, delays, undecided(ALPHAS, "the delays are invalid")]
         return [of_class, delays, attempted(ALPHAS, self._alphas)]
 
     def _elements(self) -> list[tuple[list[Family], tuple[int, ...]]]:
@@ -95,14 +95,14 @@ class RegressorCheck:
         evidence = f"{len(delays)} distinct delays, whole multiples of {divisor:g} s apart"
         limit = math.pi / divisor
         if self.theta is None:
-            unique = f"; a rate above {limit:.3g} rad/s would be taken for a slower one"
+            unique = f"; a rate above {limit:.3g} rad/s would alias to a slower one"
             return evidence + unique, values
         rate = _fastest(families, self.theta)
         values["fastest_rate"] = rate
         if rate >= limit:
             raise AssumptionError(
-                f"Assumption 3 (5): delays whole multiples of {divisor:g} s apart, and a rate of "
-                f"{rate:.3g} rad/s: above {limit:.3g} rad/s it is taken for a slower one",
+                f"delays are whole multiples of {divisor:g} s apart, so that a rate of {rate:.3g} "
+                f"rad/s, above {limit:.3g} rad/s, aliases to a slower one",
                 cure=f"choose two delays less than {math.pi / rate:.3g} s apart",
             )
         if rate:
@@ -127,15 +127,15 @@ class RegressorCheck:
         if len(design.groups) < 2:
             return f"one alpha for all terms: {names}", None
         if design.known.unknown:
-            return f"{names}: known of the run alone, which checks them at its end", None
+            return f"{names}: known only during the run, which checks them at its end", None
         if not design.needs_independence:
-            return f"of {names} none is a multiple of another one, as output error needs", None
+            return f"none of {names} is a multiple of another, as output error requires", None
         times = design.times_before(self.context.clock)
         sampled = design.known(times.ravel()).reshape(*times.shape, len(design.groups))
         margin = regression.independence(design.terms, sampled)
         if margin <= regression.COLLINEAR:
             dependent = f"the products of {names} are dependent"
-            return f'{dependent}, so that method = "output-error" is needed', margin
+            return f'{dependent}; use method = "output-error"', margin
         return (
             f"the products of {names} are independent: smallest singular value {margin:.2g}, "
             f"dependent below {regression.COLLINEAR:.0e}"
@@ -151,16 +151,16 @@ def _class_text(families: list[Family], sizes: tuple[int, ...]) -> str:
         If it has no terms.
     """
     if not families:
-        raise UsageError("found no terms; needed at least one for each element of delta")
+        raise UsageError("expected at least one term for each element of delta, got none")
     names = ", ".join(family.name for family in families)
     text = (
-        f"{names}: l = {sum(sizes)} basis functions under {len(sizes)} alpha(s), "
-        f"{regression.count_terms(sizes)} terms of (25)"
+        f"{names}: {sum(sizes)} basis functions under {len(sizes)} alpha(s), "
+        f"{regression.count_terms(sizes)} terms of the regression"
     )
     problem = regression.linear_route_problem(sizes)
     remark = regression.linear_route_warning(sizes)
     if problem:
-        remark = f'{problem}, so method = "output-error" is needed'
+        remark = f'{problem}; use method = "output-error"'
     return f"{text}; {remark}" if remark else text
 
 

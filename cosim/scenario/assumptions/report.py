@@ -54,15 +54,15 @@ FILE: Final = "the scenario"
 
 @dataclass(frozen=True, eq=False)
 class AssumptionReport:
-    """What is fulfilled of the assumptions that a scenario rests on.
+    """Verdicts on the assumptions of a scenario.
 
     Parameters
     ----------
     scenario : str
     verdicts : tuple of (str, AssumptionVerdict)
-        With the model or the component that each is of.
+        Each with the model or component that it is about.
     warnings : tuple of (str, str)
-        What a run would warn of, with the component that each is of.
+        Warnings that a run would give, each with its component.
     """
 
     scenario: str
@@ -71,7 +71,7 @@ class AssumptionReport:
 
     @property
     def fulfilled(self) -> bool:
-        """Whether none is known to fail."""
+        """Whether no assumption is known to fail."""
         return not any(verdict.fulfilled is False for _, verdict in self.verdicts)
 
     def of(self, subject: str) -> dict[str, AssumptionVerdict]:
@@ -92,9 +92,9 @@ class AssumptionReport:
 def check_assumptions(
     scenario: str | Path | Scenario, *, set: Mapping[str, Any] | None = None
 ) -> AssumptionReport:
-    """Check every assumption that a scenario rests on, also where one fails.
+    """Check all assumptions of a scenario, also after one fails.
 
-    What a run does before its first step is done, no step is.
+    Everything that a run does before its first step is done; no step is taken.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def check_assumptions(
     Raises
     ------
     ScenarioError
-        With every problem of the file that is not one of its assumptions.
+        With every problem of the file other than its assumptions.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(set=mapping_argument("set", set))
@@ -294,7 +294,8 @@ def _at_operating_point(verdict: AssumptionVerdict) -> AssumptionVerdict:
     if not verdict.fulfilled:
         return verdict
     evidence = (
-        f"not decided: fulfilled at the operating point ({verdict.evidence}); then by the run"
+        f"not decided: fulfilled at the operating point ({verdict.evidence}); checked again during "
+        "the run"
     )
     return replace(verdict, fulfilled=None, evidence=evidence)
 

@@ -150,8 +150,8 @@ def _subject(experiment: Experiment) -> Subject:
     step_ns = experiment.clock.step_ns
     if step_ns % QUARTERS:
         raise UsageError(
-            f"certificate: a quarter of the step {step_ns / NANOSECONDS} s is not a whole "
-            "number of nanoseconds; needed a step of which it is"
+            f"step error: a quarter of the step {step_ns / NANOSECONDS} s is not a whole number "
+            "of nanoseconds; choose a step of which it is"
         )
     _check_noise(scenario, step_ns)
     _check_substeps(graph)
@@ -189,8 +189,8 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
         is_random = action.noise is not None or type(action.drop) in (int, float)
         if is_random:
             raise UsageError(
-                f"certificate: the action {_when(action)} draws random numbers at every "
-                "communication step, so that a smaller step is a run with other noise; needed a "
+                f"step error: the action {_when(action)} draws random numbers at every "
+                "communication step, so that a run with a smaller step has other noise; use a "
                 "scenario without it, or a sensor with noise and a period"
             )
     names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
@@ -199,8 +199,8 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
     settings = [option("set", f"{name}.period", f"{step_ns / NANOSECONDS}") for name in names]
     each = "draw" if len(names) > 1 else "draws"
     raise UsageError(
-        f"certificate: {', '.join(names)} {each} random numbers at every communication step, "
-        "so that a smaller step is a run with other noise; needed a period of its own, such as "
+        f"step error: {', '.join(names)} {each} random numbers at every communication step, so "
+        "that a run with a smaller step has other noise; set a period, such as "
         f"{' '.join(settings)}"
     )
 
@@ -215,9 +215,9 @@ def _check_substeps(graph: Graph) -> None:
     """
     if graph.substep_controls:
         raise UsageError(
-            "certificate: loops choose their steps by scenario.substeps, so that a smaller "
-            "communication step does not show their error; needed a scenario without substeps, or "
-            f"another run with a smaller {option('set', 'scenario.substeps.rtol')} to compare with"
+            "step error: loops choose their steps by scenario.substeps, so that a smaller "
+            "communication step does not show their error; use a scenario without substeps, or "
+            f"compare with a run with a smaller {option('set', 'scenario.substeps.rtol')}"
         )
 
 
@@ -335,7 +335,7 @@ def _finer_experiment(
         return build_experiment(changed, resources, None)
     except CosimError as error:
         raise UsageError(
-            f"certificate: the scenario needs to run with {step} s too, and cannot:\n{error}"
+            f"step error: the scenario must also run with {step} s, and cannot:\n{error}"
         ) from error
 
 
@@ -437,7 +437,9 @@ class Certifier:
         are_performed = not self._quarter.jumps.expected_ns <= subject.known_ns
         for component, action in subject.conditional.items():
             if are_performed:
-                text = f"the action {_when(action)} comes at a point that depends on the step"
+                text = (
+                    f"the action {_when(action)} takes effect at a point that depends on the step"
+                )
                 yield component, text
 
     def _of_parts(self) -> Iterator[tuple[str, str]]:
@@ -445,8 +447,8 @@ class Certifier:
         for component, time in self._subject.uneven.items():
             yield (
                 component,
-                f"{time:g} s of {component} is no whole number of steps, and leaves another part "
-                "of a step over in each of the runs",
+                f"{time:g} s of {component} is not a whole number of steps, and leaves a "
+                "different fraction of a step in each of the runs",
             )
 
     def _of_jumps(self) -> Iterator[tuple[str, str]]:
@@ -463,11 +465,11 @@ class Certifier:
                 instant = jumps.within_ns if within[column] else jumps.at_ends_ns
                 where = "between communication points"
                 if not within[column]:
-                    where = "at an instant that is not known"
+                    where = "at an unknown instant"
                 yield (
                     channel.name,
-                    f"{subject.labels[column]} jumps {where}, or a quarter of the step does not "
-                    f"resolve it, at t = {instant[column] / NANOSECONDS:g} s",
+                    f"{subject.labels[column]} jumps {where}, or is not resolved by a quarter "
+                    f"of the step, at t = {instant[column] / NANOSECONDS:g} s",
                 )
 
 
@@ -563,9 +565,9 @@ class Certification:
             recorder.result({CERTIFICATE: self._certifier().certificate(self._rows)})
         except BaseException as error:
             reason = error_text(error) or "interrupted by the user"
-            problem = f"a run with a smaller step did not come to its end: {reason}"
+            problem = f"a run with a smaller step did not complete: {reason}"
             self._record_problem(recorder, problem)
-            error.add_note("no certificate: a run with a smaller step did not come to its end")
+            error.add_note("no error estimate: a run with a smaller step did not complete")
             raise
         finally:
             close(recorder, self._error)

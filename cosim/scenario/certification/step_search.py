@@ -154,12 +154,12 @@ def find_step(
     """
     if not tolerances:
         raise UsageError(
-            f"{option(FIND_STEP)}: found no signal; needed at least one, with its tolerance"
+            f"{option(FIND_STEP)}: expected at least one signal with its tolerance, got none"
         )
     if "scenario.step" in scenario.document.changes:
         raise UsageError(
-            f"found both {option(FIND_STEP)} and {option('set', 'scenario.step')}; needed one of "
-            "them: the search chooses the step"
+            f"expected {option(FIND_STEP)} or {option('set', 'scenario.step')}, got both: the "
+            "search chooses the step"
         )
     wanted = _tolerances(scenario, tolerances)
     search = _StepSearch(scenario, wanted, progress)
@@ -167,7 +167,7 @@ def find_step(
         best = search.first_fine()
         best = search.largest_above(best)
     except Interrupted as error:
-        error.add_note("no step is found yet, so that nothing is recorded")
+        error.add_note("no step was found yet, so nothing is recorded")
         raise
     step = best.step_ns / NANOSECONDS
     record = {
@@ -194,8 +194,8 @@ def _tolerances(scenario: Scenario, tolerances: Mapping[str, float]) -> dict[str
         is_number = isinstance(tolerance, int | float) and not isinstance(tolerance, bool)
         if not (is_number and 0.0 < tolerance < math.inf):
             raise UsageError(
-                f"{option(FIND_STEP, name)}: found {tolerance!r}; needed a positive number, in the "
-                "unit of the signal"
+                f"{option(FIND_STEP, name)}: expected a positive number in the unit of the "
+                f"signal, got {tolerance!r}"
             )
         try:
             port = find_signal(channels, name, source="the scenario")
@@ -280,21 +280,22 @@ class _StepSearch:
         wanted = ", ".join(f"{label} {value:g}" for label, value in self._tolerances.items())
         if not self.trials:
             return (
-                f"{option(FIND_STEP)}: no step divides all times that are given, has a quarter of "
-                f"whole nanoseconds, and leaves {FEWEST} communication points"
+                f"{option(FIND_STEP)}: no step divides all given times, has a quarter that is a "
+                f"whole number of nanoseconds, and leaves {FEWEST} communication points"
             )
         last = self.trials[-1]
         text = (
-            f"{option(FIND_STEP)}: no step keeps {wanted}; tried {len(self.trials)}, down to "
+            f"{option(FIND_STEP)}: no step achieves {wanted}; tried {len(self.trials)}, down to "
             f"{last.step_ns / NANOSECONDS:g} s: {last.failure}"
         )
         if last.follows_condition:
-            text += ", whatever it is; needed an action at a time, or another signal"
+            text += ", whatever the step; use an action at a fixed time, or another signal"
         grown = [trial for trial in self.trials if trial.grows]
         if grown and (last.grows or last.problem):
             step = grown[-1].step_ns / NANOSECONDS
             text += (
-                f"; below {step:g} s the error grows as the step is halved: an unstable coupling"
+                f"; below {step:g} s the error grows as the step is halved: the coupling is "
+                "unstable"
             )
         return text
 

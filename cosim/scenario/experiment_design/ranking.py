@@ -60,29 +60,29 @@ def design(
     input: bool = False,
     set: Mapping[str, Any] | None = None,
 ) -> ExperimentDesign:
-    """Rank what may be chosen for a scenario by the error of theta that is to be expected.
+    """Rank choices for a scenario by the expected error of theta.
 
     Parameters
     ----------
     scenario : str, Path or Scenario
-        A shipped name, a path, or what :func:`load` returned; with one identifier.
+        A shipped name, a path, or what :func:`load` returned; it has one identifier.
     noise : float or sequence of float, optional
-        Deviation of the white noise of y, one or one an output; by default what the tables state.
+        Standard deviation of the white noise of y, one number or one per output; default: that of
+        the sensors.
     theta : sequence of float, optional
-        The true one, in the order of the regressor's terms; by default that of the disturbance.
+        The true theta, in the order of the regressor's terms; default: that of the disturbance.
     longest : float, optional
-        The longest delay that is tried [s]; by default a quarter of the run, or that of the
-        scenario.
+        The longest delay to try [s]; default: a quarter of the run, or that of the scenario.
     input : bool
-        Rank other sizes of the input too.
+        Rank other input amplitudes too.
     set : mapping of dotted key to value, optional
         As for :func:`run`.
 
     Raises
     ------
     UsageError
-        If there is not one identifier behind one observer, the plant has no model, or the noise or
-        theta is not known.
+        If there is not one identifier behind one observer, the plant has no model, or noise or
+        theta is unknown.
     ScenarioError
         With every problem of the file.
     """
@@ -94,7 +94,7 @@ def design(
     if longest is None:
         longest = max(_LONGEST * ranking.trial.span, *subject.regressor_kind.delays)
     if not ranking.trial.step <= longest < math.inf:
-        raise UsageError(f"longest: found {longest:g} s; needed at least one communication step")
+        raise UsageError(f"longest: expected at least one communication step, got {longest:g} s")
     return ranking.all_of(longest, with_input=input)
 
 
@@ -121,13 +121,13 @@ class _Ranking:
         self.residual = accuracy.residual
         if not len(self.bound):
             raise AssumptionError(
-                f"{self.subject.regressor}: the terms have no parameter: there is no theta to "
+                f"{self.subject.regressor}: the terms have no parameter, so there is no theta to "
                 "design for"
             )
         if not np.isfinite(self.bound).any():
             raise AssumptionError(
-                f"{self.subject.scenario.name}: y does not determine theta, whatever is chosen: "
-                "the disturbance has no amplitude, or the run is too short"
+                f"{self.subject.scenario.name}: no choice makes theta identifiable from y: the "
+                "disturbance has no amplitude, or the run is too short"
             )
 
     def all_of(self, longest: float, *, with_input: bool) -> ExperimentDesign:
@@ -188,7 +188,7 @@ class _Ranking:
         self._omit(
             "filter",
             {f"{self.subject.observer}.filter_rate": float(f"{rate:.3g}")},
-            f"not tried, nor slower ones: the run has fewer than {_SLOWEST:g} time constants of it",
+            f"neither tried nor slower ones: the run is shorter than {_SLOWEST:g} time constants",
         )
         return variants
 
@@ -202,7 +202,7 @@ class _Ranking:
                 self._omit(
                     "filter",
                     {f"{self.subject.observer}.half_width": half_width},
-                    f"not tried: the window is longer than {100.0 * 2.0 * _WIDEST:g} % of the run",
+                    f"not tried: the window exceeds {100.0 * 2.0 * _WIDEST:g} % of the run",
                 )
                 continue
             variants.append(
@@ -220,7 +220,7 @@ class _Ranking:
                 self._omit(
                     "step",
                     edits,
-                    f"not tried: needed {_FEWEST_SAMPLES} to {_MOST_SAMPLES} steps in the run",
+                    f"not tried: expected {_FEWEST_SAMPLES} to {_MOST_SAMPLES} steps in the run",
                 )
                 continue
             for trial in self._tried("step", edits):
@@ -421,18 +421,18 @@ class _Ranking:
 
     def _notes(self, designs: Sequence[RankedDesign], *, with_input: bool) -> list[str]:
         notes = [
-            "output error needs neither delays nor filter: they are of the estimators on the "
-            "regression, and only start it"
+            "output error needs neither delays nor filter: the estimators on the regression "
+            "use them, and only initialize it"
         ]
         for method in REGRESSION_METHODS:
             notes += self._note_on_delays(designs, method)
         if self.residual > _MODEL_ERROR:
             notes.append(
-                f"the design model leaves {self.residual:.2g} of y without noise: what is "
-                "predicted holds for a plant that is like it"
+                f"the design model leaves {self.residual:.2g} of noise-free y unexplained: the "
+                "predictions hold for a plant that matches it"
             )
         for j in np.flatnonzero(~np.isfinite(self.bound)):
-            notes.append(f"theta[{j}] is not determined by y, and does not count in the ratio")
+            notes.append(f"theta[{j}] is not identifiable from y, and is left out of the ratio")
         if with_input:
             notes.append(self._note_on_input())
         return notes
@@ -451,24 +451,25 @@ class _Ranking:
         best = min(design.ratio for design in designs if design.method == method)
         if not math.isfinite(before.ratio):
             return [
-                f"{method}: no estimate with the delays ({listed}); the best choice of all stays "
-                f"at {best:.3g} times the bound that output error reaches"
+                f"{method}: no estimate with the delays ({listed}); the best choice stays at "
+                f"{best:.3g} times the bound, which output error reaches"
             ]
         if not after.ratio < before.ratio:
             return [f"{method}: no delays are better than ({listed})"]
         return [
             f"{method}: the delays ({listed}) are not the best; others have "
-            f"{before.ratio / after.ratio:.3g} times less error, and the best choice of all stays "
-            f"at {best:.3g} times the bound that output error reaches"
+            f"{before.ratio / after.ratio:.3g} times less error, and the best choice stays at "
+            f"{best:.3g} times the bound, which output error reaches"
         ]
 
     def _note_on_input(self) -> str:
         if not self.trial.data.u.size:
-            return "input: the design model has none"
+            return "input: the design model has no input"
         return (
-            "input: no input changes the bound: what a known u does to y through a linear plant is "
-            "known, and is subtracted; through the filter u leaks into delta hat, here "
-            f"{self.trial.leakage:.2g} of it, which is bias of the estimators on the regression"
+            "input: no input changes the bound, since the response of a linear plant to a known "
+            "u is known and subtracted; through the filter a fraction of u "
+            f"({self.trial.leakage:.2g} here) leaks into delta hat, which biases the estimators "
+            "on the regression"
         )
 
 

@@ -83,8 +83,8 @@ class DesignSubject:
         covariance = covariance_of(self.noise, outputs)
         if covariance is None:
             raise UsageError(
-                f"noise: found {len(self.noise)} numbers; needed one, or one for each of {outputs} "
-                "outputs"
+                f"noise: expected one number, or one for each of {outputs} outputs, got "
+                f"{len(self.noise)}"
             )
         return covariance
 
@@ -117,8 +117,8 @@ def subject_of(
     designed = scenario.specs[observer]
     if isinstance(designed, UnknownInputObserverKind) and designed.relinearize:
         raise UsageError(
-            f"{observer!r} is linearized anew at its estimate, so that its noise is no linear "
-            "response; needed relinearize = false, for what one operating point says"
+            f"{observer!r} is relinearized at its estimate, so that its response to noise is not "
+            "linear; set relinearize = false to design at a single operating point"
         )
     upstream = _upstream(scenario, {observer})
     _check_models(scenario, upstream)
@@ -149,7 +149,7 @@ def _only_identifier(scenario: Scenario) -> str:
     names = [name for name, kind in scenario.specs.items() if isinstance(kind, IdentifierKind)]
     if len(names) != 1:
         found = ", ".join(names) or "none"
-        raise UsageError(f"{scenario.name}: identifiers: found {found}; needed one to design for")
+        raise UsageError(f"{scenario.name}: identifiers: expected one to design for, got {found}")
     return names[0]
 
 
@@ -159,7 +159,8 @@ def _driver(scenario: Scenario, component: str, signal: str, needed: type[Any]) 
         found = "several components, or none" if name is None else repr(name)
         kind = needed.model_fields["kind"].annotation.__args__[0]
         raise UsageError(
-            f"'{component}.{signal}' is driven by {found}; needed one component of kind {kind!r}"
+            f"'{component}.{signal}': expected one component of kind {kind!r} as its source, got "
+            f"{found}"
         )
     return name
 
@@ -181,8 +182,8 @@ def _check_models(scenario: Scenario, upstream: frozenset[str]) -> None:
         kind = scenario.specs[name]
         if isinstance(kind, RecordingKind | FieldDataKind):
             raise UsageError(
-                f"{name!r} is recorded (kind {kind.kind!r}): it has no model, and its noise cannot "
-                "be left out; needed the plant itself, such as kind 'descriptor' or 'fmu'"
+                f"{name!r} is recorded (kind {kind.kind!r}): it has no model, and its noise "
+                "cannot be left out; use the plant itself, such as kind 'descriptor' or 'fmu'"
             )
 
 
@@ -198,7 +199,7 @@ def _theta(
     if name is None:
         if given is None:
             raise UsageError(
-                f"{scenario.name}: theta is not known: no single component of kind 'disturbance' "
+                f"{scenario.name}: theta is unknown: no single component of kind 'disturbance' "
                 f"drives the plant; give {option('theta')}"
             )
         return tuple(map(float, given))
@@ -208,7 +209,7 @@ def _theta(
     values = list(map(float, given))
     needed = sum(map(len, own))
     if len(values) != needed or not np.isfinite(values).all():
-        raise UsageError(f"theta: found {values}; needed {needed} finite numbers")
+        raise UsageError(f"theta: expected {needed} finite numbers, got {values}")
     changed = deepcopy(list(scenario.tree["components"][name]["terms"]))
     at = 0
     for place, replaced in zip(places, own, strict=True):

@@ -302,15 +302,15 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
 def _check(subject: DesignSubject, builder: Builder, graph: Graph) -> None:
     if inputs_in_feedback(graph, subject.observer).any():
         raise UsageError(
-            f"the input u of {subject.observer!r} depends on its y, a closed loop, which carries "
-            "the noise of y into u; needed an input that does not"
+            f"the input u of {subject.observer!r} depends on its y (feedback), which carries the "
+            "noise of y into u; use an input that does not depend on y"
         )
     source = IdentifierSource(subject.identifier, builder.context)
     if source.most_samples():
         raise UsageError(
-            f"y of {subject.observer!r} has values between the samples of a sensor; needed noise "
-            "at every communication point: no period, dropout or time_stamps, and a step as long "
-            "as the period"
+            f"y of {subject.observer!r} has values between the samples of a sensor; expected "
+            "noise at every communication point: no period, dropout or time_stamps, and a step "
+            "as long as the period"
         )
 
 

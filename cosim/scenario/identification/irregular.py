@@ -121,8 +121,8 @@ def interval_of(
     if not estimated.all():
         missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~estimated))
         raise AssumptionError(
-            f"{missing} was not estimated; needed every theta to bound it for an irregular part of "
-            "the disturbance"
+            f"{missing} was not estimated; bounding theta for an irregular part of the "
+            "disturbance takes an estimate of every theta"
         )
     accuracy = assessment.consistency.accuracy[0]
     sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())

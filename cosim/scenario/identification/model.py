@@ -77,8 +77,8 @@ class IdentifiedPlant:
             return f"verdicts and intervals are those of the last {self.window:g} s, the window"
         if np.isfinite(self.forgetting):
             return (
-                "verdicts and intervals are those of all samples with equal weight; theta itself "
-                f"forgets them with a time constant of {self.forgetting:g} s"
+                "verdicts and intervals weigh all samples equally; theta itself forgets them "
+                f"with a time constant of {self.forgetting:g} s"
             )
         return ""
 
@@ -106,7 +106,7 @@ class IdentifiedPlant:
             If one is a signal, which is known of the run alone.
         """
         for signal in signals_among(self.alphas):
-            raise AssumptionError(f"alpha {signal.text!r} is a signal, known of the run alone")
+            raise AssumptionError(f"alpha {signal.text!r} is a signal, known only during the run")
         return self.alpha_at(t, t, np.zeros((len(t), 0)))
 
     def alpha_at(self, t: Vector, points: Vector, signals: Matrix) -> Matrix:
@@ -245,8 +245,8 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
         return {int(j): _bounds_of_one(row, j) for j, row in rows.items()}
     if not isinstance(rows, Sequence) or isinstance(rows, str) or len(rows) != parameters:
         raise UsageError(
-            f"bounds: found {rows}; needed [lower, upper] for each of the {parameters} parameters, "
-            "inf where there is none: [[-1, 0], [-inf, inf]]"
+            f"bounds: expected [lower, upper] for each of the {parameters} parameters, inf where "
+            f"there is none, such as [[-1, 0], [-inf, inf]], got {rows}"
         )
     return {j: _bounds_of_one(row, j) for j, row in enumerate(rows)}
 
@@ -254,19 +254,18 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
 def _bounds_of_one(row: object, j: int) -> tuple[float, float]:
     if not isinstance(row, list | tuple) or len(row) != 2 or not all(map(_is_number, row)):
         raise UsageError(
-            f"bounds of theta[{j}]: found {row}; needed two numbers, [lower, upper], inf where "
-            "there is none: [-1, inf]"
+            f"bounds of theta[{j}]: expected two numbers, [lower, upper], inf where there is "
+            f"none, such as [-1, inf], got {row}"
         )
     lower, upper = map(float, row)
     if not lower <= upper:
         raise UsageError(
-            f"bounds of theta[{j}]: the lower {lower:g} is above the upper {upper:g}; needed "
-            "[lower, upper]"
+            f"bounds of theta[{j}]: expected lower <= upper, got [{lower:g}, {upper:g}]"
         )
     if lower == np.inf or upper == -np.inf:
         raise UsageError(
-            f"bounds of theta[{j}]: [{lower:g}, {upper:g}] has no number between them; needed "
-            "[lower, upper], -inf or inf where there is none"
+            f"bounds of theta[{j}]: expected an interval that contains numbers, -inf or inf where "
+            f"there is no bound, got [{lower:g}, {upper:g}]"
         )
     return lower, upper
 

@@ -51,14 +51,14 @@ def embedded_fmus(files: Mapping[str, Path]) -> list[Attachment]:
             size = path.stat().st_size
             if size > MOST_EMBEDDED:
                 raise FmuError(
-                    f"{path}: has {size} bytes, a log takes FMUs of at most {MOST_EMBEDDED}; leave "
-                    f"out {flag('embed')}"
+                    f"{path}: has {size} bytes, but a log takes FMUs of at most {MOST_EMBEDDED}; "
+                    f"omit {flag('embed')}"
                 )
             content = read_bounded(path, MOST_EMBEDDED)
         except OSError as error:
             raise FmuError(f"{path} cannot be read: {error.strerror or error}") from error
         if hashlib.sha256(content).hexdigest() != sha256:
-            raise FmuError(f"{path}: was changed while it was opened; try it again")
+            raise FmuError(f"{path}: changed while it was being read; try again")
         attachments.append(Attachment(embedded_name(sha256), "application/zip", content))
     return attachments
 
@@ -92,8 +92,8 @@ def recorded_fmus(
         sha256 = record.sha256
         if sha256 is None or not _SHA256.fullmatch(sha256):
             raise LogError(
-                f"{source.label}: found the SHA-256 {quoted(sha256)} of the FMU of {name!r}; "
-                "needed 64 hexadecimal digits"
+                f"{source.label}: SHA-256 of the FMU of {name!r}: expected 64 hexadecimal digits, "
+                f"got {quoted(sha256)}"
             )
         candidates = [path] if record.path is None else [path, record.path]
         content = _content(source, name, sha256, candidates)
@@ -119,8 +119,8 @@ def _content(source: CompleteRecording, name: str, sha256: str, paths: Iterable[
         _check(name, path, content, sha256)
         return content
     raise FmuError(
-        f"the FMU of {name!r} is neither in the log nor a file that can be read: "
-        f"{', '.join(tried)}; needed one of them: {flag('embed')} of a run puts it into the log"
+        f"the FMU of {name!r} is neither in the log nor in a readable file: {', '.join(tried)}; "
+        f"restore one of them, or record with {flag('embed')} to put the FMU into the log"
     )
 
 
@@ -128,6 +128,6 @@ def _check(name: str, place: str, content: bytes, sha256: str) -> None:
     found = hashlib.sha256(content).hexdigest()
     if found != sha256:
         raise FmuError(
-            f"the FMU of {name!r}: {place} has the SHA-256 {found}, that of the log's run: "
-            f"{sha256}; it is not run"
+            f"the FMU of {name!r}: {place}: expected the SHA-256 {sha256} that the log recorded, "
+            f"got {found}; it is not run"
         )

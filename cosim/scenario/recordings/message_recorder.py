@@ -142,7 +142,7 @@ class MessageRecorder(PassingRecorder):
             return
         self._recorder.result({UNTIL: self._came_true(error)})
         if error is None:
-            text = f"{until_text(until)}: never came true"
+            text = f"{until_text(until)}: never met"
             self._recorder.message(self._reached_ns, "info", "run", text)
 
     def _record_substeps(self) -> None:

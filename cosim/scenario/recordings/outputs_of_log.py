@@ -141,7 +141,7 @@ class OutputsOfLog:
             If it is not here.
         """
         if not isinstance(signal, str):
-            raise LogError(f"{self.label}: found {quoted(signal)}, needed the name of a signal")
+            raise LogError(f"{self.label}: expected the name of a signal, got {quoted(signal)}")
         port = find_signal(self._channels, signal, source=self.label)
         return self._rows(port.channel)[:, port.columns]
 

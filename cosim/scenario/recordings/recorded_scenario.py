@@ -28,7 +28,7 @@ def recorded_document(log: CompleteRecording) -> Document:
     edits = run_metadata(log).get("edits")
     if SCENARIO_FILE not in log.attachments or edits is None:
         raise LogError(
-            f"the log carries no {SCENARIO_FILE}; needed a log that {command('run')} wrote"
+            f"the log has no {SCENARIO_FILE}; expected a log written by {command('run')}"
         )
     try:
         text = log.attachment(SCENARIO_FILE).decode()

@@ -26,14 +26,15 @@ def check_whole(source: CompleteRecording) -> None:
     """
     if source.status == PARTIAL_STATUS and not _has_all_rows(source):
         raise LogError(
-            f"{source.label} is partial, {source.reason}; a replay needs all rows from the start "
-            "of the run on: 'cosim merge' joins parts, 'cosim cut --to' keeps what is whole"
+            f"{source.label} is partial, {source.reason}; a replay requires all rows from the "
+            "start of the run: 'cosim merge' joins parts, 'cosim cut --to' keeps what is "
+            "complete"
         )
     window = recorded_window(source)
     if window is not None:
         raise LogError(
-            f"{source.label}: found a replay from {window[0]} s to {window[1]} s alone; needed a "
-            f"log from the start of its run on, such as {replay_origin(source).log}"
+            f"{source.label}: a replay that starts at {window[0]} s and ends at {window[1]} s "
+            f"only; expected a log from the start of its run, such as {replay_origin(source).log}"
         )
 
 
@@ -57,7 +58,7 @@ def check_end(source: CompleteRecording) -> None:
     """
     end_ns = source.end_ns
     if source.steps == 0:
-        raise LogError("the log has no step to replay; it ends where it begins")
+        raise LogError("the log has no step to replay; it has no more than its initial row")
     channel = next(iter(source.channels.values()))
     first_ns = last_ns = 0
     is_first = True
@@ -69,8 +70,8 @@ def check_end(source: CompleteRecording) -> None:
     is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
     if end_ns != first_ns + source.steps * source.step_ns or not is_last:
         raise LogError(
-            f"{source.label}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, "
-            f"but the rows of {channel.name!r} end at {last_ns / 1e9} s"
+            f"{source.label}: recorded end {end_ns / 1e9} s after {source.steps} steps, but the "
+            f"rows of {channel.name!r} end at {last_ns / 1e9} s"
         )
 
 
@@ -85,8 +86,8 @@ def check_clock(clock: Clock, source: CompleteRecording) -> None:
     first_ns = source.end_ns - source.steps * source.step_ns
     if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
         raise LogError(
-            f"{source.label}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
-            f"ns on, its rows of {source.step_ns} ns from {first_ns} ns on"
+            f"{source.label}: the scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
+            f"ns on, but the rows have steps of {source.step_ns} ns from {first_ns} ns on"
         )
 
 

@@ -82,14 +82,11 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
     if out is None:
         for name, value in (("force", force), ("numbered", numbered)):
             if value:
-                raise UsageError(
-                    f"found {flag(name)}, which is about the log at {option('out')}, and no "
-                    f"{option('out')}; needed both, or neither"
-                )
+                raise UsageError(f"{flag(name)} applies to a log; expected {option('out')}, too")
         return
     path = log_path(out)
     if file_type(path) != "log":
-        raise UsageError(f"{out}: a log needs a path that ends in .mcap")
+        raise UsageError(f"{out}: expected a path that ends in .mcap")
     check_new_log(path, force=force, numbered=numbered)
     if not numbered:
         check_no_parts(path, force=force)
@@ -131,7 +128,7 @@ def record(
         return memory
     is_read = Path(os.path.realpath(out)) in experiment.files
     if is_read and not target.numbered:
-        raise UsageError(f"{out} is read in this run; choose another path for the log")
+        raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target)
 
     def began() -> None:
@@ -165,8 +162,8 @@ def _recorded_part(log: Log) -> str:
     if not log.steps and not any(len(log.time_ns(name)) for name in log.channels):
         return "has no row of the run"
     if log.status == PARTIAL_STATUS:
-        return f"is the last of several files, which have the run up to t = {log.end_ns / 1e9} s"
-    return f"has the run up to t = {log.end_ns / 1e9} s"
+        return f"is the last of several files, which hold the run up to t = {log.end_ns / 1e9} s"
+    return f"holds the run up to t = {log.end_ns / 1e9} s"
 
 
 def announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
@@ -175,7 +172,7 @@ def announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
     free = shutil.disk_usage(log.path.parent).free
     text = f"{log.path} takes up to {bound / 1e9:.3g} GB, before compression and without messages"
     if bound > free:
-        notice(f"warning: {text}; there are {free / 1e9:.3g} GB left on its disk")
+        notice(f"warning: {text}; its disk has {free / 1e9:.3g} GB left")
     elif bound > _LARGE:
         notice(text)
 

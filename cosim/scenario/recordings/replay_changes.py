@@ -81,27 +81,27 @@ def replay_changes(source: CompleteRecording, wanted: Mapping[str, Any]) -> dict
     if "scenario.step" in changes:
         recorded_step = source.step_ns / 1e9
         raise UsageError(
-            f"scenario.step: found {changes['scenario.step']} s, a replay keeps the recorded "
-            f"{recorded_step} s; run the scenario to change it"
+            f"scenario.step: expected the recorded {recorded_step} s, got "
+            f"{changes['scenario.step']} s; run the scenario to change it"
         )
     if "scenario.start_time" in changes:
         raise UsageError(
-            f"scenario.start_time: found {changes['scenario.start_time']} s, a replay keeps the "
-            "recorded one; run the scenario to change it"
+            "scenario.start_time: expected the recorded one, got "
+            f"{changes['scenario.start_time']} s; run the scenario to change it"
         )
     for key in changes:
         if key.partition(".")[0] == ACTIONS:
             raise UsageError(
-                f"{option('set', key)}: a replay follows the actions that were recorded; run the "
-                "scenario to change them"
+                f"{option('set', key)}: a replay repeats the recorded actions; run the scenario "
+                "to change them"
             )
     check_end(source)
     recorded_end = source.end_ns / 1e9
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:
         raise UsageError(
-            f"{option('set', 'scenario.stop')}: found {stop} s, the recording ends at "
-            f"{recorded_end} s; needed no more than that"
+            f"{option('set', 'scenario.stop')}: expected at most {recorded_end} s (end of the "
+            f"recording), got {stop} s"
         )
     return changes
 
@@ -184,7 +184,7 @@ def _check_change(
 def _remedy(spec: Kind) -> str:
     """Return the way out where a recorded component would have to change."""
     if spec.computable:
-        return "choose it, too, as a component to compute"
+        return "compute this component, too"
     if spec.code is not None:
         return f"run the scenario to change it, or allow its code to run with {flag('allow_code')}"
     if not spec.is_rerun:

@@ -68,9 +68,7 @@ class ReplayRequest:
         if self.window is None:
             return self.changes
         if "scenario.stop" in self.changes:
-            raise UsageError(
-                f"found both {option('set', 'scenario.stop')} and a window; needed one of them"
-            )
+            raise UsageError(f"expected {option('set', 'scenario.stop')} or a window, got both")
         return {**self.changes, "scenario.stop": self.window.end}
 
 
@@ -96,7 +94,8 @@ def replay_request(
     chosen = texts_argument("components", components)
     if chosen == ():
         raise UsageError(
-            f"{option('components')}: found none; needed at least one to compute, or None for all"
+            f"{option('components')}: expected at least one component to compute, or None for "
+            "all; got none"
         )
     return ReplayRequest(
         mapping_argument("set", set),
@@ -116,8 +115,8 @@ def _swaps_argument(
     names = mapping_argument("map", map)
     if names and not paths:
         raise UsageError(
-            f"found {option('map')} and no {option('swap')}; needed both: only what takes the "
-            "place of a component has other names for its ports"
+            f"expected {option('swap')} with {option('map')}: only a replacement has other port "
+            "names"
         )
     return Swaps(paths, names)
 
@@ -134,11 +133,10 @@ def check_replay_target(source: Log, out: str | Path | None, *, force: bool) -> 
     if out is not None:
         target = os.path.realpath(out)
         if target == os.path.realpath(source.path):
-            raise UsageError(f"{out} is the log that is replayed; choose another path")
+            raise UsageError(f"{out} is the log being replayed; choose another path")
         if target in map(os.path.realpath, all_parts(source.path)):
             raise UsageError(
-                f"{out} is a file of the log that is replayed, which was rotated; choose another "
-                "path"
+                f"{out} is one of the rotated files of the log being replayed; choose another path"
             )
     check_target(out, force=force)
 

@@ -243,9 +243,12 @@ class _PartSearch:
             declared = self._partial.declared.get(other)
             is_whole = self._partial.is_whole(other, self._run.channels)
             if declared is None or not is_whole or not self._has_all_inputs(declared):
-                return f"it is in a loop with {other!r}, which is not recorded whole"
+                return f"it is in a loop with {other!r}, which is not recorded completely"
             if not self._partial.is_whole(name, self._run.channels):
-                return f"it is in a loop with {other!r}, which is copied, and not recorded whole"
+                return (
+                    f"it is in a loop with {other!r}, which is copied, and is not recorded "
+                    "completely"
+                )
         return ""
 
     # --- the result ---
@@ -268,7 +271,7 @@ class _PartSearch:
             outputs = self._copied_outputs(name)
             if not outputs:
                 reason = self._reasons.get(name, "a replay takes it from the log")
-                absent[name] = f"{reason}; the log has no output of it at each step"
+                absent[name] = f"{reason}; the log has no output of it at every step"
                 continue
             inputs[name] = self._inputs_of(name)
             shown = {*inputs[name], *outputs}
@@ -277,7 +280,7 @@ class _PartSearch:
         if not self._computed:
             reasons = "".join(f"; {name}: {reason}" for name, reason in self._reasons.items())
             raise LogError(
-                f"{self._run.label}: nothing of it can be computed: the log is partial, it was "
+                f"{self._run.label}: no component can be computed: the log is partial, it was "
                 f"recorded with {self._partial.selection}{reasons}"
             )
         return ReplayedPart(

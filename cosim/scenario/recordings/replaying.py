@@ -196,8 +196,8 @@ def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
             continue
         if not np.array_equal(masks[name], experiment.graph.held[name]):
             raise LogError(
-                f"{source.label}: {name!r} cannot be computed as in the run: how its inputs change "
-                "inside a step follows from signals that the log does not have"
+                f"{source.label}: {name!r} cannot be computed as in the run: how its inputs "
+                "change within a step depends on signals that the log does not have"
             )
 
 
@@ -317,7 +317,7 @@ def _left_out(scenario: Scenario, components: Sequence[str]) -> tuple[str, ...]:
         if name not in computable:
             raise UsageError(
                 f"{name!r} cannot be computed, as a replay takes it from the log: "
-                f"{_why_recorded(scenario.specs[name])}; there is: {listing(computable, 100)}"
+                f"{_why_recorded(scenario.specs[name])}; available: {listing(computable, 100)}"
             )
     return tuple(name for name in computable if name not in components)
 
@@ -326,7 +326,7 @@ def _why_recorded(spec: Kind) -> str:
     """Return why a component cannot be computed from a log."""
     if spec.code is not None:
         return f"{flag('allow_code')} allows its code to run"
-    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of a log"
+    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of the log"
 
 
 def _recorded_in(

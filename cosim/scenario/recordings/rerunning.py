@@ -45,15 +45,15 @@ def rerun_specs(
     fmus = [name for name, spec in again.items() if isinstance(spec, FmuKind)]
     if fmus and not allow_code:
         raise UsageError(
-            f"{flag('rerun')}: found FMUs, whose code it runs: {listing(fmus)}; needed "
+            f"{flag('rerun')} runs the code of the FMUs {listing(fmus)}; expected "
             f"{flag('allow_code')}, too"
         )
     for event in source.events():
         name = Port.parse(event.signal).component
         if event.cause == "swap" and name in again:
             raise UsageError(
-                f"{flag('rerun')}: {name!r} was swapped in the run, at t = {event.time_ns / 1e9} "
-                "s, and a replay cannot do that again; run the scenario"
+                f"{flag('rerun')}: {name!r} was swapped during the run, at t = "
+                f"{event.time_ns / 1e9} s, which a replay cannot repeat; run the scenario"
             )
     return again
 

@@ -68,7 +68,7 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
     """
     if not isinstance(ends, tuple | list) or len(ends) != _ENDS:
         raise UsageError(
-            f"window: found {quoted(ends)}; needed where it begins and ends [s], such as (2.0, 4.0)"
+            f"window: expected its begin and end [s], such as (2.0, 4.0), got {quoted(ends)}"
         )
     step_ns = source.step_ns
     last_ns = source.end_ns
@@ -79,14 +79,14 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
     if index >= last:
         raise UsageError(
             f"the window from {(first_ns + index * step_ns) / 1e9} s to "
-            f"{(first_ns + last * step_ns) / 1e9} s: needed at least one communication step, "
+            f"{(first_ns + last * step_ns) / 1e9} s: expected at least one communication step, "
             f"{step_ns / 1e9} s"
         )
     for name, channel in source.channels.items():
         if index % channel.period:
             before = index - index % channel.period
             raise UsageError(
-                f"the window begins at {begin} s, where {name!r} has no row: it has one in "
+                f"the window begins at {begin} s, where {name!r} has no row: it has one every "
                 f"{channel.period} communication steps; nearest before: "
                 f"{(first_ns + before * step_ns) / 1e9} s"
             )
@@ -96,12 +96,12 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
 def _point(source: CompleteRecording, time: object, verb: str) -> int:
     """Return the number of a communication point of a recording."""
     if isinstance(time, bool) or not isinstance(time, int | float):
-        raise UsageError(f"the window {verb} at {quoted(time)}; needed a time [s]")
+        raise UsageError(f"the window {verb} at {quoted(time)}; expected a time [s]")
     first_ns = source.end_ns - source.steps * source.step_ns
     if not first_ns / 1e9 <= time <= source.end_ns / 1e9:
         raise UsageError(
-            f"the window {verb} at {time} s, the recording is from {first_ns / 1e9} s to "
-            f"{source.end_ns / 1e9} s; needed a time within it"
+            f"the window {verb} at {time} s; expected a time within the recording, "
+            f"{first_ns / 1e9} s to {source.end_ns / 1e9} s"
         )
     return whole_steps(time, source.step_ns, f"where the window {verb}", start_ns=first_ns)
 

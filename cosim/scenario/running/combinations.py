@@ -32,15 +32,15 @@ def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     """
     given = mapping_argument("vary", vary)
     if not given:
-        raise UsageError(f"{option('vary')}: found nothing; needed a key and its values")
+        raise UsageError(f"{option('vary')}: expected a key and its values, got nothing")
     values_of = {key: _values(key, values) for key, values in given.items()}
     counts = [len(values) for values in values_of.values()]
     total = math.prod(counts)
     if total > MOST_COMBINATIONS:
         product = " x ".join(map(str, counts))
         raise UsageError(
-            f"{option('vary')}: found {product} = {total} combinations; needed at most "
-            f"{MOST_COMBINATIONS}"
+            f"{option('vary')}: expected at most {MOST_COMBINATIONS} combinations, got {product} "
+            f"= {total}"
         )
     return [
         dict(zip(values_of, chosen, strict=True))
@@ -51,9 +51,9 @@ def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
 def _values(key: str, values: object) -> list[Any]:
     """Return the values of a key as TOML has them."""
     if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
-        raise UsageError(f"{option('vary', key)}: found {quoted(values)}; needed a list")
+        raise UsageError(f"{option('vary', key)}: expected a list, got {quoted(values)}")
     if not len(values):
-        raise UsageError(f"{option('vary', key)}: found no value; needed at least one")
+        raise UsageError(f"{option('vary', key)}: expected at least one value, got none")
     try:
         return [plain(value) for value in values]
     except UsageError as error:
@@ -77,6 +77,5 @@ def check_varied(changes: Mapping[str, Any], values: Mapping[str, Any]) -> None:
     for key in values:
         if short(key) in known:
             raise UsageError(
-                f"found both {option('set', short(key))} and {option('vary', short(key))}; needed "
-                "one of them"
+                f"expected {option('set', short(key))} or {option('vary', short(key))}, got both"
             )

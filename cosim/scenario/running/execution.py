@@ -170,52 +170,52 @@ def run(
         Components to replace by an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or by a recorded
         log.
     map : mapping of port to names, optional
-        Ports of the scenario that have another name there, such as ``{"observer.y": "out1"}``, or
-        are made of several, such as ``{"plant.x_a": ["s1", "s2"]}``.
+        Ports of the scenario that have another name in the replacement, such as
+        ``{"observer.y": "out1"}``, or consist of several ports, such as
+        ``{"plant.x_a": ["s1", "s2"]}``.
     block : int, optional
         Communication steps in a block; the result does not depend on it.
     progress : callable, optional
-        Called with simulated time and end [s] as the run goes on.
+        Called with the simulated time and the stop time [s] during the run.
     notice : callable, optional
-        Called with a text before the first step, if the log at ``out`` may become large, or larger
-        than the disk has room for.
+        Called with a text before the first step if the log at ``out`` may become large, or larger
+        than the free disk space.
     embed : bool
         Put the FMUs of components into the log, so that a replay can run them again from the log
         alone (``rerun``).
     profile : dict, optional
         Filled with wall seconds by component.
     certify : bool
-        Run with half the step and with a quarter, too, and record the certificate of this run: how
-        large the error of its step is, signal by signal; see :func:`cosim.certificate`.
+        Run with half and a quarter of the step, too, and record the time-step error of every
+        signal; see :func:`cosim.certificate`.
     find_step : mapping of signal to float, optional
-        Run with the largest step with which the errors of the step in these signals are within
-        these tolerances, each in the unit of its signal, and certify that run. The step divides
-        all times that the scenario gives, whatever its own is; one that ``set`` gives is refused.
+        Run with the largest step that keeps the time-step errors of these signals within these
+        tolerances, each in the unit of its signal, and certify that run. The step divides all
+        times in the scenario; the step of the file is ignored, one in ``set`` is refused.
     realtime : float, optional
-        Simulated time by wall time: 1.0 keeps the pace of the wall clock, block by block of about
-        10 ms. How late the run was is recorded; the rows are the same.
+        Simulated time per wall time: 1.0 follows the wall clock, in blocks of about 10 ms. The
+        lag is recorded; the rows are the same.
     live : LiveView, optional
-        A :class:`cosim.live.LiveServer`: shows the run to viewers while it goes on.
+        A :class:`cosim.live.LiveServer`: shows the run to viewers while it runs.
     flush : float, optional
-        After how much wall time a row is in the log at the latest [s]: what is lost where the
-        process is killed. Left out: 1.
+        Longest wall time before a row is in the log [s], which is what a killed process loses;
+        default: 1.
     sync : bool
-        Wait for the disk at every flush: then a loss of power leaves what was flushed, too.
+        Wait for the disk at every flush, so that flushed rows survive a power loss.
     rotate : str, optional
         A size, such as ``"1GB"``, or a simulated time, such as ``"1h"``, after which the log at
-        ``out`` goes on in a next file: ``run.mcap``, ``run.part2.mcap``, ``run.part3.mcap``, ...
+        ``out`` continues in a new file: ``run.mcap``, ``run.part2.mcap``, ``run.part3.mcap``, ...
         Each opens alone; ``cosim merge`` joins them.
     recorder : Recorder, optional
-        One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
-        its messages and its results as they are computed. Nothing else is kept, and nothing is
-        written.
+        A recorder of your own in place of ``out`` and its options: it takes rows, messages and
+        results as they are computed. Nothing else is kept, and nothing is written.
 
     Returns
     -------
     Log, Memory or Recorder
         The recording: the log file if ``out`` is given, ``recorder`` itself if that is given. Of a
-        log that was rotated it is the last file: its rows are those of a part of the run, its
-        ``status`` is ``partial``, its ``results`` are those of the whole run.
+        rotated log it is the last file: its rows are the last part of the run, its ``status`` is
+        ``partial``, its ``results`` are those of the whole run.
 
     Raises
     ------
@@ -283,15 +283,12 @@ def _flush_interval(flush: float | None, *, sync: bool, is_logged: bool) -> floa
     """
     for name, is_given in (("flush", flush is not None), ("sync", sync)):
         if is_given and not is_logged:
-            raise UsageError(
-                f"found {flag(name)}, which is about the log at {option('out')}, and no "
-                f"{option('out')}; needed both, or neither"
-            )
+            raise UsageError(f"{flag(name)} applies to a log; expected {option('out')}, too")
     if flush is None:
         return FLUSH_INTERVAL
     interval = number_argument("flush", flush)
     if not 0 < interval < math.inf:
-        raise UsageError(f"{option('flush')}: found {flush!r}; needed a time above 0 s")
+        raise UsageError(f"{option('flush')}: expected a time > 0 s, got {flush!r}")
     return interval
 
 
@@ -306,10 +303,7 @@ def _rotation_of(rotate: str | None, *, is_logged: bool) -> Rotation | None:
     if rotate is None:
         return None
     if not is_logged:
-        raise UsageError(
-            f"found {option('rotate')}, which is about the log at {option('out')}, and no "
-            f"{option('out')}; needed both, or neither"
-        )
+        raise UsageError(f"{option('rotate')} applies to a log; expected {option('out')}, too")
     return read_rotation(rotate)
 
 
@@ -373,16 +367,14 @@ def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed
     """Check that nothing is given beside a recorder that is about a log file."""
     if embed:
         raise UsageError(
-            f"found both {flag('embed')} and a recorder; needed one of them: FMUs are put into a "
-            "log file"
+            f"expected {flag('embed')} or a recorder, got both: FMUs are embedded in a log file"
         )
     if out is not None:
         raise UsageError(
-            f"found both out={str(out)!r} and a recorder; needed one of them: "
-            "out writes a log file, recorder takes the run itself"
+            f"expected out or a recorder, got out={str(out)!r} and a recorder: out writes a log "
+            "file, a recorder takes the run itself"
         )
     if notice is not None:
         raise UsageError(
-            "found both a notice and a recorder; needed one of them: notice is called about the "
-            "log at out"
+            "expected a notice or a recorder, got both: notice is called about the log at out"
         )

@@ -42,13 +42,15 @@ def with_recorded_components(
     needed_map = option("map", "plant.y", "/topic.field")
     if scenario is None:
         raise UsageError(
-            f"{log} is of another tool and carries no scenario; needed {option('scenario')}, the "
-            f"one whose components it has recorded, and a map of these, {needed_map}"
+            f"{log} was written by another tool and has no scenario; expected "
+            f"{option('scenario')}, the one whose components it recorded, and a map of these, "
+            f"{needed_map}"
         )
     if not names:
         raise UsageError(
-            f"{log} is of another tool: nothing says what it has recorded of the scenario "
-            f"{scenario.name!r}; needed a map, {needed_map}; 'cosim info' lists the fields"
+            f"{log} was written by another tool, so that its fields have no known place in the "
+            f"scenario {scenario.name!r}; expected a map, {needed_map}; 'cosim info' lists the "
+            "fields"
         )
     recorded = {name: log for name in _recorded(scenario, names)}
     return scenario.edit(swap={**recorded, **paths}, map=names)
@@ -73,8 +75,8 @@ def check_field_options(
     for name, is_given in given.items():
         if is_given:
             raise UsageError(
-                f"found {name} and a recording of another tool, of which the mapped components are "
-                "taken and all others computed; leave it out"
+                f"{name} does not apply to a recording of another tool, from which mapped "
+                "components are taken while all others are computed; omit it"
             )
 
 

@@ -125,7 +125,7 @@ def pace_of(factor: object, name: str = "realtime") -> float:
     """
     value = number_argument(name, factor)
     if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(f"{option(name)}: found {value}; needed a finite number above 0")
+        raise UsageError(f"{option(name)}: expected a finite number > 0, got {value}")
     return value
 
 

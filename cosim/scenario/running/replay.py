@@ -258,8 +258,8 @@ def replays_of(
     source = open_joined(log)
     if scenario is not None:
         raise UsageError(
-            f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
-            "for recordings of other tools"
+            f"{source.label} has its own scenario; omit {option('scenario')}, which is for "
+            "recordings of other tools"
         )
     request = replay_request(
         source,
@@ -293,44 +293,43 @@ def replay(
     notice: Notice | None = None,
     profile: dict[str, float] | None = None,
 ) -> Log | Memory:
-    """Run the scenario of a log again, with its recorded plants; only the log is needed.
+    """Replay the scenario of a log from the log alone.
 
-    Plants, FMUs, tables from files and components of users' classes are taken from the recording;
-    everything else is computed again. Designs are taken from the log too, except those of
-    components that ``set`` changes or that rest on one that it changes. No file is opened and no
-    class imported but those that ``set`` names.
+    Recorded outputs stand in for plants, FMUs, tables from files and components of users' classes;
+    the rest is recomputed. Designs are taken from the log too, except those of components that
+    ``set`` changes and of components that depend on these. No file is opened and no class is
+    imported but those that ``set`` names.
 
     Parameters
     ----------
     log : str, Path or Log
-        The recording of a run. A file of a log that was rotated is replayed with those before it,
-        which have to stand beside it.
+        The recording of a run. A file of a rotated log is replayed with those before it, which
+        must be in the same folder.
     out, force, block, progress, notice, profile
         As of :func:`run`.
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
         ``{"relay.class": "relay:Relay"}``, is imported as it is now.
     swap, map
-        As of :func:`run`. What takes the place of a component is computed, which runs the code of
-        an FMU; what it drives must be computed too.
+        As of :func:`run`. The replacement is computed, which runs the code of an FMU; the
+        components that it drives must be computed too.
     allow_code : bool
-        Compute the components of users' classes too, which runs the code of the classes that the
-        log names. Each is found in the working directory or on sys.path, and has to be the one of
-        the run, by the hash of its source.
+        Compute components of users' classes too, which runs the code of the classes that the log
+        names. Each is imported from the working directory or sys.path, and must have the source
+        hash that the run recorded.
     rerun : bool
         Compute plants too: those of models, and with ``allow_code`` the FMUs of the run, from the
-        log (``run(..., embed=True)``) or from where they were; each has to be the one of the run,
-        by its SHA-256. Nothing of the plants is taken from the log then, and what drives them can
-        be changed.
+        log (``run(..., embed=True)``) or from their paths; each must have the SHA-256 that the run
+        recorded. The plants are then not taken from the log, and their inputs can be changed.
     window : (float or None, float or None), optional
-        Record only from one time to another [s], communication points; None: to where the
-        recording begins or ends. All is computed from the start, as components have states that a
-        log has not, so that the rows are those of the whole replay; nothing after the window is.
+        Record only between two communication points [s]; None: from the beginning, or to the end.
+        Everything is computed from the start, since a log does not hold all states, so the rows
+        are those of the whole replay; nothing after the window is computed.
     components : sequence of str, optional
         The only components to compute, such as ``["observer"]``; all others are taken from the log.
     scenario : str, Path or Scenario, optional
-        That of a recording of another tool, which carries none: the mapped components are taken
-        from the recording, all others are computed. ``map`` names fields of the recording, such as
+        Scenario for a recording of another tool: the mapped components are taken from the
+        recording, all others are computed. ``map`` names fields of the recording, such as
         ``{"plant.y": "/drive/state.position"}``.
 
     Returns
@@ -347,9 +346,9 @@ def replay(
     ScenarioError
         If a class cannot be imported, or is another one than in the run.
     UsageError
-        If ``set`` or ``swap`` changes the communication step, a recorded component, or what drives
-        one: its recording cannot follow. If there is no such window, or one of ``components`` is
-        not there or cannot be computed.
+        If ``set`` or ``swap`` changes the communication step, a recorded component, or the inputs
+        of one. If the window is invalid, or one of ``components`` does not exist or cannot be
+        computed.
     """
     force = truth_argument("force", force)
     callable_argument("progress", progress)

@@ -47,7 +47,7 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
     if is_next:
         target = Target(out, numbered=True)
     elif Path(out).resolve() in experiment.files and not target.numbered:
-        raise UsageError(f"{out} is read in this run; choose another path for the log")
+        raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target, events=True)
     recorder = MessageRecorder(chosen_of(experiment, log), experiment)
     with ExitStack() as entered:

@@ -8,6 +8,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
+from tests.case_tables import each_case
 from tests.scenario.actions.replays import verified_replay
 
 BASE = """
@@ -133,7 +134,9 @@ def test_a_replay_may_end_before_the_actions_do(write, tmp_path):
 def test_a_replay_keeps_the_actions(write, tmp_path):
     """They are recorded; another fault is another run."""
     log = cosim.run(write(), out=tmp_path / "a.mcap")
-    with pytest.raises(UsageError, match=r"set.*actions.0.offset.*: a replay follows the actions"):
+    with pytest.raises(
+        UsageError, match=r"set.*actions.0.offset.*: a replay repeats the recorded actions"
+    ):
         cosim.replay(log, set={"actions.0.offset": 1.0})
 
 
@@ -177,11 +180,11 @@ CASES = {
     ),
     "unknown key": (
         'at = 1.0\nsignal = "x.u"\nofset = 1.0',
-        r":35: actions\.0\.ofset: unknown key 'ofset'; did you mean 'offset'\? There is: at, ",
+        r":35: actions\.0\.ofset: unknown key 'ofset'; did you mean 'offset'\? Available: at, ",
     ),
     "unknown signal": (
         'at = 1.0\nsignal = "x.v"\noffset = 1.0',
-        r":34: actions\.0\.signal: 'x\.v': 'x' has no input 'v'; there is: u$",
+        r":34: actions\.0\.signal: 'x\.v': 'x' has no input 'v'; available: u$",
     ),
     "unknown component": (
         'at = 1.0\nsignal = "xx.u"\noffset = 1.0',
@@ -198,11 +201,11 @@ CASES = {
     ),
     "after the end": (
         'at = 4.0\nsignal = "x.u"\noffset = 1.0',
-        r":33: actions\.0\.at: found 4\.0 s, and the run ends at 4\.0 s; needed an earlier",
+        r":33: actions\.0\.at: expected a time < 4\.0 s .*, got 4\.0 s",
     ),
     "before the start": (
         'at = -1.0\nsignal = "x.u"\noffset = 1.0',
-        r"actions\.0\.at: found -1\.0 s, before the start of the run at 0\.0 s",
+        r"actions\.0\.at: expected a time >= 0\.0 s .*, got -1\.0 s",
     ),
     "between communication points": (
         'at = 1.05\nsignal = "x.u"\noffset = 1.0',
@@ -218,7 +221,7 @@ CASES = {
     ),
     "size of an offset": (
         'at = 1.0\nsignal = "g.u"\noffset = [1.0, 2.0, 3.0]',
-        r"actions\.0\.offset: found 3 values; needed 2, one an element, or one",
+        r"actions\.0\.offset: expected 2 values .*, got 3$",
     ),
     "delay off the grid": (
         'at = 1.0\nsignal = "x.u"\ndelay = 0.25',
@@ -226,15 +229,15 @@ CASES = {
     ),
     "no delay": (
         'at = 1.0\nsignal = "x.u"\ndelay = 0.0',
-        r"actions\.0\.delay: found 0\.0 s; needed at least a communication step, 0\.1 s$",
+        r"actions\.0\.delay: expected .* \(0\.1 s\), got 0\.0 s$",
     ),
     "negative delay": (
         'at = 1.0\nsignal = "x.u"\ndelay = -0.2',
-        r"actions\.0\.delay: found -0\.2 s; needed at least a communication step, 0\.1 s$",
+        r"actions\.0\.delay: expected .* \(0\.1 s\), got -0\.2 s$",
     ),
     "delay that is too small": (
         'at = 1.0\nsignal = "x.u"\ndelay = 1e-12',
-        r"actions\.0\.delay: found 1e-12 s; needed at least a communication step, 0\.1 s$",
+        r"actions\.0\.delay: expected .* \(0\.1 s\), got 1e-12 s$",
     ),
     "delay beyond all times": (
         'at = 1.0\nsignal = "x.u"\ndelay = 1e300',
@@ -258,7 +261,7 @@ CASES = {
     ),
     "release of nothing": (
         'at = 1.0\nsignal = "x.u"\nrelease = true',
-        r"actions\.0\.signal: 'x\.u' is not overridden then, as a whole; needed an earlier action",
+        r"actions\.0\.signal: 'x\.u' is not overridden as a whole at that time",
     ),
     "release that is false": (
         'at = 1.0\nsignal = "x.u"\nrelease = false',
@@ -267,16 +270,16 @@ CASES = {
     "two at once": (
         'at = 1.0\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nat = 1.0\nsignal = "g.u[1]"\n'
         "offset = 1.0",
-        r":38: actions\.1\.signal: 'g\.u' is changed by actions\.0 at the same instant; needed one",
+        r":38: actions\.1\.signal: 'g\.u' is also changed by actions\.0 ",
     ),
     "two at one condition": (
         'when = "t > 1"\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nwhen = "t > 1"\n'
         'signal = "g.u[1]"\noffset = 1.0',
-        r":38: actions\.1\.signal: 'g\.u' is changed by actions\.0 at the same instant; needed one",
+        r":38: actions\.1\.signal: 'g\.u' is also changed by actions\.0 ",
     ),
     "one signal twice": (
         'at = 1.0\nsignal = ["g.u", "g.u[1]"]\noverride = 1.0',
-        r"actions\.0\.signal: 'g\.u' is there twice; needed it once$",
+        r"actions\.0\.signal: 'g\.u' is listed twice$",
     ),
     "wrong type": (
         'at = 1.0\nsignal = "x.u"\noffset = "much"',
@@ -285,7 +288,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("action", "text"), CASES.values(), ids=CASES)
+@each_case(("action", "text"), CASES.values())
 def test_a_wrong_action_is_one_error_before_the_run(write, action, text):
     """With its line, what was found and what was needed."""
     with pytest.raises(ScenarioError) as caught:
@@ -339,7 +342,7 @@ def test_an_unknown_action_cannot_be_set(write):
 
 def test_a_stop_before_an_action_is_refused(write):
     """Also where it was set from outside."""
-    with pytest.raises(ScenarioError, match=r"actions\.4\.at: found 3\.0 s, and the run ends"):
+    with pytest.raises(ScenarioError, match=r"actions\.4\.at: expected .* got 3\.0 s"):
         cosim.run(write(), set={"scenario.stop": 3.0})
 
 
@@ -421,7 +424,7 @@ def test_a_session_meets_the_conditions_too(write, tmp_path):
 def test_a_component_is_set_at_a_condition_or_at_times(write):
     """What it would be else depends on which comes first."""
     actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
-    with pytest.raises(ScenarioError, match=r"actions\.4\..*'log' is set by actions\.3 too"):
+    with pytest.raises(ScenarioError, match=r"actions\.4\..*'log' is also set by actions\.3"):
         cosim.run(write(actions))
 
 

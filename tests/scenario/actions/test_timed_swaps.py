@@ -13,16 +13,14 @@ from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
-STOP = {"scenario.stop": 2.0}
+STOP = {"scenario.stop": 2.0, "scenario.step": 0.01, "observer.filter_rate": 100.0}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Export the plant of the shipped example for both versions."""
+    """Export the plant of the shipped example for FMI 3."""
     folder = tmp_path_factory.mktemp("swap")
-    for version in (2, 3):
-        target = folder / f"plant{version}.fmu"
-        export_component("academic", "plant", target, fmi=str(version))
+    export_component("academic", "plant", folder / "plant3.fmu", fmi="3")
     return folder
 
 
@@ -31,18 +29,21 @@ def swapped(path, **changes):
     return {**STOP, **changes, "actions": [{"at": 1.0, "swap": {"plant": str(path)}}]}
 
 
-@pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("block", [1, 7, None])
+@pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("block", [pytest.param(1, marks=pytest.mark.slow), 7])
 def test_an_fmu_goes_on_from_the_states_of_the_plant(folder, version, block, tmp_path):
     """The same model: the run goes on as without a swap, but for the tolerance of the solver."""
-    path = folder / f"plant{version}.fmu#me"
+    fmu = folder / f"plant{version}.fmu"
+    if not fmu.exists():
+        export_component("academic", "plant", fmu, fmi=str(version))
+    path = f"{fmu}#me"
     log = cosim.run("academic", set=swapped(path), out=tmp_path / "a.mcap", block=block)
     plain = cosim.run("academic", set=STOP)
     for name in ("plant.x_a", "plant.y", "plant.x_b"):
-        assert (log[name][:1001] == plain[name][:1001]).all()
+        assert (log[name][:101] == plain[name][:101]).all()
         # relative tolerance 1e-9 of values up to 4, over 1 s
         assert abs(log[name] - plain[name]).max() < 1e-7, name
-    assert (log["plant.x_a"][1001:] != plain["plant.x_a"][1001:]).any(), "another solver computes"
+    assert (log["plant.x_a"][101:] != plain["plant.x_a"][101:]).any(), "another solver computes"
     (event,) = [event for event in log.events() if event.cause != "follow"]
     assert event[:3] == (10**9, "swap", f"plant.{path}")
     row = {"t": 1.0, "signal": "plant", "cause": "swap", "values": str(path)}
@@ -61,11 +62,11 @@ def test_a_replay_takes_the_swapped_plant_from_the_log(folder, tmp_path):
 def test_a_session_goes_back_over_a_swap(folder):
     """To the plant that was there then."""
     with cosim.load("academic").edit(set=swapped(folder / "plant3.fmu#me")).start() as sim:
-        sim.step(900)
+        sim.step(90)
         saved = sim.state
-        first = sim.step(300)["plant.x_a"].tobytes()
+        first = sim.step(30)["plant.x_a"].tobytes()
         sim.state = saved
-        assert sim.step(300)["plant.x_a"].tobytes() == first
+        assert sim.step(30)["plant.x_a"].tobytes() == first
 
 
 def refusal(changes):
@@ -79,14 +80,12 @@ def refusal(changes):
 def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
     """Before the run, with what is missing."""
     message = refusal(swapped(folder / "plant3.fmu#cs"))
-    assert re.search(r"swap\.plant: the state of 'plant' cannot be handed over to .*#cs", message)
+    assert re.search(r"swap\.plant: the state of 'plant' cannot be transferred to .*#cs", message)
     message = refusal(swapped(friction(tmp_path, 2)))
-    assert re.search(r"found the states x, v; needed x_a\[0\], x_a\[1\]$", message)
+    assert re.search(r"expected the states x_a\[0\], x_a\[1\], got x, v$", message)
     actions = [{"at": 1.0, "swap": {"u": str(folder / "plant3.fmu")}}]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(
-        r"the state of 'u' cannot be handed over: it has no continuous states", message
-    )
+    assert re.search(r"the state of 'u' cannot be transferred: it has no named", message)
     actions = [{"at": 1.0, "swap": {"plnt": str(folder / "plant3.fmu")}}]
     message = refusal({**STOP, "actions": actions})
     assert re.search(r"swap\.plnt: there is no component 'plnt'; did you mean 'plant'", message)
@@ -94,11 +93,11 @@ def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
     assert re.search(r"swap\.plant: .*none\.fmu", message)
     actions = [{"at": at, "swap": {"plant": str(folder / "plant3.fmu")}} for at in (1.0, 1.5)]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(r"actions\.1\.swap\.plant: 'plant' is changed by actions\.0 too", message)
+    assert re.search(r"actions\.1\.swap\.plant: 'plant' is also changed by actions\.0", message)
 
 
 def test_a_co_simulation_fmu_has_no_states_to_hand_over(tmp_path):
     """They are not accessible."""
     path = compile_fmu(tmp_path / "lag2.fmu", lag.xml("2"), "lag2.c")
     message = refusal(swapped(path))
-    assert re.search(r"the state of 'plant' cannot be handed over to .*lag2.fmu", message)
+    assert re.search(r"the state of 'plant' cannot be transferred to .*lag2.fmu", message)

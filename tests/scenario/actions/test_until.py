@@ -11,6 +11,7 @@ from cosim.errors import ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
+from tests.case_tables import each_case
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
 BASE = """
@@ -108,7 +109,7 @@ def test_a_condition_that_never_comes_true_is_said(tmp_path, call):
     log = cosim.run(path, out=tmp_path / "a.mcap")
     assert (log.steps, log.status, log.reason) == (40, "complete", "")
     last = log.messages()[-1]
-    assert tuple(last) == (4 * 10**9, "info", "run", "until 'x.y > 5': never came true")
+    assert tuple(last) == (4 * 10**9, "info", "run", "until 'x.y > 5': never met")
     code, out, _ = call("run", path, "--out", tmp_path / "b.mcap")
     assert code == 0
     assert "'x.y > 5' never came true up to the end of the run" in out
@@ -165,7 +166,7 @@ def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
     path = file(tmp_path, 'until = "x.y > 5"')
     with cosim.load(path).start(out=tmp_path / "a.mcap") as sim:
         sim.step(40)
-    assert cosim.open_log(tmp_path / "a.mcap").messages()[-1].text.endswith("never came true")
+    assert cosim.open_log(tmp_path / "a.mcap").messages()[-1].text.endswith("never met")
     with cosim.load(path).start(out=tmp_path / "b.mcap") as sim:
         sim.step(4)
     log = cosim.open_log(tmp_path / "b.mcap")
@@ -173,7 +174,7 @@ def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
     assert summarize(log).until_came_true is False
 
 
-def test_what_has_no_value_ends_no_run(tmp_path):
+def test_a_signal_without_a_value_ends_no_run(tmp_path):
     """theta_hat has none at first: then it is neither below 0 nor not above it."""
     for until in ("identifier.theta[0] < 0", "not identifier.theta[0] >= 0"):
         run = cosim.run("academic", set={"scenario.stop": 10.0, "scenario.until": until})
@@ -235,8 +236,8 @@ def test_a_component_that_cannot_go_back_is_named(tmp_path, monkeypatch):
 
 REFUSED = {
     "x.y > 0.5 for 150 ms": "for: 0.15 s is not a whole number of 0.1 s steps; nearest: 0.2 s",
-    "x.v > 0.5": "the graph has no 'x.v': 'x' has no signal 'v'; there is: u, y",
-    "xx.y > 0.5": "the graph has no component 'xx'; did you mean 'x'? There is: s, x, z",
+    "x.v > 0.5": "the graph has no 'x.v': 'x' has no signal 'v'; available: u, y",
+    "xx.y > 0.5": "the graph has no component 'xx'; did you mean 'x'? Available: s, x, z",
     "x.y": "found 'x.y'; needed a comparison",
     "x.y > limit": "unknown name 'limit'",
     "open('x') > 1": "unknown function 'open'",
@@ -244,7 +245,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("until", REFUSED)
+@each_case("until", REFUSED)
 def test_a_condition_that_is_wrong_is_refused_with_its_line(until, tmp_path):
     """Once, beside the other problems of the file."""
     path = file(tmp_path, f'until = "{until}"')
@@ -258,7 +259,7 @@ def test_a_condition_that_is_wrong_is_refused_with_its_line(until, tmp_path):
         assert REFUSED[until] in lines[0]
 
 
-def test_what_rests_on_another_problem_is_not_refused_twice(tmp_path):
+def test_a_consequence_of_another_problem_is_not_reported(tmp_path):
     """A signal of a component that is wrong is not known."""
     path = file(tmp_path, 'until = "w.y > 1"', '\n[components.w]\nkind = "lag"\n')
     with pytest.raises(ScenarioError) as error:

@@ -11,6 +11,7 @@ from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START,
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
+from tests.case_tables import each_case
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
 
@@ -72,7 +73,7 @@ MANY = {
 }
 
 
-def test_what_fits_y_needs_a_disturbance_that_determines_theta_and_no_regression():
+def test_output_error_needs_a_disturbance_that_determines_theta_and_no_regression():
     """Six functions under three alphas have 630 terms of (25), which output error is without."""
     report = check_assumptions("academic", set=MANY)
     assert report.fulfilled
@@ -174,7 +175,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case("case", CASES)
 def test_each_assumption_fails_alone_with_its_number_and_cure(case):
     """What fails, first of all; neighbors on the other side of a border do not."""
     settings, first, verdict = CASES[case]
@@ -283,7 +284,7 @@ def test_a_failure_is_said_as_the_run_says_it():
     assert beginning.fulfilled is None
 
 
-def test_what_else_stands_against_a_run_is_listed():
+def test_other_problems_of_a_run_are_listed():
     """A sensor without a seed is no assumption, and not lost."""
     report = check_assumptions("academic-noisy", set={"sensor.seed": -1})
     assert not report.fulfilled

@@ -20,6 +20,7 @@ from cosim.scenario.assumptions.report import FILE, check_assumptions
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import INDEX
+from tests.case_tables import each_case
 
 OF_COMPENSATOR = (FEEDBACK, ZEROS, STABILITY, ACTIVATION, LIMITS)
 
@@ -80,7 +81,7 @@ CASES = {
 RUNS_ALL_THE_SAME = ("much noise", "theta elsewhere", "narrow limits")
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case("case", CASES)
 def test_a_compensator_is_refused_by_the_check_as_by_the_run(compensation, case):
     """The row says what the error of the run says, with its name and its cure."""
     settings, assumption, verdict = CASES[case]
@@ -106,7 +107,7 @@ def test_limits_that_suffice_are_said(compensation):
     row = check_assumptions(compensation, set=changes).of("compensator")[LIMITS]
     assert row.fulfilled
     assert row.evidence.startswith(
-        "limits from -3 to 3; to reject the disturbance u goes from -1.5"
+        "limits from -3 to 3; rejecting the disturbance takes u from -1.5"
     )
     assert "at a limit the internal model winds up" in row.evidence
 
@@ -148,8 +149,8 @@ def parts(tmp_path, changes):
     return path
 
 
-@pytest.mark.parametrize("case", BEGINNINGS)
-def test_what_a_run_refuses_before_its_first_step_is_refused_by_the_check(tmp_path, case):
+@each_case("case", BEGINNINGS)
+def test_the_check_refuses_whatever_a_run_refuses_before_its_first_step(tmp_path, case):
     """Also where it shows only in the graph, or as components are initialized."""
     changes, place = BEGINNINGS[case]
     path = parts(tmp_path, changes)
@@ -168,7 +169,7 @@ def test_a_scenario_without_any_assumption_has_a_beginning(tmp_path):
     report = check_assumptions(path)
     assert report.fulfilled
     assert list(report.of(FILE)) == [BEGINNING]
-    assert "2 component(s) are designed for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
+    assert "2 component(s) are prepared for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
 
 
 def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path, capsys):

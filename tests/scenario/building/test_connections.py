@@ -16,7 +16,7 @@ from cosim.errors import ScenarioError
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.exporting import export_component
 from cosim.units import base_unit
-from tests.scenario.swapping.test_swap import rewritten
+from tests.scenario.fmu_edits import rewritten
 
 UNITS = """
 [scenario]

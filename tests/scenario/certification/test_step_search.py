@@ -7,6 +7,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import RunError, UnknownSignalError, UsageError
 from cosim.scenario.certification import step_search
+from tests.case_tables import each_case
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
 
@@ -66,7 +67,7 @@ def test_several_tolerances_are_kept_together():
     assert np.abs(log["mass.y"] - np.cos(2.0 * t)).max() <= 1.1 * 0.02
 
 
-def test_what_is_exact_takes_the_largest_step():
+def test_an_exact_signal_takes_the_largest_step():
     """Of an output that no run changes: any step is fine, and leaves 16 points."""
     log = cosim.run(certified.parsed(certified.EXACT), find_step={"third.y": 1e-6})
     assert log.step_ns == 250_000_000
@@ -80,20 +81,17 @@ def test_a_step_that_is_given_beside_is_refused(tmp_path, capsys):
     for scenario, set_ in ((path, edits), (cosim.load(path).set(edits), {})):
         with pytest.raises(UsageError) as raised:
             cosim.run(scenario, find_step=tolerances, set=set_)
-        assert str(raised.value) == (
-            "found both find_step and set['scenario.step']; needed one of them: the search "
-            "chooses the step"
-        )
+        assert "find_step or set['scenario.step'], got both" in str(raised.value)
     command = ["run", str(path), "--find-step", "third.y=1e-6"]
     for given in (["--step", "0.1"], ["--set", "scenario.step=0.1"]):
         with pytest.raises(SystemExit) as left:
             main([*command, *given])
         assert left.value.code == 2
         name = given[0] if given[0] == "--step" else "--set scenario.step"
-        assert capsys.readouterr().err == (
-            f"cosim: found both --find-step and {name}; needed one of them: the search chooses the "
-            "step\n"
-        )
+        err = capsys.readouterr().err
+        assert "--find-step" in err
+        assert name in err
+        assert err.count("\n") == 1
 
 
 # --- where the confident sentence would be false ---
@@ -118,25 +116,25 @@ def test_a_search_ends_where_no_step_has_an_estimate(tmp_path):
     with pytest.raises(RunError) as caught:
         cosim.run(path, find_step={"lag.y": 1e-3})
     assert str(caught.value).endswith(
-        "down to 0.0078125 s: no estimate of lag.y: the action when 'sine.y > 0.5' comes at a "
-        "point that depends on the step, whatever it is; needed an action at a time, or another "
-        "signal"
+        "down to 0.0078125 s: no estimate of lag.y: the action when 'sine.y > 0.5' takes effect "
+        "at a point that depends on the step, whatever the step; use an action at a fixed time, "
+        "or another signal"
     )
 
 
 def test_an_unstable_coupling_is_no_success(tmp_path, monkeypatch):
     """It multiplies by -1.02 a step: with every halving it grows, until it leaves all bounds."""
-    monkeypatch.setattr(step_search, "MOST_STEPS", 10**5)
+    monkeypatch.setattr(step_search, "MOST_STEPS", 10**4)
     path = write(tmp_path, certified.ECHO)
     with pytest.raises(
-        RunError, match=r"find_step: no step keeps echo.y 0.1; tried \d+, down"
+        RunError, match=r"find_step: no step achieves echo.y 0.1; tried \d+, down"
     ) as e:
         cosim.run(path, find_step={"echo.y": 0.1})
-    assert "the error grows as the step is halved: an unstable coupling" in str(e.value)
+    assert "the error grows as the step is halved: the coupling is unstable" in str(e.value)
 
 
 def test_a_jump_between_points_has_no_step(tmp_path, monkeypatch):
-    monkeypatch.setattr(step_search, "MOST_STEPS", 10**5)
+    monkeypatch.setattr(step_search, "MOST_STEPS", 10**4)
     path = write(tmp_path, lag_behind(("Jump", 1.00001)))
     with pytest.raises(RunError, match=r"no estimate of lag\.y: source\.y jumps"):
         cosim.run(path, find_step={"lag.y": 1e-12})
@@ -159,15 +157,15 @@ def test_rounding_ends_the_search():
 # --- wrong use ---
 
 
-@pytest.mark.parametrize("tolerance", [0.0, -1e-3, float("nan"), float("inf"), True, "1e-3"])
+@each_case("tolerance", [0.0, -1e-3, float("nan"), float("inf"), True, "1e-3"])
 def test_a_tolerance_is_a_positive_number(tolerance):
-    match = r"find_step\['lag.y'\]: found .*; needed a positive number, in the unit of the signal"
+    match = r"find_step\['lag.y'\]: expected a positive number in the unit of the signal"
     with pytest.raises(UsageError, match=match):
         cosim.run(certified.parsed(certified.EXACT), find_step={"lag.y": tolerance})
 
 
 def test_an_unknown_signal_is_named():
-    match = r"find_step\['lag.x'\]: the scenario has no 'lag.x'.*there is: u, y"
+    match = r"find_step\['lag.x'\]: the scenario has no 'lag.x'.*available: u, y"
     with pytest.raises(UsageError, match=match):
         cosim.run(certified.parsed(certified.EXACT), find_step={"lag.x": 1.0})
     assert not issubclass(UsageError, UnknownSignalError)
@@ -176,10 +174,10 @@ def test_an_unknown_signal_is_named():
 def test_tolerances_are_a_mapping_that_is_not_empty():
     with pytest.raises(UsageError, match=r"find_step: found 1\.0"):
         cosim.run(certified.parsed(certified.EXACT), find_step=1.0)
-    with pytest.raises(UsageError, match="find_step: found no signal; needed at least one"):
+    with pytest.raises(UsageError, match="find_step: expected at least one signal"):
         cosim.run(certified.parsed(certified.EXACT), find_step={})
 
 
 def test_noise_of_every_step_is_refused():
-    with pytest.raises(UsageError, match="certificate: sensor draws random numbers"):
+    with pytest.raises(UsageError, match="step error: sensor draws random numbers"):
         cosim.run("academic-noisy", find_step={"observer.x_a": 1.0})

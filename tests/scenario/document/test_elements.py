@@ -180,7 +180,7 @@ def test_an_action_is_found_by_either_spelling(tmp_path):
     with pytest.raises(ScenarioError, match=r"no action '1'; there are 1, numbered from 0"):
         scenario.set({"actions[1].override": 3.0})
     log = cosim.run(path, out=tmp_path / "x.mcap")
-    with pytest.raises(UsageError, match="a replay follows the actions that were recorded"):
+    with pytest.raises(UsageError, match="a replay repeats the recorded actions"):
         cosim.replay(log, set={"actions[0].override": 3.0})
 
 

@@ -8,6 +8,7 @@ from cosim.errors import ScenarioError
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.theory.bounded import irregular_part
 from cosim.theory.bounded.set_membership import FeasibleInterval
+from tests.case_tables import each_case
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 # a disturbance that the class does not contain: 0.003 sin(0.9 t) beside its two components
@@ -78,7 +79,7 @@ def test_the_interval_holds_where_that_of_noise_does_not():
         assert effect["lower"] <= true <= effect["upper"]
 
 
-def test_what_cannot_be_guaranteed_is_said():
+def test_an_interval_without_a_guarantee_is_reported():
     """A theta that is fixed was not estimated; the rest of the verdict stands."""
     found = verdict(irregular=1e-3, bounds=[[-np.inf, np.inf], [-0.3, -0.3]])
     assert found["irregular"]["bound"] == 1e-3
@@ -96,7 +97,7 @@ def test_noise_that_is_stated_is_not_taken_from_the_residual():
     assert widths[2] > 1.2 * widths[1]
 
 
-@pytest.mark.parametrize("bound", [0.0, -0.01])
+@each_case("bound", [0.0, -0.01])
 def test_a_bound_is_positive(bound):
     """Zero would be the interval of noise."""
     with pytest.raises(ScenarioError, match="irregular: found"):

@@ -225,7 +225,7 @@ REFUSED_TABLES = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
     """One clear error each, with the component: see REFUSED."""
-    from tests.scenario.swapping.test_swap import rewritten
+    from tests.scenario.fmu_edits import rewritten
 
     shutil.copy(foreign2, folder / "cs.fmu")
     rewritten(folder / "plant.fmu", folder / "nameless.fmu", ('name="y"', 'name="y_m"'))

@@ -331,7 +331,7 @@ def test_verdicts_beside_forgetting_say_that_they_do_not_forget():
     log = run(forgetting=1e-3)
     assert np.isnan(theta(log)[-1]).all()
     notes = " ".join(summarize(log).identifications[0].notes)
-    assert "those of all samples with equal weight" in notes
+    assert "weigh all samples equally" in notes
     assert (
         "identifier.theta itself has no value at the end: no fit during the run led to one" in notes
     )

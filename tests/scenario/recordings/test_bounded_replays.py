@@ -84,19 +84,26 @@ def small_limits(monkeypatch):
         monkeypatch.setattr(log_rows, limit, 2**14)
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory):
-    """Record runs of 20 000 and 80 000 steps, in small chunks."""
-    folder = tmp_path_factory.mktemp("logs")
+def recorded(folder, stop):
+    """Record a run in small chunks; return its path."""
     (folder / "loop.toml").write_text(SCENARIO)
-    paths = []
+    path = folder / f"{stop}.mcap"
     with pytest.MonkeyPatch.context() as patch:
         make_chunks_small(patch, 2**16)
-        for stop in (20.0, 80.0):
-            path = folder / f"{stop}.mcap"
-            cosim.run(folder / "loop.toml", out=path, set={"scenario.stop": stop})
-            paths.append(path)
-    return paths
+        cosim.run(folder / "loop.toml", out=path, set={"scenario.stop": stop})
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Record a run of 20 000 steps; return its path."""
+    return recorded(tmp_path_factory.mktemp("log"), 20.0)
+
+
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory):
+    """Record a run of 80 000 steps; return its path."""
+    return recorded(tmp_path_factory.mktemp("long"), 80.0)
 
 
 def output_of(capsys, *arguments):
@@ -110,11 +117,11 @@ def output_of(capsys, *arguments):
 
 
 @pytest.mark.parametrize("arguments", [[], ["--verify"]])
-def test_a_replay_in_parts_prints_what_one_in_memory_does(logs, capsys, request, arguments):
+def test_a_replay_in_parts_prints_what_one_in_memory_does(log, capsys, request, arguments):
     """Root mean squares are sums in another order."""
-    whole = output_of(capsys, logs[0], *arguments)
+    whole = output_of(capsys, log, *arguments)
     request.getfixturevalue("small_limits")
-    in_parts = output_of(capsys, logs[0], *arguments)
+    in_parts = output_of(capsys, log, *arguments)
     for content in (whole, in_parts):
         for signal in content.get("signals", []):
             signal.pop("rms", None)
@@ -122,11 +129,12 @@ def test_a_replay_in_parts_prints_what_one_in_memory_does(logs, capsys, request,
     assert in_parts.get("log") is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_limits")
-def test_the_memory_of_a_replay_does_not_grow_with_its_log(logs, tmp_path):
+def test_the_memory_of_a_replay_does_not_grow_with_its_log(log, long_log, tmp_path):
     """Four times as long a log takes a tenth of its further rows at most."""
     peaks = []
-    for number, path in enumerate((logs[0], *logs)):  # the first one imports
+    for number, path in enumerate((log, log, long_log)):  # the first one imports
         source = open_log(path)
         tracemalloc.start()
         again = cosim.replay(source, out=tmp_path / f"{number}.mcap")
@@ -134,7 +142,7 @@ def test_the_memory_of_a_replay_does_not_grow_with_its_log(logs, tmp_path):
         summarize(again)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    added_bytes = open_log(logs[1]).row_bytes - open_log(logs[0]).row_bytes
+    added_bytes = open_log(long_log).row_bytes - open_log(log).row_bytes
     # The summaries of both logs have 250 bytes for each of their chunks of 64 kB.
     assert peaks[2] - peaks[1] < added_bytes / 10
 

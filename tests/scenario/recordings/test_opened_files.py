@@ -4,6 +4,8 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 import cosim
 from cosim.scenario.exporting import export_component
 from tests.log.crafting import put_together, take_apart
@@ -74,6 +76,7 @@ def craft(folder, name, changes):
     return put_together(content, folder / name)
 
 
+@pytest.mark.slow
 def test_a_replay_opens_its_log_and_what_the_command_line_names(tmp_path):
     """No table, FMU, design model or recording that the log alone names, and no library of one."""
     bait(tmp_path)

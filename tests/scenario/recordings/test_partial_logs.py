@@ -16,6 +16,7 @@ from cosim.log.editing.cutting import cut
 from cosim.log.editing.merging import merge
 from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
+from tests.case_tables import each_case
 from tests.log.crafting import put_together, take_apart, without_checksum
 
 SHORT = {"scenario.stop": 0.2, "identifier.period": 0.01}
@@ -42,7 +43,6 @@ def record(signals=None, every=None):
     return settings if every is None else settings | {"record.every": every}
 
 
-@pytest.mark.parametrize("in_memory", [False, True])
 @pytest.mark.parametrize(
     ("signals", "every"),
     [
@@ -53,7 +53,10 @@ def record(signals=None, every=None):
         (["plant.y"], 1000),  # more steps than the run has
     ],
 )
-def test_what_is_recorded_has_the_bits_of_the_whole_run(whole, tmp_path, signals, every, in_memory):
+@each_case("in_memory", [False, True])
+def test_recorded_signals_have_the_bits_of_the_whole_run(
+    whole, tmp_path, signals, every, in_memory
+):
     """Rows are those at the multiples of ``every`` and of the period of the component alike."""
     out = None if in_memory else tmp_path / "a.mcap"
     run = cosim.run("academic", out=out, set=SHORT | record(signals, every))
@@ -238,7 +241,7 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
     assert path.stat().st_size < 100_000
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("settings", "message"),
     [
         (record(["plan.*"]), r"record.signals: no signal matches 'plan\.\*'; did you mean 'plant"),
@@ -256,7 +259,7 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
         ({"record.evry": 2}, "unknown key 'evry'; did you mean 'every'"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_before_the_run(settings, message, tmp_path):
+def test_an_impossible_selection_is_refused_before_the_run(settings, message, tmp_path):
     """Nothing is written."""
     with pytest.raises(ScenarioError, match=message):
         cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | settings)
@@ -301,7 +304,7 @@ def _redeclare(content):
     items["cosim.declared"] = json.dumps(add_checksum("cosim.channel", declared))
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("change", "message"),
     [
         (_drop("cosim.record", "every"), "'every'"),
@@ -315,7 +318,7 @@ def _redeclare(content):
         (_redeclare, "'plant' .*'x_a'"),
     ],
 )
-def test_what_a_log_says_of_its_parts_is_checked(part, tmp_path, change, message):
+def test_the_metadata_of_a_partial_log_are_checked(part, tmp_path, change, message):
     """Somebody may have written it by hand."""
     content = take_apart(part.path)
     change(content)

@@ -7,6 +7,7 @@ import cosim
 from cosim.core import linear
 from cosim.errors import LogError
 from cosim.log.contents.metadata import decode_design, encode_design
+from tests.case_tables import each_case
 from tests.log.crafting import put_together, take_apart
 
 SCENARIO = """
@@ -59,7 +60,7 @@ def test_nothing_that_is_recorded_is_computed(logs, log, monkeypatch):
         ("academic", "identifier", "times"),
     ],
 )
-@pytest.mark.parametrize("change", ["renamed", "reshaped", "added to"])
+@each_case("change", ["renamed", "reshaped", "added to"])
 def test_a_recorded_design_of_other_arrays_is_refused(logs, log, name, key, change, tmp_path):
     """The kernels that step trust their shapes."""
     content = take_apart(logs[log].path)

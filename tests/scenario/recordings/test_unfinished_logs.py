@@ -14,6 +14,7 @@ import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log.editing.recovering import recover
 from cosim.report.verification import verify
+from tests.case_tables import each_case
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +31,18 @@ def killed(tmp_path_factory):
         "        return\n"  # its rows have moved since it was opened
         "    if steps > 1000:\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
-        "cosim.run('academic', out=sys.argv[1], flush=1e-3, progress=kill, block=500)\n"
+        "cosim.run('academic', out=sys.argv[1], flush=1e-3, progress=kill, block=500,\n"
+        "          set={'scenario.stop': 5.0})\n"
     )
     path = folder / "killed.mcap"
     process = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
     assert process.returncode == -signal.SIGKILL
     whole = folder / "whole.mcap"
-    cosim.run("academic", out=whole)
+    cosim.run("academic", out=whole, set={"scenario.stop": 5.0})
     return path, whole
 
 
+@pytest.mark.slow
 def test_a_killed_log_has_every_bit_of_its_run(killed):
     """Up to the step that it ends at."""
     log, whole = map(cosim.open_log, killed)
@@ -54,6 +57,7 @@ def test_a_killed_log_has_every_bit_of_its_run(killed):
     assert "unfinished" in repr(log)
 
 
+@pytest.mark.slow
 def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
     """It says that there is none to check; a flipped bit of a row is damage all the same."""
     path, _ = killed
@@ -71,7 +75,8 @@ def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
         verify(cosim.open_log(broken), cosim.replay(broken))
 
 
-def test_what_was_recovered_of_a_killed_log_is_verified(killed, tmp_path):
+@pytest.mark.slow
+def test_the_recovered_log_of_a_killed_run_is_verified(killed, tmp_path):
     """It has a hash, which no run recorded, and nothing of how the run ended."""
     path, _ = killed
     log = recover(path, tmp_path / "saved.mcap").log
@@ -84,6 +89,7 @@ def test_what_was_recovered_of_a_killed_log_is_verified(killed, tmp_path):
     assert "last row" not in lines
 
 
+@pytest.mark.slow
 def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     """Its hole takes no space, and a copy without one reads the same."""
     path, _ = killed
@@ -93,13 +99,13 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     assert os.path.getsize(copy) == os.path.getsize(path)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("options", "message"),
     [
-        ({"flush": 0.0, "out": "a.mcap"}, r"flush: found 0\.0; needed a time above 0 s"),
+        ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a time > 0 s, got 0\.0"),
         ({"flush": "1", "out": "a.mcap"}, "flush: found '1'; needed a number"),
-        ({"flush": 1.0}, "found flush=True, which is about the log at out, and no out"),
-        ({"sync": True}, "found sync=True, which is about the log at out, and no out"),
+        ({"flush": 1.0}, "flush=True applies to a log; expected out"),
+        ({"sync": True}, "sync=True applies to a log; expected out"),
         ({"sync": 1, "out": "a.mcap"}, "sync: found 1"),
     ],
 )

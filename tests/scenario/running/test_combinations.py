@@ -5,6 +5,7 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.scenario.running.combinations import combination_text, combinations
+from tests.case_tables import each_case
 
 
 def test_combinations_are_the_full_product_in_order():
@@ -22,23 +23,23 @@ def test_combinations_are_the_full_product_in_order():
 def test_a_thousand_combinations_are_the_most():
     """One more is refused before anything is built."""
     assert len(combinations({"a.x": range(10), "a.y": range(100)})) == 1000
-    with pytest.raises(UsageError, match=r"vary: found 7 x 143 = 1001 combinations; needed at mos"):
+    with pytest.raises(UsageError, match=r"vary: .*7 x 143 = 1001"):
         combinations({"a.x": range(7), "a.y": range(143)})
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("vary", "message"),
     [
-        ({}, "vary: found nothing; needed a key and its values"),
-        ({"a.x": []}, r"vary\['a.x'\]: found no value; needed at least one"),
-        ({"a.x": "12"}, r"vary\['a.x'\]: found '12'; needed a list"),
-        ({"a.x": 3.0}, r"vary\['a.x'\]: found 3.0; needed a list"),
+        ({}, "vary: expected a key and its values"),
+        ({"a.x": []}, r"vary\['a.x'\]: expected at least one value"),
+        ({"a.x": "12"}, r"vary\['a.x'\]: expected a list, got '12'"),
+        ({"a.x": 3.0}, r"vary\['a.x'\]: expected a list, got 3.0"),
         ({"a.x": [object]}, r"vary\['a.x'\]: found <class 'object'>; needed a number, true or"),
         ([1.0], r"vary: found \[1.0\]; needed a mapping"),
         ({1: [1.0]}, "vary: found the key 1; needed a string"),
     ],
 )
-def test_what_is_no_list_of_values_is_refused(vary, message):
+def test_an_invalid_list_of_values_is_refused(vary, message):
     """The message names the key."""
     with pytest.raises(UsageError, match=message):
         combinations(vary)

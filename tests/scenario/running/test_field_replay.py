@@ -61,23 +61,21 @@ def test_other_components_may_be_swapped_beside_it(loop, tmp_path):
         np.testing.assert_array_equal(again[signal], run[signal])
 
 
-def test_what_a_recording_of_another_tool_lacks_is_said(loop, tmp_path):
+def test_missing_fields_of_a_foreign_recording_are_reported(loop, tmp_path):
     """A scenario, a map; what only a log of a run has is refused."""
     path = field_log(tmp_path)
     with pytest.raises(UsageError) as refused, shell_language():
         cosim.replay(path, map=PLANT)
-    assert str(refused.value) == (
-        f"{path} is of another tool and carries no scenario; needed --scenario, the one whose "
-        "components it has recorded, and a map of these, --map plant.y=/topic.field"
-    )
-    with pytest.raises(UsageError, match="nothing says what it has recorded of the scenario 'loop"):
+    for text in (str(path), "--scenario", "--map plant.y=/topic.field"):
+        assert text in str(refused.value)
+    with pytest.raises(UsageError, match="'loop'; expected a map"):
         cosim.replay(path, scenario=loop)
     for options, name in (
         ({"allow_code": True}, "allow_code=True"),
         ({"window": (0.0, 1.0)}, "a window of time"),
         ({"components": ["model"]}, "components to compute"),
     ):
-        with pytest.raises(UsageError, match=f"found {name} and a recording of another tool"):
+        with pytest.raises(UsageError, match=f"{name} does not apply to a recording"):
             cosim.replay(path, scenario=loop, map=PLANT, **options)
 
 
@@ -85,7 +83,7 @@ def test_a_log_of_a_run_carries_its_own_scenario(loop, tmp_path):
     """So there is none to name."""
     out = tmp_path / "run.mcap"
     cosim.run(loop, out=out)
-    with pytest.raises(UsageError, match="carries its own scenario; leave out scenario, which is"):
+    with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
         cosim.replay(out, scenario=loop)
 
 
@@ -97,7 +95,7 @@ def test_a_recording_that_is_replayed_is_not_written_over(loop, tmp_path):
     assert cosim.replay(path, scenario=loop, map=PLANT)["plant.y"].size
 
 
-def test_what_is_no_mcap_is_refused_as_a_log(tmp_path):
+def test_another_format_is_refused_as_a_log(tmp_path):
     """Whoever reads it says what is wrong."""
     for content in (b"", b"nothing"):
         path = tmp_path / "x.mcap"

@@ -40,7 +40,7 @@ def test_the_coupling_error_is_a_hundredth_of_that_of_gauss_seidel(log):
     assert abs(log["plant.x_a"] - finest).max() < 0.01 * abs(ordinary - finest).max()
 
 
-def test_what_cannot_be_solved_for_is_told_at_the_key_that_wants_it(tmp_path):
+def test_a_loop_that_cannot_be_solved_is_reported_at_its_key(tmp_path):
     """Not at the connections, which are as good as any."""
     write(tmp_path, certified.RELAY)
     path = tmp_path / "small.toml"

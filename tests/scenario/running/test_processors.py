@@ -182,6 +182,7 @@ def child(folder, scenarios, stops, variables):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     platform.libc_ver()[0] != "glibc" or platform.machine() != "x86_64",
     reason="only glibc on x86-64 can be told to leave instructions out",

@@ -18,6 +18,7 @@ from cosim.errors import ClockError, CosimError, ScenarioError, UsageError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
+from tests.case_tables import each_case
 
 # y = x, and x+ = x + u at the end of a period, with u sampled at its start; h = 1 s
 ACCUMULATOR = 'kind = "discrete-state-space", A = [[1.0]], B = [[1.0]], C = [[1.0]]'
@@ -79,7 +80,7 @@ def at_all_points(log, name):
     ],
     ids=["2, 3", "3, 2", "2, 3, 4", "2, 3 with offsets", "no offsets"],
 )
-@pytest.mark.parametrize("block", [1, 5, None])
+@each_case("block", [1, 5, None])
 def test_chain_follows_the_table(rates, offsets, stop, expected, block):
     log = cosim.run(chain_of(*rates, stop=stop, offsets=offsets), block=block)
     for number, row in enumerate(expected, start=1):
@@ -165,7 +166,7 @@ def test_an_fmu_with_a_period_interpolates_or_holds(tmp_path):
         assert len(np.unique(log["c.x"])) == 11
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("keys", "text"),
     [
         ({"period": 0.1, "offset": 0.1}, "offset: found 0.1 s, needed 0 s or more, and less than"),
@@ -185,7 +186,7 @@ def test_rates_that_are_none_are_refused(keys, text):
     assert text in str(error.value)
 
 
-@pytest.mark.parametrize("offset", [-1, 3, 4])
+@each_case("offset", [-1, 3, 4])
 def test_an_offset_beyond_the_period_is_refused(offset):
     one = np.ones((1, 1))
     matrices = system_matrices("accumulator", A=one, B=one, C=one, D=None, x0=None)
@@ -195,8 +196,8 @@ def test_an_offset_beyond_the_period_is_refused(offset):
         Sampled(DiscreteStateSpace(matrices), 3, offset=offset)
 
 
-@pytest.mark.parametrize("keys", ["offset = 0.04", 'input_interpolation = "linear"'])
-def test_what_an_exported_controller_cannot_do_is_refused(tmp_path, keys):
+@each_case("keys", ["offset = 0.04", 'input_interpolation = "linear"'])
+def test_an_exported_controller_has_no_offset_and_no_interpolation(tmp_path, keys):
     path = tmp_path / "sampled.toml"
     path.write_text(FEEDTHROUGH.format(keys=f", period = 0.1, {keys}"), encoding="utf-8")
     with pytest.raises((UsageError, CosimError), match="an exported controller samples first at"):

@@ -11,6 +11,7 @@ from cosim.errors import UsageError
 from cosim.report.summary import summarize
 from cosim.scenario.running import real_time
 from cosim.scenario.running.real_time import RealTimePace, block_steps
+from tests.case_tables import each_case
 
 LIBRARY = Path(cosim.__file__).parent / "scenario" / "library"
 
@@ -107,8 +108,8 @@ def test_the_rows_are_those_of_any_other_run(actions, monkeypatch, tmp_path):
     assert sum(wall.slept) == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), "fast", True])
+@each_case("factor", [0.0, -1.0, float("nan"), float("inf"), "fast", True])
 def test_a_pace_that_is_none_is_refused(factor):
     """Before anything runs."""
-    with pytest.raises(UsageError, match=r"realtime: found .*; needed a"):
+    with pytest.raises(UsageError, match=r"realtime: (expected|found) "):
         cosim.run("academic", realtime=factor)

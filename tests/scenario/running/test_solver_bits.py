@@ -15,6 +15,7 @@ from cosim.report.inspection import describe_log
 from cosim.report.tables.verification import print_verification
 from cosim.report.verification_result import Verification
 from cosim.scenario.exporting import export_component
+from tests.case_tables import each_case
 from tests.scenario.online import COARSE, noisy
 
 # Kernels of OpenBLAS with AVX2 and SSE; that with AVX-512 is a further one of the same kind.
@@ -62,6 +63,7 @@ def plant(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 @KERNELS
 def test_explicit_methods_and_the_residual_form_give_the_same_bits_whatever_blas_computes_with(
     kernels, plant, tmp_path
@@ -85,6 +87,7 @@ def test_explicit_methods_and_the_residual_form_give_the_same_bits_whatever_blas
         assert results[kernel] == first
 
 
+@pytest.mark.slow
 @KERNELS
 def test_estimates_by_output_error_have_the_same_bits_whatever_blas_computes_with(
     kernels, tmp_path
@@ -107,22 +110,31 @@ def test_estimates_by_output_error_have_the_same_bits_whatever_blas_computes_wit
     assert "nan" not in hashes.pop()
 
 
-@pytest.mark.parametrize(
-    ("solver", "library"),
-    [("Radau", "LAPACK"), ("BDF", "LAPACK"), ("LSODA", "ODEPACK"), ("CVode", "SUNDIALS")],
-)
-def test_a_log_says_what_the_bits_of_implicit_solvers_depend_on(solver, library, plant, tmp_path):
-    """Of an FMU and of a generated plant; ``info`` shows it."""
-    sentence = (
-        f"solver {solver} computes with {library}: on another processor the last bits may differ"
-    )
-    for name, swap in (("fmu", {"plant": f"{plant}#me"}), ("generated", {})):
-        log = tmp_path / f"{name}.mcap"
-        settings = {"scenario.stop": 0.02, "plant.solver": solver}
-        cosim.run("academic", swap=swap, set=settings, out=log)
-        assert describe_log(str(log))["metadata"]["plant"]["bits"] == sentence
+IMPLICIT = {"Radau": "LAPACK", "BDF": "LAPACK", "LSODA": "ODEPACK", "CVode": "SUNDIALS"}
 
 
+@each_case(("solver", "library"), IMPLICIT.items())
+def test_a_log_says_what_the_bits_of_implicit_solvers_depend_on(solver, library, tmp_path):
+    """Of a generated plant; ``info`` shows it."""
+    check_bits(solver, library, tmp_path / f"{solver}.mcap", {})
+
+
+@pytest.mark.slow
+@each_case(("solver", "library"), IMPLICIT.items())
+def test_a_log_says_what_the_bits_of_an_fmu_depend_on(solver, library, plant, tmp_path):
+    """As of a generated plant."""
+    check_bits(solver, library, tmp_path / f"{solver}.mcap", {"plant": f"{plant}#me"})
+
+
+def check_bits(solver, library, log, swap):
+    """Check what is said of the bits of a run with an implicit solver."""
+    settings = {"scenario.stop": 0.02, "plant.solver": solver}
+    cosim.run("academic", swap=swap, set=settings, out=log)
+    bits = describe_log(str(log))["metadata"]["plant"]["bits"]
+    assert bits.startswith(f"solver {solver} computes with {library}: ")
+
+
+@pytest.mark.slow
 def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, capsys):
     """Of two runs with different tolerances the first value that differs, and the solver's note."""
     runs = []
@@ -153,8 +165,8 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
     assert "note: plant: solver BDF computes with LAPACK: on another processor" in message
 
 
-@pytest.mark.parametrize("solver", ["exact", *EXPLICIT])
+@each_case("solver", ["exact", *EXPLICIT])
 def test_a_log_says_nothing_of_bits_where_they_depend_on_nothing(solver, tmp_path):
-    log = tmp_path / "x.mcap"
+    log = tmp_path / f"{solver}.mcap"
     cosim.run("academic", set={"scenario.stop": 0.02, "plant.solver": solver}, out=log)
     assert "bits" not in describe_log(str(log))["metadata"]["plant"]

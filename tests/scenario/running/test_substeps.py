@@ -16,6 +16,7 @@ from cosim.report.tables.run import print_summary
 from cosim.report.verification import verify
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.recorded_metadata import recorded_loop_gains
+from tests.case_tables import each_case
 from tests.log.crafting import put_together, take_apart
 
 DRIVEN = """
@@ -273,7 +274,7 @@ def test_a_certificate_of_chosen_steps_is_refused(pair, how):
         cosim.run(pair, **how)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("key", "value", "text"),
     [
         ("min", 0.02, r"min: expected at most 0.005 s, .*got 0.02 s"),

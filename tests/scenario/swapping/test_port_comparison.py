@@ -123,7 +123,7 @@ def test_a_row_shows_what_its_port_stands_for():
     assert {row.port for row in rows if row.connected} == {"u", ""}
 
 
-def test_what_fits_best_is_proposed_with_its_reasons():
+def test_the_best_match_is_proposed_with_its_reasons():
     """Unit and size decide what fits, initial value and dependencies which is likelier.
 
     Several that are equal are all proposed, elements too.

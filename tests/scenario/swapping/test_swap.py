@@ -14,8 +14,8 @@ from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from tests.fmi.compiled import write_archive
-from tests.scenario.signals import signals
+from tests.scenario.fmu_edits import rewritten
+from tests.scenario.signals import COARSE, signals
 
 ONE = {"components.one": {"kind": "constant", "value": 1.0}}
 FOREIGN2 = {
@@ -23,8 +23,6 @@ FOREIGN2 = {
     "connections.plant.gain": "one.y",
     "connections.plant.sign": "one.y",
 }  # inputs that the scenario does not have
-
-DESCRIPTION = "modelDescription.xml"
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +43,7 @@ def relative(run, other, signal):
     return abs(run[signal] - other[signal]).max() / abs(run[signal]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_an_exported_plant_takes_the_plants_place(plant, generated, interface_type):
     """The plant's outputs agree within 1e-12 of each signal's largest value.
@@ -62,23 +61,22 @@ def test_an_exported_plant_takes_the_plants_place(plant, generated, interface_ty
     assert relative(generated, run, "observer.delta") <= 1e-9
 
 
-def test_model_exchange_with_the_same_solver_has_the_same_bits(plant, generated):
+def test_model_exchange_with_the_same_solver_has_the_same_bits(plant):
     """The generated instance and the FMU have the same arithmetic: they call the same C."""
-    run = cosim.run(
-        "academic", swap={"plant": plant}, set={"plant.solver": "rk4", "scenario.stop": 10.0}
-    )
-    assert cosim.diff(generated, run).equal
+    changes = {**COARSE, "plant.solver": "rk4"}
+    run = cosim.run("academic", swap={"plant": plant}, set=changes)
+    assert cosim.diff(cosim.run("academic", set=changes), run).equal
 
 
 def test_co_simulation_has_the_bits_of_the_exact_solver(plant):
     """The FMU discretizes with the same C as the generated plant."""
-    exact = cosim.run("academic", set={"scenario.stop": 10.0})
-    run = cosim.run(
-        "academic", swap={"plant": plant}, set={"plant.interface_type": "cs", "scenario.stop": 10.0}
-    )
+    exact = cosim.run("academic", set=COARSE)
+    changes = {**COARSE, "plant.interface_type": "cs"}
+    run = cosim.run("academic", swap={"plant": plant}, set=changes)
     assert cosim.diff(exact, run).equal
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
     """FMI 3 model exchange by pythonfmu3: the derivatives are its own, the solver is ours.
@@ -96,6 +94,7 @@ def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
     assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "changes"),
     [
@@ -134,6 +133,7 @@ def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, chang
     assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 6e-6
 
 
+@pytest.mark.slow
 def test_an_fmu_without_dependencies_is_warned_of(foreign2):
     """Unknown feedthrough is reported, not guessed."""
     run = cosim.run("academic", swap={"plant": foreign2}, set={**FOREIGN2, "scenario.stop": 0.01})
@@ -147,9 +147,7 @@ def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
     """The FMU's signals come from the log."""
     copy = tmp_path / "copy.fmu"
     copy.write_bytes(plant.read_bytes())
-    log = cosim.run(
-        "academic", swap={"plant": copy}, set={"scenario.stop": 8.0}, out=tmp_path / "a.mcap"
-    )
+    log = cosim.run("academic", swap={"plant": copy}, set=COARSE, out=tmp_path / "a.mcap")
     copy.unlink()
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
     assert "plant/modelDescription.xml" in log.attachments
@@ -189,6 +187,7 @@ def test_a_sampled_fmu_responds_at_its_own_step(plant, tmp_path):
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
 
 
+@pytest.mark.slow
 def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch, capsys):
     """Nothing runs; every port is shown.
 
@@ -227,7 +226,7 @@ def test_a_missing_output_is_refused_before_the_run(plant, tmp_path):
     path = rewritten(plant, tmp_path / "renamed.fmu", ('name="y"', 'name="y_m"'))
     with pytest.raises(
         ScenarioError,
-        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, "
+        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?Available: y_m, "
         r"x_a, x_b",
     ):
         cosim.run("academic", swap={"plant": path})
@@ -277,18 +276,6 @@ def test_states_that_are_no_outputs_are_logged_too(tmp_path):
     for interface_type in ("me", "cs"):
         run = cosim.run(scenario, swap={"c": hidden}, set={"c.interface_type": interface_type})
         assert run["c.x"][-1] == pytest.approx(1.0 - np.exp(-0.1), rel=1e-9)
-
-
-def rewritten(path, target, *edits, members=lambda name: True):
-    """Copy an FMU with its modelDescription.xml edited and some members left out."""
-    kept: dict[str, bytes] = {}
-    with zipfile.ZipFile(path) as source:
-        for name in filter(members, source.namelist()):
-            kept[name] = source.read(name)
-    for before, after in edits:
-        assert before.encode() in kept[DESCRIPTION]
-        kept[DESCRIPTION] = kept[DESCRIPTION].replace(before.encode(), after.encode())
-    return write_archive(target, kept)
 
 
 def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path):

@@ -14,6 +14,8 @@ from cosim.scenario.exporting import export_component
 from tests.scenario.signals import signals
 from tests.scenario.swapping.renamed import MAP, renamed
 
+pytestmark = pytest.mark.slow
+
 SHORT = {"scenario.stop": 9.0}  # theta is there from 6.5 s on
 RK4 = {"plant.solver": "rk4"}
 ME = {"plant.interface_type": "me", "plant.solver": "rk4"}

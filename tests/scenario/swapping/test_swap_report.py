@@ -25,21 +25,31 @@ from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.swapping.port_comparison import ComparedAspect
 from cosim.scenario.swapping.swap_comparison import compare_swaps
 from cosim.scenario.swapping.swap_report import SwapReport, row_texts
+from tests.scenario.fmu_edits import rewritten
 from tests.scenario.swapping.renamed import MAP, packed, renamed
-from tests.scenario.swapping.test_swap import rewritten
 
 SHORT = {"scenario.stop": 0.1}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Write the plant as it is, renamed, packed into a vector, and as a log."""
+    """Write the plant as it is, and as a log."""
     folder = tmp_path_factory.mktemp("plants")
     export_component("academic", "plant", folder / "plant.fmu")
-    renamed(folder / "other.fmu")
-    packed(folder / "packed.fmu")
     cosim.run("academic", set=SHORT, out=folder / "log.mcap")
     return folder
+
+
+@pytest.fixture(scope="module")
+def with_other(folder):
+    """Write the plant with other port names beside it."""
+    renamed(folder / "other.fmu")
+
+
+@pytest.fixture(scope="module")
+def with_packed(folder):
+    """Write the plant with a vector of outputs beside it."""
+    packed(folder / "packed.fmu")
 
 
 def report(folder, name, maps=None, **changes):
@@ -94,6 +104,7 @@ def test_another_interface_type_and_start_are_listed_and_warned_of_in_one_line(f
     assert kept == json.loads(json.dumps(found.reports["plant"].to_dict()))
 
 
+@pytest.mark.usefixtures("with_other")
 def test_renamed_ports_are_proposed_and_never_applied(folder):
     """Each by its option, with the reason; taken at their word, the proposals make the run."""
     with pytest.raises(ScenarioError) as caught:
@@ -118,6 +129,7 @@ def test_renamed_ports_are_proposed_and_never_applied(folder):
     assert not report(folder, "other.fmu", maps).problems
 
 
+@pytest.mark.usefixtures("with_packed")
 def test_an_element_of_a_vector_is_proposed(folder):
     """Of out = (x_b, x_b, y) only the last begins at 1 and has the static gains of y."""
     found = report(
@@ -126,6 +138,7 @@ def test_an_element_of_a_vector_is_proposed(folder):
     assert [(one.port, one.name) for one in found.reports["plant"].proposals] == [("y", "out[2]")]
 
 
+@pytest.mark.usefixtures("with_other")
 def test_a_mapped_port_is_compared_with_the_one_it_replaces(folder):
     """Under both names; it is shown with the scenario's."""
     found = report(folder, "other.fmu", MAP)
@@ -153,7 +166,7 @@ def test_a_recording_says_what_it_does_not_know(folder):
     assert verdicts(found, "ok")["y", "initial output"] == "ok"
 
 
-def test_what_is_replaced_need_not_work(folder):
+def test_the_replaced_component_need_not_work(folder):
     """The scenario's own plant is broken: nothing to compare with, nothing in the way."""
     document = find("academic")
     text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
@@ -162,6 +175,7 @@ def test_what_is_replaced_need_not_work(folder):
     assert (found.reports, found.problems) == ({}, ())
 
 
+@pytest.mark.usefixtures("with_other")
 def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     """Exit 2 where the run would stop, 0 where it would not."""
     with pytest.raises(SystemExit) as left:
@@ -313,7 +327,8 @@ def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
     assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
 
 
-def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):
+@pytest.mark.slow
+def test_poles_of_an_fmu_that_cannot_be_linearized_are_unknown(folder, tmp_path):
     """For co-simulation the FMU would be loaded once more; start values must be numbers."""
     once = (
         'canBeInstantiatedOnlyOncePerProcess="false"',

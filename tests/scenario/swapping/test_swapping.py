@@ -16,11 +16,12 @@ from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
+from tests.case_tables import each_case
+from tests.scenario.signals import COARSE
 from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
-SHORT = {"scenario.stop": 7.0}
 BY_HAND = (
     (
         r'kind = "descriptor"\nmodel = "academic"\nx_a0 = \[1.0, -1.0\]\n',
@@ -40,13 +41,18 @@ def other(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def vector(tmp_path_factory):
+    return packed(tmp_path_factory.mktemp("packed") / "packed.fmu")
+
+
+@pytest.fixture(scope="module")
 def by_hand(other):
     """Run the scenario that was edited by hand."""
     text = find("academic").text
     for before, after in BY_HAND:
         text, count = re.subn(before, after.replace("PATH", str(other)), text)
         assert count == 1
-    return cosim.run(parse(replace(find("academic"), text=text).with_changes(SHORT)))
+    return cosim.run(parse(replace(find("academic"), text=text).with_changes(COARSE)))
 
 
 def signals(run):
@@ -67,6 +73,8 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
     options = []
     for port, name in MAP.items():
         options += ["--map", f"{port}={name}"]
+    for key, value in COARSE.items():
+        options += ["--set", f"{key}={value}"]
     with pytest.raises(SystemExit) as left:
         main(
             [
@@ -75,8 +83,6 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
                 "--swap",
                 f"plant={other}",
                 *options,
-                "--stop",
-                "7",
                 "--out",
                 "a.mcap",
                 "--quiet",
@@ -89,11 +95,11 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
         f'{port} = "{name}"' for port, name in MAP.items()
     )
     runs = [
-        cosim.run("academic", swap={"plant": other}, map=MAP, set=SHORT),
-        cosim.run(cosim.load("academic").swap(plant=other, map=MAP).set(SHORT)),
+        cosim.run("academic", swap={"plant": other}, map=MAP, set=COARSE),
+        cosim.run(cosim.load("academic").swap(plant=other, map=MAP).set(COARSE)),
         cosim.open_log("a.mcap"),
-        cosim.run(parse(text_with(table).with_changes(SHORT))),
-        cosim.run(parse(text_with(nested).with_changes(SHORT))),
+        cosim.run(parse(text_with(table).with_changes(COARSE))),
+        cosim.run(parse(text_with(nested).with_changes(COARSE))),
     ]
     expected = signals(by_hand)
     for port, name in SHOWN.items():
@@ -114,9 +120,8 @@ def test_a_swapped_run_is_measured_and_the_same(other):
     assert cosim.diff(measured, plain).equal
 
 
-def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
+def test_an_element_may_take_a_ports_place(by_hand, vector, tmp_path):
     """out[2] is y, for the observer and in the truth; the vector is recorded too."""
-    path = packed(tmp_path / "packed.fmu")
     document = replace(
         find("academic"),
         text=find("academic").text.replace(
@@ -124,7 +129,7 @@ def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
         ),
     )
     run = cosim.run(
-        parse(document.with_swaps({"plant": str(path)}, PACKED).with_changes(SHORT)),
+        parse(document.with_swaps({"plant": str(vector)}, PACKED).with_changes(COARSE)),
         out=tmp_path / "a.mcap",
     )
     assert (run["observer.delta"] == by_hand["observer.delta"]).all()
@@ -140,7 +145,7 @@ def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
     """The map is in the log with the swap."""
     copy = tmp_path / "copy.fmu"
     copy.write_bytes(other.read_bytes())
-    log = cosim.run("academic", swap={"plant": copy}, map=MAP, set=SHORT, out=tmp_path / "a.mcap")
+    log = cosim.run("academic", swap={"plant": copy}, map=MAP, set=COARSE, out=tmp_path / "a.mcap")
     copy.unlink()
     assert json.loads(log.metadata["cosim.run"]["edits"])["maps"] == MAP
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
@@ -159,27 +164,25 @@ def test_a_port_has_one_name(other):
     assert run["observer.y"].tolist() == run["plant.y"].tolist()
 
 
-@pytest.mark.parametrize(
-    "names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""]
-)
+@each_case("names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""])
 def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
     """A list in Python and in the file, or text on the command line, give the same bits."""
     maps = {**MAP, "plant.x_a": names}
-    runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=SHORT)]
+    runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=COARSE)]
     if not isinstance(names, str):
         entries = ", ".join(f'"{port}" = {json.dumps(name)}' for port, name in maps.items())
         document = text_with(f'plant = {{ path = "{other}", map = {{ {entries} }} }}')
-        runs.append(cosim.run(parse(document.with_changes(SHORT)), out=tmp_path / "a.mcap"))
-        assert cosim.diff(runs[1], cosim.replay(tmp_path / "a.mcap")).equal
+        out = tmp_path / f"{len(names)}.mcap"
+        runs.append(cosim.run(parse(document.with_changes(COARSE)), out=out))
+        assert cosim.diff(runs[1], cosim.replay(out)).equal
     for run in runs:
         assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
 
 
-def test_scalars_may_make_a_vector_and_an_input_its_elements(tmp_path):
+def test_scalars_may_make_a_vector_and_an_input_its_elements(vector):
     """Each element of x_a in its place, turned round; what nothing covers keeps its own name."""
-    path = packed(tmp_path / "packed.fmu")
     names = {**PACKED, "plant.x_a": ["out[2]", "out[0]"]}
-    run = cosim.run("academic", swap={"plant": path}, map=names, set={"scenario.stop": 0.1})
+    run = cosim.run("academic", swap={"plant": vector}, map=names, set={"scenario.stop": 0.1})
     assert (run["plant.x_a"] == run["plant.out"][:, [2, 0]]).all()
     assert run["plant.s"].shape == (101, 2)
 
@@ -189,9 +192,9 @@ def test_a_recorded_plant_may_be_mapped(by_hand, other, tmp_path):
     text = find("academic").text
     for before, after in BY_HAND:
         text = re.sub(before, after.replace("PATH", str(other)), text)
-    document = replace(find("academic"), text=text).with_changes(SHORT)
+    document = replace(find("academic"), text=text).with_changes(COARSE)
     cosim.run(parse(document), out=tmp_path / "a.mcap")
-    run = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, map=MAP, set=SHORT)
+    run = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, map=MAP, set=COARSE)
     assert run["plant.y"].tolist() == by_hand["plant.out1"].tolist()
     assert run["observer.delta"].tolist() == by_hand["observer.delta"].tolist()
 
@@ -203,7 +206,9 @@ def test_a_swap_of_the_file_may_choose_the_interface_type_and_give_way_to_an_opt
 
     An option replaces the entry, its map too.
     """
-    document = replace(text_with('plant = "other.fmu#cs"'), folder=other.parent).with_changes(SHORT)
+    document = replace(text_with('plant = "other.fmu#cs"'), folder=other.parent).with_changes(
+        COARSE
+    )
     entry = replace(document, maps=MAP)
     assert parse(entry).specs["plant"].interface_type == "cs"
     with pytest.raises(ScenarioError, match="must_not_be"):
@@ -264,7 +269,7 @@ WRONG = {
     "no such output there, for the truth": (
         True,
         {**MAP, "plant.x_a": "t"},
-        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; there is",
+        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; available",
     ),
     "no such element": (
         True,
@@ -339,12 +344,12 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
+@each_case("case", WRONG)
 def test_a_wrong_map_is_reported(case, other):
     """The option, what was found, the nearest."""
     swapped, maps, text = WRONG[case]
     with pytest.raises(ScenarioError, match=text):
-        cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=SHORT)
+        cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=COARSE)
 
 
 def test_all_that_is_wrong_is_reported_at_once(other):
@@ -364,7 +369,7 @@ def test_all_that_is_wrong_is_reported_at_once(other):
         assert text in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("swap", "text"),
     [
         ("plant = 3", r"academic:\d+: swap\.plant: found 3; needed a table"),
@@ -435,6 +440,7 @@ def test_who_is_swapped_again_loses_its_own_map_only():
     }
 
 
+@pytest.mark.slow
 def test_elements_of_an_input_may_be_turned_round(tmp_path):
     """As the list form does; an input is no output."""
     inputs = (Signal("u", 2, role="input"),)
@@ -489,7 +495,7 @@ def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
     """
     names = {**MAP, "plant.x_b": "aux"}
     log = cosim.run(
-        "academic", swap={"plant": other}, map=names, set=SHORT, out=tmp_path / "a.mcap"
+        "academic", swap={"plant": other}, map=names, set=COARSE, out=tmp_path / "a.mcap"
     )
     assert log["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
     assert "aux" not in [signal.name for signal in log.channels["plant"].signals]
@@ -500,7 +506,7 @@ def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
     with pytest.raises(
         ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.push' is an input of 'pl"
     ):
-        cosim.run("academic", swap={"plant": other}, map=wrong, set=SHORT)
+        cosim.run("academic", swap={"plant": other}, map=wrong, set=COARSE)
 
 
 def test_where_the_replaced_is_unknown_a_map_may_name_its_ports(other, by_hand):
@@ -509,11 +515,11 @@ def test_where_the_replaced_is_unknown_a_map_may_name_its_ports(other, by_hand):
     document = replace(find("academic"), text=text)
     swaps = {"plant": str(other)}
     names = {**MAP, "plant.x_b": "aux"}
-    run = cosim.run(parse(document.with_swaps(swaps, names).with_changes(SHORT)))
+    run = cosim.run(parse(document.with_swaps(swaps, names).with_changes(COARSE)))
     assert run["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
     wrong = {**MAP, "plant.x_b": "auxx"}
     with pytest.raises(ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.auxx': 'plant' has no"):
-        cosim.run(parse(document.with_swaps(swaps, wrong).with_changes(SHORT)))
+        cosim.run(parse(document.with_swaps(swaps, wrong).with_changes(COARSE)))
 
 
 def test_a_comparison_takes_lists_of_ports_too(other):

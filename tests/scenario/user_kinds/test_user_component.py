@@ -211,12 +211,12 @@ def test_other_code_than_that_of_the_log_is_refused(folder):
     found = user_code.load_class("relay:Relay", folder).sources["relay.py"]
     with pytest.raises(ScenarioError) as error:
         cosim.replay("a.mcap", allow_code=True)
-    assert str(error.value) == (
-        "thermostat.toml:9: components.relay: found relay.py with the SHA-256 "
-        f"{found}, that of the log's run: {recorded}; needed the same code: "
-        "set={'relay.class': 'relay:Relay'} takes it as it is now, for another replay than that of "
-        "the log"
-    )
+    for text in (
+        "thermostat.toml:9: components.relay: ",
+        f"relay.py with the SHA-256 {found}; the recorded run had {recorded}",
+        "set={'relay.class': 'relay:Relay'}",
+    ):
+        assert text in str(error.value)
     again = cosim.replay("a.mcap", set={"relay.class": "relay:Relay"})
     assert summarize(again).copied_code == {}
     assert cosim.diff(again, cosim.run("thermostat.toml")).equal

@@ -215,7 +215,7 @@ def test_what_a_replay_takes_is_right(logs):
         ),
         (
             {"replay": "a-*.mcap", "vary": {"scenario.step": [0.01]}},
-            "scenario.step = 0.01: .*a replay keeps the recorded",
+            "scenario.step = 0.01: .*expected the recorded",
         ),
         (
             {"replay": ["a-1.mcap", "b.mcap"], "vary": {"sensor.noise": [0.01]}},
