@@ -189,7 +189,7 @@ def test_an_estimate_at_a_bound_names_it(bounds, side, bound, sigma):
     assert parameter.lower is None
 
 
-def test_what_is_inconsistent_has_no_interval():
+def test_an_inconsistent_parameter_has_no_interval():
     """There is none that holds."""
     data = measured(1.0)
     wrong = DataSet(data.t, data.y + 0.1 * np.sin(data.t)[:, np.newaxis], data.u, data.alpha)
@@ -257,7 +257,7 @@ def test_a_failed_test_of_several_data_sets_names_that_of_it():
 
 def test_a_single_sample_is_no_record():
     """Refused by name, before a time scale is divided by its length."""
-    with pytest.raises(AssumptionError, match="found a single sample, at 0 s"):
+    with pytest.raises(AssumptionError, match="a single sample at 0 s"):
         assess(OutputErrorProblem([measured(1.0, t=T[:1])], plant(1), ONE))
 
 
