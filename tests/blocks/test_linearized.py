@@ -142,5 +142,5 @@ def test_what_has_no_steps_of_one_kind_is_not_linearized(make):
 def test_matrices_that_do_not_fit_together_are_refused():
     """With the name of the matrix, found and needed shape."""
     square = np.zeros((2, 2))
-    with pytest.raises(GraphError, match=r"linearized: B has shape \(2, 2\), needed \(2, 1\)"):
+    with pytest.raises(GraphError, match=r"linearized: B:.*shape \(2, 1\).*\(2, 2\)"):
         Linearized(square, square, np.zeros((1, 2)), np.zeros((1, 1)))

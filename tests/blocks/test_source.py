@@ -127,15 +127,15 @@ def test_a_table_does_not_change_with_the_arrays_it_was_made_from():
         (
             [0.0],
             [[1.0]],
-            "found 1 instants and 1 values, needed the same number of both, at least 2",
+            r"values.*instants, at least 2.*1 instants and 1 values",
         ),
-        ([0.0, 1.0], [[1.0]], "found 2 instants and 1 values"),
-        ([0.0, np.nan], [[1.0], [2.0]], "found NaN or infinity, needed finite numbers"),
-        ([0.0, 1.0], [[1.0], [np.inf]], "found NaN or infinity, needed finite numbers"),
+        ([0.0, 1.0], [[1.0]], r"values.*instants.*2.*2 instants and 1 values"),
+        ([0.0, np.nan], [[1.0], [2.0]], r"finite numbers.*NaN or infinity"),
+        ([0.0, 1.0], [[1.0], [np.inf]], r"finite numbers.*NaN or infinity"),
         (
             [0.0, 1.0, 0.5],
             [[1.0], [2.0], [3.0]],
-            r"t\[2\] = 0.5 s does not come after 1.0 s; needed increasing instants",
+            r"increasing instants.*t\[2\] = 0\.5 s after.*= 1\.0 s",
         ),
     ],
 )
@@ -207,6 +207,6 @@ def test_a_slope_beyond_all_numbers_is_refused():
     """Between finite points it may be infinite."""
     t = np.array([0.0, 5e-324, 1.0])
     y = np.array([[0.0], [1.0], [1.0]])
-    with pytest.raises(UsageError, match=r"t\[0\] = 0\.0 s and 5e-324 s the slope of y is beyond"):
+    with pytest.raises(UsageError, match=r"the slope of y.*t\[0\] = 0\.0 s and 5e-324 s"):
         Table(t, y)
     assert Table(t, y, hold=True).outputs(0.0, np.zeros(0)) == 0.0

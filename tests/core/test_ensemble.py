@@ -121,7 +121,7 @@ def test_what_cannot_take_a_place_is_refused():
     own = dict(graph.components)
     with pytest.raises(GraphError, match=r"there is no component 'aa'; did you mean 'a'"):
         run_members(graph, CLOCK, [{"aa": integrator()}])
-    with pytest.raises(GraphError, match="component 'a': another one has another interface"):
+    with pytest.raises(GraphError, match=r"component 'a':.*interface"):
         run_members(graph, CLOCK, [{"a": through()}])
     assert graph.components == own
     with pytest.raises(UsageError, match="clock: found"):

@@ -361,7 +361,7 @@ def test_memory_names_what_was_not_recorded():
     """With the nearest name."""
     memory = Memory()
     run(small(), Clock(1.0, 0.1), memory)
-    with pytest.raises(LogError, match="the run has no component 'x'; there is: u, s, d"):
+    with pytest.raises(LogError, match=r"the run has no component 'x'.*u, s, d"):
         memory["x.y"]
     with pytest.raises(
         LogError, match=r"'s\.u3': 's' has no signal 'u3'; did you mean 'u2'\? There is: u1, u2, y"

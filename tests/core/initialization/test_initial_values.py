@@ -128,7 +128,7 @@ def test_an_input_that_nothing_drives_yet_has_its_start_value():
 
 def test_start_values_have_the_size_of_their_signal():
     """One number an element."""
-    with pytest.raises(GraphError, match="signal 'u': 2 start values, needed 3 or none"):
+    with pytest.raises(GraphError, match=r"signal 'u':.*3 start values, or none.*2"):
         Signal("u", 3, start=(1.0, 2.0))
 
 
@@ -301,7 +301,9 @@ def test_missing_values_are_kept_only_where_they_may_be_missing():
     root = {"x": Starter(lambda u: np.sqrt(u - 1.0) - 3.0)}
     refused(root, {"x.u": Connection("x.y", 1.0, 0.5)}, "Newton's method ended with a residual of ")
     refused(
-        root, {"x.u": Connection("x.y", 1.0, 0.5)}, "needed at most 0, as 'x.y' became nan; give"
+        root,
+        {"x.u": Connection("x.y", 1.0, 0.5)},
+        "x.y -> x.u, which form an algebraic loop at initialization: Newton's method ended",
     )
 
 

@@ -295,7 +295,7 @@ def test_where_a_run_ends_no_action_is_performed(until, steps):
 
 
 REFUSED = {
-    "x.y": "condition 'x.y': found 'x.y'; needed a comparison",
+    "x.y": "condition 'x.y': got 'x.y'",
     "x.v > 1": "the graph has no 'x.v': 'x' has no signal 'v'; ",
     "x.y > 1 for 70 ms": "for: 0.07 s is not a whole number of 0.05 s steps; nearest: 0.05 s",
 }
@@ -307,7 +307,7 @@ def test_what_is_no_condition_of_the_graph_is_refused(until):
     with pytest.raises(UsageError) as error:
         recorded(until)
     assert REFUSED[until] in str(error.value)
-    with pytest.raises(UsageError, match="until: found 1"):
+    with pytest.raises(UsageError, match=r"until:.*1"):
         recorded(1)
 
 

@@ -292,7 +292,7 @@ def test_results_may_be_views_that_change_later(build):
 def test_one_object_under_two_names_is_refused():
     """It has one state, and would advance twice in every step."""
     part = integrator()
-    with pytest.raises(GraphError, match="components 'a' and 'b' are one object"):
+    with pytest.raises(GraphError, match=r"components 'a' and 'b' are.*object"):
         Graph({"a": part, "b": part, "c": constant([1.0])}, {"a.u": "c.y", "b.u": "c.y"})
 
 
@@ -335,12 +335,12 @@ def test_an_interface_can_be_copied_and_sent():
         ({"feedthrough": {"Y": ("u",)}}, "feedthrough: there is no output 'Y'; "),
         ({"feedthrough": {"y": ("U",)}}, "feedthrough of 'y': there is no input 'U'; "),
         ({"initial": {"y": ("y",)}}, "initial of 'y': there is no input 'y'"),
-        ({"initial": {"y": "u"}}, "initial of 'y': found 'u', needed a tuple of input names"),
+        ({"initial": {"y": "u"}}, r"initial of 'y':.*a tuple of input names.*'u'"),
         ({"delayed": ("y",)}, "delayed: there is no input 'y'"),
-        ({"delayed": "u"}, "delayed: found 'u', needed a tuple of input names"),
-        ({"feedthrough": ["y"]}, r"feedthrough: found \['y'\], needed input names by output name"),
-        ({"outputs": ("y",)}, "outputs: found 'y', needed a Signal"),
-        ({"inputs": 3}, "inputs: found 3, needed a tuple of Signal"),
+        ({"delayed": "u"}, r"delayed:.*a tuple of input names.*'u'"),
+        ({"feedthrough": ["y"]}, r"feedthrough:.*output names.*input names.*\['y'\]"),
+        ({"outputs": ("y",)}, r"outputs:.*a Signal.*'y'"),
+        ({"inputs": 3}, r"inputs:.*a tuple of Signal.*3"),
     ],
 )
 def test_declarations_of_what_is_not_there_are_refused(options, text):
@@ -353,26 +353,26 @@ def test_declarations_of_what_is_not_there_are_refused(options, text):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"name": 5}, "signal 5: needed a string that is not empty as its name"),
-        ({"size": 0}, "signal 'y': size 0, needed at least 1"),
-        ({"size": 1.5}, r"signal 'y': size 1\.5, needed at least 1"),
-        ({"size": True}, "signal 'y': size True, needed at least 1"),
+        ({"name": 5}, r"signal name:.*string.*5"),
+        ({"size": 0}, r"signal 'y': size:.*at least 1.*0"),
+        ({"size": 1.5}, r"signal 'y': size:.*at least 1.*1\.5"),
+        ({"size": True}, r"signal 'y': size:.*at least 1.*True"),
         ({"variability": "discret"}, "signal 'y': variability 'discret'; did you mean 'discrete'"),
         ({"type": "int"}, "signal 'y': type 'int'; did you mean 'integer'"),
         ({"role": "out"}, "signal 'y': role 'out'; did you mean"),
-        ({"name": ""}, "signal '': needed a string that is not empty as its name"),
-        ({"unit": 5}, "signal 'y': unit 5, needed a string or None"),
-        ({"optional": 1}, "signal 'y': optional 1, needed True or False"),
-        ({"base": "m"}, "signal 'y': base 'm', needed a BaseUnit or None"),
+        ({"name": ""}, r"signal name:.*string.*''"),
+        ({"unit": 5}, r"signal 'y': unit:.*a string or None.*5"),
+        ({"optional": 1}, r"signal 'y': optional:.*True or False.*1"),
+        ({"base": "m"}, r"signal 'y': base:.*a BaseUnit or None.*'m'"),
         (
             {"start": [1.0]},
-            r"signal 'y': start \[1\.0\], needed a tuple of numbers, none of them NaN",
+            r"signal 'y': start:.*a tuple of numbers, none of them NaN.*\[1\.0\]",
         ),
-        ({"start": (np.nan,)}, r"start \(nan,\), needed a tuple of numbers, none of them NaN"),
+        ({"start": (np.nan,)}, r"start:.*a tuple of numbers, none of them NaN.*\(nan,\)"),
         ({"connection": "requierd"}, "connection 'requierd'; did you mean 'required'"),
-        ({"first": "x"}, "first 'x', needed a whole number from 0 on"),
-        ({"first": -1}, "first -1, needed a whole number from 0 on"),
-        ({"description": 5}, "description 5, needed a string"),
+        ({"first": "x"}, r"first:.*0.*'x'"),
+        ({"first": -1}, r"first:.*0.*-1"),
+        ({"description": 5}, r"description:.*a string.*5"),
     ],
 )
 def test_signals_that_are_none_are_refused(options, text):

@@ -65,7 +65,9 @@ def test_a_loop_that_grows_without_end_stops_the_run():
     memory, text = run_away(growing())
     peaks = np.maximum(np.abs(memory["a.y"]), np.abs(memory["b.y"]))
     assert peaks[-1] <= LIMIT < peaks[-1] * ROOT * 1.001
-    assert "ran away to" in text
+    assert (
+        "'a.u' diverges: -1.47e+12 at t = 0.51 s, after growth by a steady factor of 1.732" in text
+    )
     assert "its loop grows by a steady factor of 1.732 a step" in text
     assert "b.y -> a.u" in text
     assert f"at t = {0.01 * len(peaks):.12g}" in text

@@ -421,7 +421,7 @@ def test_substeps_that_are_missing_are_named():
     first = next(substep for substep in whole if substep.accepted)
     for damaged in ([], [s for s in whole if s is not first], whole[:-1]):
         original.substeps = lambda damaged=damaged: damaged
-        with pytest.raises(LogError, match=r"substeps of the loop of 'one' .* are not whole"):
+        with pytest.raises(LogError, match=r"the substeps of the loop of 'one'.*loop.*step"):
             again(original)
 
 
@@ -579,19 +579,21 @@ def test_a_component_that_others_follow_through_a_step_is_refused():
     """It would have to be known between communication points."""
     components = {"one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0), "whole": Follows()}
     connections = {"one.u": "whole.y", "whole.u": "one.y"}
-    with pytest.raises(GraphError, match="whole in this loop cannot take parts of a step"):
+    with pytest.raises(
+        GraphError, match=r"whole in this loop cannot take part of a step.*step.*a loop.*step"
+    ):
         Graph(components, connections, substeps=tolerance(1e-6))
 
 
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"rtol": -1e-6}, "rtol: found -1e-06, needed a number, 0 or more"),
-        ({"atol": math.nan}, "atol: found nan, needed a number, 0 or more"),
-        ({"rtol": "small"}, "rtol: found 'small', needed a number, 0 or more"),
-        ({"rtol": 0.0, "atol": 0.0}, "rtol = atol = 0, needed one of them above 0"),
-        ({"min_ns": 0}, "min_ns: found 0, needed a whole number of nanoseconds, at least 1"),
-        ({"min_ns": 1.5}, "min_ns: found 1.5, needed a whole number of nanoseconds, at least 1"),
+        ({"rtol": -1e-6}, r"rtol:.*0.*-1e-06"),
+        ({"atol": math.nan}, r"atol:.*0.*nan"),
+        ({"rtol": "small"}, r"rtol:.*0.*'small'"),
+        ({"rtol": 0.0, "atol": 0.0}, r"rtol.*0.*atol.*0.*rtol = atol = 0"),
+        ({"min_ns": 0}, r"min_ns:.*1.*0"),
+        ({"min_ns": 1.5}, r"min_ns:.*1.*1\.5"),
     ],
 )
 def test_a_wrong_tolerance_is_refused(values, text):
@@ -603,7 +605,7 @@ def test_a_wrong_tolerance_is_refused(values, text):
 def test_a_shortest_substep_that_is_no_half_of_a_step_is_refused():
     """There would be nothing to choose."""
     graph = pair(substeps=SubstepTolerance(min_ns=6_000_000))
-    text = "min: found 0.006 s, longer than half a step of 0.01 s; needed at most 0.005 s"
+    text = r"min:.*at most 0\.005 s, half.*step of 0\.01 s.*0\.006 s"
     with pytest.raises(GraphError, match=text):
         graph.prepare(10_000_000)
 

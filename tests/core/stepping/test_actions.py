@@ -225,7 +225,7 @@ def test_a_graph_has_its_own_components_again_behind_a_run():
 def test_a_variant_needs_the_same_interface_and_a_state():
     """Refused before the run."""
     graph = chain()
-    with pytest.raises(GraphError, match="'g': another one has another interface"):
+    with pytest.raises(GraphError, match=r"'g':.*interface"):
         graph.prepare_variant("g", integrator(), clock().step_ns, {})
     components = {"s": Scripted([1.0] * 50)}
     graph = Graph(components, {})

@@ -248,7 +248,7 @@ def test_elements_that_nothing_drives_keep_their_start_values(start, driven, und
 def test_an_input_with_a_start_value_of_its_own_is_not_connected_in_part():
     """Which of its elements have it is not known, so none is overwritten."""
     sink = Sink(Signal("u", 2, start=(1.0, 2.0), connection="forbidden"))
-    with pytest.raises(GraphError, match=r"^'sink\.u' is connected in part, and has a start value"):
+    with pytest.raises(GraphError, match=r"'sink\.u' is connected in part and has.*start value"):
         Graph({"a": constant([1.0]), "sink": sink}, {"sink.u[0]": "a.y"})
 
 
