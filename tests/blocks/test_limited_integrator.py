@@ -74,5 +74,5 @@ def test_limits_that_are_none_are_refused():
     """With what was found."""
     with pytest.raises(UsageError, match=r"lower < upper.*lower = 1\.0 and upper = 1\.0"):
         LimitedIntegrator(lower=1.0, upper=1.0)
-    with pytest.raises(UsageError, match=r"found initial = 0.0, needed a value from lower = 1.0"):
+    with pytest.raises(UsageError, match=r"initial: .*lower = 1\.0.*, got 0\.0"):
         LimitedIntegrator(lower=1.0, upper=2.0)

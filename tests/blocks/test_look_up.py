@@ -75,7 +75,7 @@ def test_outside_of_the_grid_the_run_stops_there():
     with pytest.raises(Stopped, match=text) as stop:
         table.advance(np.arange(5.0), 1.0, u)
     assert stop.value.outputs.tolist() == [[1.0], [2.0]]
-    with pytest.raises(RunError, match=r"found -0\.1"):
+    with pytest.raises(RunError, match=r"got -0\.1"):
         at(table, -0.1)
 
 

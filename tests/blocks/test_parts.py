@@ -124,7 +124,7 @@ def test_a_controller_of_the_wrong_shape_is_refused(name, shape):
         "D": np.zeros((1, 1)),
         "x0": np.zeros(2),
     }
-    text = f"controller: {name} has shape {shape}, needed {matrices[name].shape}"
+    text = f"controller: {name}: expected shape {matrices[name].shape}, got {shape}"
     with pytest.raises(UsageError) as error:
         controller(**{**matrices, name: np.zeros(shape)})
     assert str(error.value) == text
@@ -170,7 +170,7 @@ def test_a_delay_line_counts_the_values_of_all_elements(monkeypatch):
     for steps, size in ((12, 1), (3, 4), (4, 3), (1, 12)):
         assert Delay(steps, size=size).interface.outputs[0].size == size
     for steps, size in ((13, 1), (3, 5), (5, 3), (1, 13)):
-        with pytest.raises(UsageError, match=f"{steps} communication steps of {size} values do"):
+        with pytest.raises(UsageError, match=f"{steps} communication steps of {size} values"):
             Delay(steps, size=size)
 
 
@@ -197,11 +197,11 @@ def test_a_division_by_zero_stops_the_run_with_the_rows_before_it():
     with pytest.raises(Stopped, match=text) as stop:
         drive(Product("*/"), u)
     assert stop.value.outputs.tolist() == [[0.5]]
-    with pytest.raises(RunError, match=r"u1\[1\] is 0, and y is divided by it"):
+    with pytest.raises(RunError, match=r"u1\[1\] is 0"):
         Product("/", size=2).initialize(0.0, np.array([1.0, 0.0]))
-    with pytest.raises(UsageError, match=r"found operations '\*-', needed \* or / for each input"):
+    with pytest.raises(UsageError, match=r"operations: .*, got '\*-'"):
         Product("*-")
-    with pytest.raises(UsageError, match="found operations ''"):
+    with pytest.raises(UsageError, match=r"operations: .*, got ''"):
         Product("")
 
 

@@ -101,11 +101,9 @@ def test_a_table_refuses_beyond_its_ends(hold):
     """It does not extrapolate: no start outside it; at its end it stops with all rows before."""
     source = table(hold=hold)
     for t in (-0.001, 1.001):
-        with pytest.raises(UsageError, match=rf"table: covers 0.0 s to 1.0 s, was asked for {t} s"):
+        with pytest.raises(UsageError, match=rf"table: .*0\.0 s to 1\.0 s, got {t} s"):
             source.initialize(t, np.zeros(0))
-    with pytest.raises(
-        Stopped, match=r"table: covers 0.0 s to 1.0 s, was asked for 1.001 s"
-    ) as stop:
+    with pytest.raises(Stopped, match=r"table: .*0\.0 s to 1\.0 s, got 1\.001 s") as stop:
         drive(source, np.zeros((1501, 0)))
     assert stop.value.failed
     np.testing.assert_array_equal(stop.value.outputs, drive(source, np.zeros((1001, 0)))[1:])

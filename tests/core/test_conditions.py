@@ -117,7 +117,7 @@ REFUSED = {
     "two.v > 0": "'two.v > 0': expected one element, got 'two.v' with 2 elements",
     "two.v[2] > 0": "condition 'two.v[2] > 0': the graph: ",
     "two.v[0:2] > 0": "'two.v[0:2] > 0': expected one element, got 'two.v[0:2]' with 2 elements",
-    "'two' > 0": "condition \"'two' > 0\": the graph: expected a port COMPONENT.SIGNAL, such as plant.y,",
+    "'two' > 0": "condition \"'two' > 0\": the graph: expected a port COMPONENT.SIGNAL",
     "plant.y > 0 for 1.5 ms": "'plant.y > 0 for 1.5 ms': for: 0.0015 s is not a whole number of "
     "0.001 s steps; nearest: 0.002 s",
 }

@@ -122,14 +122,14 @@ def test_names_and_numbers_are_checked():
         Graph({}, {})
     with pytest.raises(
         GraphError,
-        match=r"component 'a\.b': a component's name is a string that is not empty and has no dot",
+        match=r"component 'a\.b': .*without dots as its name",
     ):
         Graph({"a.b": constant([1.0])}, {})
     with pytest.raises(
         GraphError, match="component '': a component's name is a string that is not empty"
     ):
         Graph({"": constant([1.0])}, {})
-    with pytest.raises(GraphError, match="signal 'y': size 0, needed at least 1"):
+    with pytest.raises(GraphError, match=r"signal 'y': size: .*at least 1, got 0"):
         Signal("y", 0)
     with pytest.raises(GraphError, match="signal 'y' is declared twice in one interface"):
         Interface((Signal("y"),), (Signal("y"),))

@@ -364,7 +364,7 @@ def test_memory_names_what_was_not_recorded():
     with pytest.raises(LogError, match=r"the run has no component 'x'.*u, s, d"):
         memory["x.y"]
     with pytest.raises(
-        LogError, match=r"'s\.u3': 's' has no signal 'u3'; did you mean 'u2'\? There is: u1, u2, y"
+        LogError, match=r"'s\.u3': 's' has no signal 'u3'; did you mean 'u2'\? Available: u1, u2, y"
     ):
         memory["s.u3"]
 

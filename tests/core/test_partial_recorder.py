@@ -137,7 +137,7 @@ def test_what_cannot_be_chosen_is_refused():
         chosen_signals(channels, RecordSelection(("a.x[1]",)))
     with pytest.raises(UnknownSignalError, match=r"no signal matches 'b\.\*'"):
         chosen_signals(channels, RecordSelection(("b.*",)))
-    with pytest.raises(UsageError, match=r"which chooses no signal of what runs here: a; needed"):
+    with pytest.raises(UsageError, match=r"matches no signal of this run's components: a;"):
         chosen_signals(channels, RecordSelection(("b.*",)), beside=beside)
     chosen = chosen_signals(channels, RecordSelection(("*.y",)), beside=beside)
     assert chosen == {"a": ["y"]}

@@ -147,7 +147,7 @@ def test_a_simulation_goes_up_to_an_instant():
         simulation.run_until(0.55)
     with pytest.raises(UsageError, match=r"time.*0\.5 s.*0\.4 s"):
         simulation.run_until(0.4)
-    with pytest.raises(UsageError, match=r"found 4.1 s; needed at most 35 communication steps"):
+    with pytest.raises(UsageError, match=r"at most 35 communication steps.* got 4\.1 s"):
         simulation.run_until(4.1)
     assert simulation.index == 5
 
@@ -162,7 +162,7 @@ def test_a_step_beyond_the_end_is_refused():
     ):
         simulation.step(3)
     simulation.step(2)
-    with pytest.raises(UsageError, match=r"the simulation is at its stop, t = 4.0 s; needed reset"):
+    with pytest.raises(UsageError, match=r"the simulation is at its stop, t = 4.0 s; call reset"):
         simulation.step()
 
 
@@ -416,8 +416,8 @@ def test_a_value_that_is_not_finite_after_an_override_is_named():
         ("v.u", [[1.0, 2.0]], r"2.*shape \(1, 2\)"),
         ("v.u[0]", "0.3", r"override of 'v\.u\[0\]':.*'0\.3'"),
         ("v.u[0]", None, "None"),
-        ("v.u[0]", 1j, r"needed numbers"),
-        ("v.u", [[1.0], [1.0, 2.0]], r"needed numbers"),
+        ("v.u[0]", 1j, r"expected numbers"),
+        ("v.u", [[1.0], [1.0, 2.0]], r"expected numbers"),
         ("v.u[0]", np.nan, r"override of 'v\.u\[0\]':.*a finite number.*nan"),
         ("v.u", [0.0, np.inf], r"a finite number.*inf"),
         (
@@ -461,7 +461,7 @@ def test_whole_numbers_stay_whole():
     assert np.isnan(simulation.step()["s.o"]).all()
     with pytest.raises(GraphError, match=r"'s\.n':.*an integer.*0\.5"):
         simulation["s.n"] = 0.5
-    with pytest.raises(GraphError, match=r"'s.b': found 2.0; it is Boolean: needed 0 or 1"):
+    with pytest.raises(GraphError, match=r"'s.b': .*0 or 1 .*, got 2\.0"):
         simulation["s.b"] = 2
 
 
@@ -553,7 +553,7 @@ def test_events_are_repeated_in_the_order_of_time():
     with pytest.raises(LogError, match=r"event at t = 0\.2 s.*after a later one"):
         repeat(driven_lag(), clock(), Memory(), events=earlier)
     between = [SignalEvent(10**8 + 1, "override", "x.u", (2.0,))]
-    with pytest.raises(LogError, match=r"t = 0.100000001 s: that is no communication point"):
+    with pytest.raises(LogError, match=r"t = 0.100000001 s is not at a communication point"):
         repeat(driven_lag(), clock(), Memory(), events=between)
 
 
@@ -662,9 +662,9 @@ def test_the_state_of_another_graph_is_refused():
         with pytest.raises(UsageError, match=r"state:.*state of.*graph.*one of another graph"):
             other.state = saved
     fast = Simulation(Graph({"x": integrator(2.0)}, {"x.u": "x.y"}), clock()).state
-    with pytest.raises(UsageError, match="state: found one of another graph"):
+    with pytest.raises(UsageError, match=r"state: .*got one of another graph"):
         others[0].state = fast
-    with pytest.raises(UsageError, match="state: found None, needed a SimulationState"):
+    with pytest.raises(UsageError, match=r"state: .*SimulationState, got None"):
         others[0].state = None
 
 

@@ -155,7 +155,7 @@ def test_the_edges_of_a_window_are_doubles_as_the_times_are():
 def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
     """None is how a bound is left out."""
     log, _ = two_rates
-    with pytest.raises(UsageError, match=r"t1: found (nan|inf); needed a finite number of seconds"):
+    with pytest.raises(UsageError, match=r"t1: .*seconds, got (nan|inf)"):
         log.window(0.0, value)
     with pytest.raises(UsageError, match="t0: found 'a'; needed a number"):
         log.window("a", 1.0)

@@ -40,7 +40,7 @@ def test_what_was_not_recorded_is_a_key_error_with_the_nearest_names(recorded):
 @pytest.mark.parametrize("key", [3, None, [], {"u.y"}, slice(None), [3]])
 def test_what_is_no_name_is_refused(recorded, key):
     """Also in a list."""
-    with pytest.raises(LogError, match="needed"):
+    with pytest.raises(LogError, match=r"a signal name, or a list of names, got "):
         recorded[key]
 
 

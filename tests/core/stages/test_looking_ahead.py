@@ -213,8 +213,9 @@ def test_a_component_that_does_other_steps_the_second_time_is_an_error():
     with pytest.raises(RunError) as error:
         count("c.y >= 5", block=8, lies=True)
     assert str(error.value) == (
-        "'c' went back to t = 0.0 s, and the same steps gave other values, first at t = 0.1 s; "
-        "needed a save() and restore() that fit, or an interface that declares no rollback"
+        "'c' went back to t = 0.0 s and repeated the same steps with different values, "
+        "first at t = 0.1 s; its save() and restore() must be complete, or its interface must not "
+        "declare rollback"
     )
 
 

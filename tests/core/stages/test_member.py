@@ -88,7 +88,7 @@ def test_time_and_inputs_cannot_be_written_to(build, method):
     error, _ = failure(build(Custom(advance=method)))
     assert str(error).startswith("'x' stopped at t = 0.0 s: advance raised ValueError: ")
     assert "read-only" in str(error)
-    assert str(error).endswith("; what a component is handed cannot be written to: copy it")
+    assert str(error).endswith("; arrays passed to a component are read-only: copy them first")
 
 
 def test_the_inputs_of_outputs_cannot_be_written_to():
@@ -164,7 +164,7 @@ def test_results_that_are_none_are_refused(wrong, build):
         setattr(part, method, lambda *arguments, sound=sound: wrong(sound(*arguments)))
         error, _ = failure(build(part))
         assert isinstance(error, RunError)
-        text = rf"'x'.*{method} returned .*; its interface needs a float64 array of shape {shape}"
+        text = rf"'x'.*{method} returned .*; expected a float64 array of shape {shape}"
         assert re.search(text, str(error))
     if build is loop:
         part = Custom()
@@ -185,8 +185,8 @@ def test_results_that_are_not_finite_are_refused(value):
     assert str(error).startswith(f"'x.y' became {value} at t = 0.001 s")
     error, _ = failure(cascade(Custom(prepare=lambda h, held, recorded: {"K": np.full(2, value)})))
     assert str(error) == (
-        "'x': prepare returned an array of float64, shape (2,), with NaN or infinity as 'K'; "
-        "needed a float64 array of finite numbers"
+        "'x': prepare: expected a float64 array of finite numbers as 'K', got an array of float64, "
+        "shape (2,), with NaN or infinity"
     )
 
 
@@ -197,7 +197,7 @@ def test_a_design_that_is_none_is_refused(design):
     """It must be float64 arrays by name, to be recorded."""
     error, _ = failure(cascade(Custom(prepare=lambda h, held, recorded: design)))
     assert isinstance(error, RunError)
-    assert str(error).startswith("'x': prepare r")
+    assert str(error).startswith("'x': prepare")
 
 
 @pytest.mark.parametrize("method", ["prepare", "initialize", "outputs", "advance"])

@@ -68,7 +68,7 @@ def test_a_loop_that_grows_without_end_stops_the_run():
     assert (
         "'a.u' diverges: -1.47e+12 at t = 0.51 s, after growth by a steady factor of 1.732" in text
     )
-    assert "its loop grows by a steady factor of 1.732 a step" in text
+    assert "by a steady factor of 1.732 per step" in text
     assert "b.y -> a.u" in text
     assert f"at t = {0.01 * len(peaks):.12g}" in text
 

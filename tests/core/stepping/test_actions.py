@@ -229,7 +229,7 @@ def test_a_variant_needs_the_same_interface_and_a_state():
         graph.prepare_variant("g", integrator(), clock().step_ns, {})
     components = {"s": Scripted([1.0] * 50)}
     graph = Graph(components, {})
-    with pytest.raises(GraphError, match="'s': its state cannot be handed over"):
+    with pytest.raises(GraphError, match="'s': its state cannot be passed on"):
         graph.prepare_variant("s", Scripted([2.0] * 50), clock().step_ns, {})
 
 
