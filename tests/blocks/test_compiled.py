@@ -115,7 +115,7 @@ def test_an_error_that_it_returns_ends_the_run(library):
     assert len(memory.rows("a")) == 1
 
 
-def test_what_is_no_function_and_no_memory_is_refused(library):
+def test_only_functions_and_memory_are_taken(library):
     step = address(library.step)
     with pytest.raises(UsageError, match=r"step:.*the address.*<_FuncPtr"):
         CompiledFunction(INTERFACE, step=library.step, outputs=step)

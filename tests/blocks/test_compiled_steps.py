@@ -132,7 +132,7 @@ def test_an_identifier_without_a_value_stops_as_it_does_in_python():
     assert messages[0] == messages[1]
 
 
-@pytest.mark.parametrize("steps", [1, 1000, 9000])
+@pytest.mark.parametrize("steps", [pytest.param(1, marks=pytest.mark.slow), 1000, 9000])
 def test_noise_goes_on_where_all_that_was_drawn_is_used_up(steps):
     """Its numbers depend neither on the blocks, nor on how many are drawn at once."""
     rows = []

@@ -532,7 +532,7 @@ def test_a_compiled_step_that_is_not_the_component_is_named(fault, law):
         check_component(lambda: Compiled(fault))
 
 
-def test_what_is_declared_is_there_and_prepare_is_declared():
+def test_declared_methods_are_there_and_prepare_is_declared():
     """A method that is declared but missing is named, and a prepare that nobody would call."""
 
     class Undeclared(Broken):

@@ -21,7 +21,7 @@ def test_a_declared_component_keeps_the_contract():
     assert [signal.unit for signal in declared.interface.signals] == [None, "mm"]
 
 
-def test_what_declares_its_units_needs_no_adapter():
+def test_components_that_declare_their_units_need_no_adapter():
     """The component itself is returned."""
     component = make("m")
     assert with_units(component, {"y": "m"}) is component

@@ -151,7 +151,7 @@ def test_more_samples_than_places_are_never_dropped():
         ([0.0, 0.04, 0.1], 0.05, "s no sample between 0.04 s and 0.1 s"),
     ],
 )
-def test_what_is_not_covered_is_refused_with_the_way_out(t, maximum_gap, text):
+def test_samples_that_do_not_cover_the_run_are_refused_with_the_way_out(t, maximum_gap, text):
     """Before the run, and with the times."""
     data = recorded(t, signal("y", np.ones(len(t))))
     with pytest.raises(UsageError) as refused:

@@ -93,7 +93,7 @@ def test_outside_of_the_grid_the_run_stops_there():
         ([], [], r"one or two inputs.*0"),
     ],
 )
-def test_what_is_no_table_is_refused(grid, values, text):
+def test_only_tables_with_increasing_points_are_taken(grid, values, text):
     """Shape, finiteness, order."""
     with np.errstate(over="ignore"), pytest.raises(UsageError, match=text):
         LookUpTable([np.array(row) for row in grid], np.array(values))

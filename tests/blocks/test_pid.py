@@ -187,7 +187,7 @@ def test_the_sampled_controller_is_the_recursion_of_the_book():
         ),
     ],
 )
-def test_what_is_no_controller_is_refused(parameters, period, text):
+def test_parameters_that_make_no_controller_are_refused(parameters, period, text):
     """With what was found and what is needed."""
     with pytest.raises(UsageError, match=text):
         Pid(PidParameters(**{"gain": 1.0, **parameters}), period=period)

@@ -47,7 +47,7 @@ def test_shown_ports_have_the_bits_of_what_they_stand_for():
     assert set(columns) == {"x_a", "z", "out"}
 
 
-def test_what_depends_on_what_is_shown_in_the_shown_names():
+def test_dependencies_are_shown_in_the_shown_names():
     """Feedthrough, dependencies of initial values; unknown where one part is unknown."""
     shown = renamed(CASES["vectors"]).interface
     assert shown.feedthrough == {"x_a": ("u",), "z": ("f_",), "out": ("f_",)}
@@ -57,7 +57,7 @@ def test_what_depends_on_what_is_shown_in_the_shown_names():
     assert map_ports(unknown, names).interface.feedthrough == {"y": None}
 
 
-def test_whatever_an_interface_names_is_shown_under_its_new_name():
+def test_all_names_of_an_interface_are_shown_anew():
     """Every field of it: of two ports, one has another name, and both are in what has names."""
     own = Interface(
         (Signal("a"), Signal("b")),

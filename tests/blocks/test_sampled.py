@@ -52,7 +52,7 @@ def test_sampled_agrees_with_the_exact_step_response():
     )  # ten steps, one last bit each
 
 
-def test_what_a_sampled_component_holds_follows_an_input_that_was_extrapolated():
+def test_held_outputs_follow_an_input_that_was_extrapolated():
     """A loop evaluates the outputs again with the right input; these hold until the next sample.
 
     The extrapolated input leaves no trace.

@@ -306,6 +306,7 @@ def held_response(reduced, h):
     return exponential[:2, :2], exponential[:2, 2]
 
 
+@pytest.mark.slow
 def test_an_exported_identifier_takes_the_samples_too(run, tmp_path):
     """Bit for bit as the component, and it names what stops it as the component does."""
     scenario, log = run

@@ -470,7 +470,7 @@ def test_y_is_interpolated_as_its_input_is():
         ({"period": 0}, "period: expected at least 1 communication step, got 0"),
     ],
 )
-def test_what_no_sensor_can_do_is_refused(parameters, text):
+def test_impossible_sensors_are_refused(parameters, text):
     """With the parameter, what was found and what is needed."""
     with pytest.raises(UsageError, match=re.escape(text)):
         Sensor(SensorParameters(**parameters), size=2)

@@ -110,7 +110,7 @@ def test_a_steady_one_begins_without_a_transient():
         ([1.0], [1.0, 0.0], True, r'is zero.*=.*so there is no steady state.*initial = "zero"'),
     ],
 )
-def test_what_is_no_transfer_function_is_refused(numerator, denominator, steady, text):
+def test_only_proper_transfer_functions_are_taken(numerator, denominator, steady, text):
     with pytest.raises(UsageError, match=text.replace("(proper)", r"\(proper\)")):
         transfer_function(numerator, denominator, steady=steady)
 

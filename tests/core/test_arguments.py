@@ -227,7 +227,7 @@ class Bare:
         ),
     ],
 )
-def test_what_is_no_component_is_refused(component, text):
+def test_only_components_are_taken(component, text):
     """With what was found, what is missing, and the way out where there is one."""
     with pytest.raises(GraphError, match=f"^{text}"):
         Graph({"p": component}, {})

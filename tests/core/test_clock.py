@@ -45,7 +45,7 @@ def test_a_tenth_of_a_nanosecond_is_refused(tenths):
         (1e10, r"10000000000.0 s does not fit into 64-bit nanoseconds; at most 9.223e\+09 s"),
     ],
 )
-def test_what_is_no_time_is_refused(value, text):
+def test_only_times_are_taken(value, text):
     """With what was found and the nearest value that would do."""
     with pytest.raises(ClockError, match=text):
         nanoseconds(value)

@@ -124,7 +124,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_what_is_not_in_the_graph_is_refused(text):
+def test_signals_that_are_not_in_the_graph_are_refused(text):
     """With the nearest name; a duration that is off the grid, too."""
     with pytest.raises(UsageError) as error:
         condition(text)

@@ -115,7 +115,7 @@ def test_the_error_is_that_of_a_run_of_its_own(end):
         assert isinstance(error, Stopped if isinstance(end, Stopped) else NonFiniteError)
 
 
-def test_what_cannot_take_a_place_is_refused():
+def test_members_that_do_not_fit_are_refused():
     """A name that is not there, and another interface; the graph keeps its components."""
     graph = Graph(components(), CONNECTIONS)
     own = dict(graph.components)

@@ -402,7 +402,7 @@ def test_a_lag_that_chases_its_own_tail_is_refused():
     assert len(memory["lag.y"]) == 0
 
 
-def test_what_holds_over_a_step_follows_variability():
+def test_zero_order_holds_follow_variability():
     """Discrete outputs are held, continuous ones interpolated; others inherit from their inputs.
 
     With ``input_interpolation = "zero-order"`` all inputs are held.

@@ -178,7 +178,7 @@ def test_a_number_of_steps_may_be_one_of_numpy():
 
 
 @pytest.mark.parametrize("size", [1, 10])
-def test_what_stops_the_graph_ends_the_simulation(size):
+def test_a_stop_of_the_graph_ends_the_simulation(size):
     """The steps before it were taken; further ones are refused with the reason."""
     values = [*range(5), np.inf, *range(6, 20)]
     simulation = Simulation(Graph({"x": Scripted(values)}, {}), clock())
@@ -248,7 +248,7 @@ def test_an_override_holds_until_it_is_changed_or_released():
     assert (rows["x.u"] == rows["u.y"]).all()
 
 
-def test_what_feeds_through_follows_at_once():
+def test_direct_feedthrough_follows_an_override_at_once():
     """The row that was returned keeps the values before the jump."""
     simulation = Simulation(chain(), clock())
     rows = simulation.step(3)
@@ -571,7 +571,7 @@ def test_a_recorded_row_keeps_the_left_limits_of_a_jump():
 
 
 @pytest.mark.parametrize("is_recorded", [True, False])
-def test_what_followed_in_a_recorded_component_is_taken_from_its_events(is_recorded):
+def test_jumps_of_a_recorded_component_are_taken_from_its_events(is_recorded):
     """Of others it is evaluated."""
     events = [
         SignalEvent(3 * 10**8, "override", "first.u", (2.0,)),

@@ -72,7 +72,7 @@ def test_two_columns_of_one_name_are_refused():
     assert len(selected_columns(select_signals(channels, "a.x", source=""))) == 2
 
 
-def test_what_chooses_nothing_is_refused():
+def test_a_pattern_that_matches_nothing_is_refused():
     """With the nearest name."""
     with pytest.raises(
         UnknownSignalError, match=r"no signal matches 'plnt\.\*'; did you mean 'plant\.u'"
@@ -93,7 +93,7 @@ def test_what_chooses_nothing_is_refused():
         ([3], r"names.*3"),
     ],
 )
-def test_what_is_no_list_of_names_is_refused(patterns, text):
+def test_only_lists_of_names_are_taken(patterns, text):
     """An empty one is no way to say all."""
     with pytest.raises(UsageError, match=text):
         select_signals(CHANNELS, patterns, source="")

@@ -106,7 +106,7 @@ def test_noise_has_its_deviation_and_depends_on_seed_and_element_alone():
     assert (simulation.step(20)["g.u"][:, 1] == runs[2][:20, 1]).all()
 
 
-def test_what_is_dropped_leaves_the_last_value_that_arrived():
+def test_a_dropped_sample_leaves_the_last_value_that_arrived():
     """With the probability, within 5 sqrt(p (1 - p) / N)."""
     count = 4000
     simulation = Simulation(driven(), clock(count + BEGIN))
@@ -154,7 +154,7 @@ def test_a_dropped_sample_of_an_optional_input_is_no_value(native):
     assert simulation.step(3)["c.y"][:, 0].tolist() == [BEGIN + 1.0, BEGIN + 2.0, BEGIN + 3.0]
 
 
-def test_what_feeds_through_follows_a_fault_at_once():
+def test_direct_feedthrough_follows_a_fault_at_once():
     """The row keeps the value before; the step begins behind the jump, with no ramp."""
     simulation = Simulation(driven(), clock())
     rows = simulation.step(BEGIN)

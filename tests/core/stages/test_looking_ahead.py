@@ -67,7 +67,7 @@ def expected_end(signal, comparator, value, steps):
 
 @settings(deadline=None, max_examples=40)
 @given(CONDITIONS, st.sampled_from(BLOCKS), st.booleans())
-def test_a_run_ends_at_the_row_where_the_condition_came_true(condition, block, native):
+def test_a_run_ends_at_the_row_where_the_condition_is_met(condition, block, native):
     """As the rows of the whole run say; those up to there are the same, and there are no others."""
     signal, comparator, value, steps = condition
     until = f"{signal} {comparator} {value} for {50 * steps} ms"
@@ -159,7 +159,7 @@ class Doomed(Counter):
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_what_has_failed_behind_the_row_need_not_go_back(block):
+def test_a_component_that_failed_behind_the_row_need_not_go_back(block):
     """The run ends at the row; in one that goes on there would be no way."""
     memory = Memory()
     doomed = Graph({"c": Doomed(fails_at=8)}, {})
@@ -184,7 +184,7 @@ def test_components_stand_at_the_last_row(block):
     assert counter.last >= 5
 
 
-def test_what_can_go_back_goes_ahead():
+def test_components_with_rollback_go_ahead():
     """Else the blocks would be of one step for nothing."""
     counter, _ = count("c.y >= 5", block=8)
     assert counter.last == 8
@@ -192,7 +192,7 @@ def test_what_can_go_back_goes_ahead():
 
 @pytest.mark.parametrize("options", [{"rollback": False}, {"restarts": True}])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_what_cannot_go_back_does_not_pass_the_row(block, options):
+def test_components_without_rollback_do_not_pass_the_row(block, options):
     """Nor is it saved, as that would change the steps that follow."""
     counter, memory = count("c.y >= 5", block, **options)
     assert counter.last == counter.k == memory.steps == 5
@@ -303,7 +303,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("until", REFUSED)
-def test_what_is_no_condition_of_the_graph_is_refused(until):
+def test_only_conditions_of_the_graph_are_taken(until):
     """Before anything begins; so is what is no text."""
     with pytest.raises(UsageError) as error:
         recorded(until)

@@ -128,7 +128,7 @@ def test_the_mask_and_the_recorded_design_cannot_be_written_to():
     assert recorded["x"]["A"] == 1.0
 
 
-def test_what_cannot_be_designed_has_the_name_of_its_component():
+def test_a_design_that_fails_names_its_component():
     """The assumption that does not hold is one of the method, which knows no name."""
 
     def fails(h, held, recorded):

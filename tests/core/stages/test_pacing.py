@@ -187,7 +187,7 @@ def test_many_steps_of_a_simulation_are_recorded_piece_by_piece(wall):
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**6), st.sampled_from([None, 5, 40]))
-def test_what_is_recorded_does_not_depend_on_the_pace(seed, block):
+def test_rows_do_not_depend_on_the_pace(seed, block):
     """Rows, the first error and its time: with components that turn slow, stop and fail anywhere.
 
     The reference advances step by step.

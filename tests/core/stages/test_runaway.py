@@ -147,7 +147,7 @@ def test_a_loop_that_oscillates_while_it_grows_is_found():
     assert f"factor of {math.sqrt(1.32):.3f} a step" in text
 
 
-def test_what_is_remembered_does_not_grow_with_the_run():
+def test_memory_does_not_grow_with_the_run():
     """Of the rows before a block it is those that growth is seen in."""
     members = list(growing().members.values())
     watch = LoopWatch([members])

@@ -61,7 +61,7 @@ def test_the_parts_of_a_step_follow_each_other_in_whole_nanoseconds(step_ns, min
 
 
 @given(st.floats(0.0, 1e6), st.floats(1e-15, 10.0), st.data())
-def test_what_an_event_leaves_is_divided_at_whole_nanoseconds(begin, length, data):
+def test_the_rest_behind_an_event_is_divided_at_whole_nanoseconds(begin, length, data):
     """Its ends are what was given, to the last bit; its parts follow each other."""
     span = Span.between(begin, begin + length)
     if not span.whole.has_halves:
@@ -122,7 +122,7 @@ def driven(source, substeps=None, **options):
     return Graph({"drive": source, "one": one, "two": two}, wires, substeps=substeps, **options)
 
 
-def test_what_drives_a_loop_is_interpolated_between_communication_points():
+def test_inputs_of_a_loop_are_interpolated_between_communication_points():
     """A ramp is a straight line, so that halves of a step are those of a finer run but rounding."""
     strict = SubstepTolerance(rtol=0.0, atol=1e-300, min_ns=5_000_000)
     divided = record(driven(ramp(slope=3.0), strict), stop=0.1, step=0.01)
@@ -444,7 +444,7 @@ def jumping(source, components=None, substeps=None):
     return Graph(parts, connections, coupling="newton", substeps=substeps)
 
 
-def test_what_follows_a_jump_behind_recorded_substeps_takes_its_left_limit():
+def test_followers_of_a_jump_behind_recorded_substeps_take_its_left_limit():
     """The row has the right one; the left one is that of the last substep before the jump."""
     limits = tolerance(1e-5)
     source = {"time": 0.05, "before": 0.0, "after": 1.0}

@@ -439,7 +439,7 @@ def test_a_steep_saturation_is_solved(k):
         assert abs(v - expected) < 1e-11
 
 
-def test_what_may_jump_is_declared():
+def test_outputs_that_may_jump_are_declared():
     """A switch, sign and step of signals, a quantizer; not where y is held, nor under a map."""
     assert switch().interface.jumping == ("y",)
     assert switch(discrete=True).interface.jumping == ()

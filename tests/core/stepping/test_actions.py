@@ -96,7 +96,7 @@ def test_an_action_is_performed_when_its_point_is_reached():
     assert simulation["plant.u"] == simulation["controller.y"] + 0.5
 
 
-def test_what_fails_between_actions_keeps_the_rows_before():
+def test_a_failure_between_actions_keeps_the_rows_before():
     """Those of the parts that were completed, and of the one that was not."""
     values = [1.0] * 8 + [np.inf] * 40
     components = {"s": Scripted(values), "x": integrator()}
