@@ -29,7 +29,7 @@ from cosim.native.numerics.programs import RowProgram
 class Condition:
     """A condition, and how long it has held.
 
-    It *comes true* at a row where it is true and was not at the row before; at the first row of a
+    It *is met* at a row where it is true and was not at the row before; at the first row of a
     run where it is true. With ``for`` a duration it is true where it held without a break for so
     long, up to that row.
 
@@ -70,7 +70,7 @@ class Condition:
         return self.held >= self._needed
 
     def comes_true(self, time: Vector, rows: Matrix) -> int | None:
-        """Return the first of the next rows at which it comes true; None: at none of them.
+        """Return the first of the next rows at which it is met; None: at none of them.
 
         Nothing is changed: :meth:`pass_over` goes on, by these rows or some of them.
 
@@ -106,7 +106,7 @@ class RunConditions:
     Parameters
     ----------
     until : Condition, optional
-        Ends the run where it comes true.
+        Ends the run where it is met.
     others : sequence of Condition
         Interrupt it there.
 
@@ -154,7 +154,7 @@ class RunConditions:
             condition.held = held.get(condition.text, 0)
 
     def pass_over(self, time: Vector, rows: Matrix) -> int:
-        """Go on over the next rows, up to the first one at which a condition comes true.
+        """Go on over the next rows, up to the first one at which a condition is met.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ def conditions_until(
     Parameters
     ----------
     until : str or None
-        Ends the run where it comes true.
+        Ends the run where it is met.
     layout : Layout
     clock : Clock
     others : sequence of str

@@ -56,7 +56,7 @@ def run(
     designs : mapping of component name to Design, optional
         Recorded designs to use where the graph is prepared here.
     until : str, optional
-        A condition (:mod:`cosim.core.conditions`): where it comes true the run ends, regularly.
+        A condition (:mod:`cosim.core.conditions`): where it is met the run ends, regularly.
 
     Raises
     ------

@@ -67,9 +67,9 @@ class Simulation:
     actions : sequence of TimedAction
         What happens at communication points, beside what is done by hand.
     reactions : sequence of ConditionalAction
-        What happens where conditions come true first.
+        What happens where conditions are met first.
     until : str, optional
-        A condition (:mod:`cosim.core.conditions`): where it comes true the simulation ends.
+        A condition (:mod:`cosim.core.conditions`): where it is met the simulation ends.
 
     Attributes
     ----------

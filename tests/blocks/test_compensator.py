@@ -164,8 +164,8 @@ def test_an_unstable_interval_is_refused_before_the_run():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"largest_error": 0.0}, "largest_error = 0.0, needed a positive number"),
-        ({"lower": np.array([1.0]), "upper": 1.0}, "needed lower < upper"),
+        ({"largest_error": 0.0}, r"largest_error:.*0\.0"),
+        ({"lower": np.array([1.0]), "upper": 1.0}, "lower < upper"),
     ],
 )
 def test_options_of_no_controller_are_refused(options, message):

@@ -115,11 +115,11 @@ def test_an_error_that_it_returns_ends_the_run(library):
     assert len(memory.rows("a")) == 1
 
 
-def test_what_is_no_function_and_no_memory_is_refused(library):
+def test_only_functions_and_memory_are_taken(library):
     step = address(library.step)
-    with pytest.raises(UsageError, match=r"step: found <_FuncPtr.*needed the address"):
+    with pytest.raises(UsageError, match=r"step:.*the address.*<_FuncPtr"):
         CompiledFunction(INTERFACE, step=library.step, outputs=step)
-    with pytest.raises(UsageError, match="outputs: found 0; needed the address"):
+    with pytest.raises(UsageError, match=r"outputs: .*the address.*, got 0"):
         CompiledFunction(INTERFACE, step=step, outputs=0)
-    with pytest.raises(UsageError, match=r"memory: found \[nan\]; needed a vector of finite"):
+    with pytest.raises(UsageError, match=r"memory: .*finite numbers.*, got "):
         lag(library, [np.nan])

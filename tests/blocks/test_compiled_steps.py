@@ -48,32 +48,32 @@ STOPS = {
     "product": (
         lambda: Product("*/"),
         {"u1": "t", "u2": "t - 15*0.001"},
-        r"u2 is 0, and y is divided",
+        "u2 is 0",
     ),
     "look-up table": (
         lambda: LookUpTable([np.array([-1.0, 0.0131])], np.array([0.0, 1.0])),
         {"u": "t"},
-        r"look-up table: covers u from -1.0 to 0.0131 \(found 0.014\)",
+        r"0\.013.*look-up table: covers u from -1\.0 to 0\.0131.*0\.014\)",
     ),
     "table": (
         lambda: Table(np.array([0.0, 0.015]), np.array([[1.0], [2.0]])),
         {},
-        r"table: covers 0.0 s to 0.015 s, was asked for 0.016 s",
+        r"0\.015 s: table:.*0\.0 s to 0\.015 s.*0\.016 s",
     ),
     "sampled product": (
         lambda: Sampled(Product("*/"), 5),
         {"u1": "t", "u2": "t - 15*0.001"},
-        r"u2 is 0, and y is divided",
+        "u2 is 0",
     ),
     "decimated product": (
         lambda: Decimated(Product("*/"), 4),
         {"u1": "t", "u2": "t - 15*0.001"},
-        r"u2 is 0, and y is divided",
+        "u2 is 0",
     ),
     "renamed product": (
         renamed_product,
         {"divisor": "t - 15*0.001", "factor": "t"},
-        r"u2 is 0, and y is divided",
+        "u2 is 0",
     ),
     "modulated table": (
         lambda: ModulatedSource(
@@ -82,7 +82,7 @@ STOPS = {
             (Signal("alpha"),),
         ),
         {"alpha": "1 + t"},
-        r"table: covers 0.0 s to 0.015 s, was asked for 0.016 s",
+        r"0\.015 s: table:.*0\.0 s to 0\.015 s.*0\.016 s",
     ),
     "replay": (
         lambda: Replay(recorded(0.02), "u"),
@@ -132,7 +132,7 @@ def test_an_identifier_without_a_value_stops_as_it_does_in_python():
     assert messages[0] == messages[1]
 
 
-@pytest.mark.parametrize("steps", [1, 1000, 9000])
+@pytest.mark.parametrize("steps", [pytest.param(1, marks=pytest.mark.slow), 1000, 9000])
 def test_noise_goes_on_where_all_that_was_drawn_is_used_up(steps):
     """Its numbers depend neither on the blocks, nor on how many are drawn at once."""
     rows = []

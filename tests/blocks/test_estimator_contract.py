@@ -125,7 +125,13 @@ ESTIMATORS = {
 }
 
 
-@pytest.mark.parametrize("name", ESTIMATORS)
+SLOW = ("augmented-kalman", "output-error")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in ESTIMATORS],
+)
 def test_a_method_keeps_the_contract_of_an_estimator(name):
     """With the error that it is known to leave."""
     make, accuracy = ESTIMATORS[name]

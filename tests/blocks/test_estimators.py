@@ -127,13 +127,13 @@ def test_an_adaptive_law_says_nothing_without_information(law):
 @pytest.mark.parametrize("law", LAWS)
 def test_an_adaptive_law_stops_where_the_regressor_has_no_value(law):
     """As least squares does."""
-    with pytest.raises(Stopped, match=r"no value at 2\.5 s"):
+    with pytest.raises(Stopped, match=r"at 2\.5 s"):
         drive(adaptive("two alphas", law, start=2.5), EXAMPLES["two alphas"].mu, step_ns=STEP_NS)
 
 
 def test_gains_that_make_no_law_are_refused():
     """With the value and what is needed."""
-    with pytest.raises(UsageError, match=r"gain: found 0\.0 1/s"):
+    with pytest.raises(UsageError, match=r"gain:.*0\.0 1/s"):
         adaptive("two alphas", "gradient", gain=0.0)
-    with pytest.raises(UsageError, match="forgetting: found nan s"):
+    with pytest.raises(UsageError, match=r"forgetting: .*> 0, got nan s"):
         adaptive("two alphas", "drem", forgetting=np.nan)

@@ -120,7 +120,7 @@ def test_it_stops_where_the_samples_end():
     with pytest.raises(Stopped, match=r"the samples end at 0.0105 s") as stop:
         component.advance(POINTS, H, np.zeros((101, 0)))
     assert len(stop.value.outputs) == 10
-    with pytest.raises(GraphError, match=r"from 0.0 s to 0.0105 s, was asked for 1.0 s"):
+    with pytest.raises(GraphError, match=r"from 0\.0 s to 0\.0105 s.*1\.0 s"):
         component.initialize(1.0, NONE)
 
 
@@ -137,17 +137,21 @@ def test_more_samples_than_places_are_never_dropped():
     ("t", "maximum_gap", "text"),
     [
         ([0.0, 0.0995], None, "start_time = 0.0 and stop = 0.099 of"),
-        ([0.0004, 0.2], None, "from 0.0004 s to 0.2 s; needed 0.0 s to 0.1 s, the whole run: "),
+        (
+            [0.0004, 0.2],
+            None,
+            "the whole run, from 0.0 s to 0.1 s, got 0.0004 s to 0.2 s: start_time = 0.001 and",
+        ),
         ([7.0, 8.0], None, 'offset = "first" makes its first time 0'),
         (
             [*np.arange(0.0, 0.05, 1e-3), *np.arange(0.062, 0.11, 1e-3)],
             None,
-            "'y' has no sample between 0.049 s and 0.062 s; needed at most 10 times the median",
+            "'y' has no sample between 0.049 s and 0.062 s",
         ),
-        ([0.0, 0.04, 0.1], 0.05, "needed at most maximum_gap = 0.05 s; maximum_gap = 0.06"),
+        ([0.0, 0.04, 0.1], 0.05, "s no sample between 0.04 s and 0.1 s"),
     ],
 )
-def test_what_is_not_covered_is_refused_with_the_way_out(t, maximum_gap, text):
+def test_samples_that_do_not_cover_the_run_are_refused_with_the_way_out(t, maximum_gap, text):
     """Before the run, and with the times."""
     data = recorded(t, signal("y", np.ones(len(t))))
     with pytest.raises(UsageError) as refused:
@@ -183,7 +187,5 @@ def test_a_step_is_finer_than_samples_that_come_less_often_than_once_in_it():
     check_step(recorded(t, signal("y", t)), H)
     check_step(recorded([0.0], signal("y", [1.0])), H)
     sparse = recorded(np.arange(100) * 1.2 * H, signal("y", t))
-    with pytest.raises(
-        UsageError, match=r"step of 0.001 s is finer than the samples of 'y', every"
-    ):
+    with pytest.raises(UsageError, match=r"step of 0\.001 s is.*of 'y'.*s.*step of.*s"):
         check_step(sparse, H)

@@ -84,10 +84,15 @@ def rows_of(make, held, u):
     )
 
 
-@pytest.mark.parametrize("hold", [False, True])
 @pytest.mark.parametrize("name", COMPONENTS)
-def test_a_linearized_step_moves_deviations_as_the_component_does(name, hold):
+def test_a_linearized_step_moves_deviations_as_the_component_does(name):
     """Two runs with inputs that differ by little differ by what the linearized steps say."""
+    for hold in (False, True):
+        check_deviations(name, hold=hold)
+
+
+def check_deviations(name, *, hold):
+    """Compare two runs, with held inputs or without."""
     make = COMPONENTS[name]
     component = make()
     n_u = component.interface.n_u
@@ -130,7 +135,7 @@ def test_an_integrator_at_its_limit_does_not_move():
         lambda: Sensor(SensorParameters(dropout=0.4, seed=1)),
     ],
 )
-def test_what_has_no_steps_of_one_kind_is_not_linearized(make):
+def test_components_with_steps_of_several_kinds_are_not_linearized(make):
     """None, in place of numbers that are not its own."""
     component = make()
     n_u = component.interface.n_u
@@ -142,5 +147,5 @@ def test_what_has_no_steps_of_one_kind_is_not_linearized(make):
 def test_matrices_that_do_not_fit_together_are_refused():
     """With the name of the matrix, found and needed shape."""
     square = np.zeros((2, 2))
-    with pytest.raises(GraphError, match=r"linearized: B has shape \(2, 2\), needed \(2, 1\)"):
+    with pytest.raises(GraphError, match=r"linearized: B:.*shape \(2, 1\).*\(2, 2\)"):
         Linearized(square, square, np.zeros((1, 2)), np.zeros((1, 1)))

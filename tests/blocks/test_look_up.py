@@ -71,29 +71,29 @@ def test_outside_of_the_grid_the_run_stops_there():
     """With the rows before it, where it covers what, and the way out."""
     table = LookUpTable([np.array([0.0, 1.0])], np.array([0.0, 2.0]))
     u = np.array([[0.0], [0.5], [1.0], [1.5], [0.0]])
-    text = r"covers u from 0\.0 to 1\.0 \(found 1\.5\); extrapolation = .hold. or .linear. goes"
+    text = r'covers u from 0\.0 to 1\.0.*1\.5\).*extrapolation = "hold" or "linear" to'
     with pytest.raises(Stopped, match=text) as stop:
         table.advance(np.arange(5.0), 1.0, u)
     assert stop.value.outputs.tolist() == [[1.0], [2.0]]
-    with pytest.raises(RunError, match=r"found -0\.1"):
+    with pytest.raises(RunError, match=r"got -0\.1"):
         at(table, -0.1)
 
 
 @pytest.mark.parametrize(
     ("grid", "values", "text"),
     [
-        ([[0.0]], [1.0], "u has 1 points, needed at least 2"),
-        ([[0.0, 1.0]], [1.0], r"y has shape \(1,\), needed \(2,\): one value for each point of u"),
-        ([[0.0, 1.0]], [[1.0, 2.0]], r"y has shape \(1, 2\), needed \(2,\)"),
-        ([[0.0, 0.0]], [1.0, 2.0], r"u\[1\] = 0\.0 does not come after 0\.0; needed increasing"),
-        ([[0.0, np.nan]], [1.0, 2.0], "u has no finite range"),
-        ([[-1.7e308, 1.7e308]], [1.0, 2.0], "u has no finite range"),
-        ([[0.0, 1.0]], [1.0, np.inf], "y has NaN or infinity"),
-        ([[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [1.0, 2.0]], r"u2\[1\] = 0\.0 does not come"),
-        ([], [], "found 0 inputs, needed one or two"),
+        ([[0.0]], [1.0], r"u:.*at least 2 points.*1"),
+        ([[0.0, 1.0]], [1.0], r"y:.*shape \(2,\), one value for each point of u.*\(1,\)"),
+        ([[0.0, 1.0]], [[1.0, 2.0]], r"y:.*shape \(2,\).*\(1, 2\)"),
+        ([[0.0, 0.0]], [1.0, 2.0], r"u:.*increasing.*u\[1\] = 0\.0 after 0\.0"),
+        ([[0.0, np.nan]], [1.0, 2.0], r"u:.*finite.*finite range"),
+        ([[-1.7e308, 1.7e308]], [1.0, 2.0], r"u:.*finite.*finite range"),
+        ([[0.0, 1.0]], [1.0, np.inf], r"y:.*NaN or infinity"),
+        ([[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [1.0, 2.0]], r"u2:.*u2\[1\] = 0\.0"),
+        ([], [], r"one or two inputs.*0"),
     ],
 )
-def test_what_is_no_table_is_refused(grid, values, text):
+def test_only_tables_with_increasing_points_are_taken(grid, values, text):
     """Shape, finiteness, order."""
     with np.errstate(over="ignore"), pytest.raises(UsageError, match=text):
         LookUpTable([np.array(row) for row in grid], np.array(values))

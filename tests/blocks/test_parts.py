@@ -26,7 +26,7 @@ def test_sum_adds_with_signs():
     """The sum is y = u1 - u2 on vectors, exactly."""
     computed = drive(sum_of([1.0, -1.0]), RANDOM)
     assert (computed[:, 0] == RANDOM[:, 0] - RANDOM[:, 1]).all()
-    with pytest.raises(UsageError, match=r"sum: found no signs, needed one for each input"):
+    with pytest.raises(UsageError, match=r"sum:.*one sign.*input"):
         sum_of([])
 
 
@@ -41,9 +41,7 @@ def test_limit_cuts_off():
     """Values inside pass unchanged."""
     computed = drive(limit(lower=-0.5, upper=0.25, size=2), RANDOM)
     assert (computed == np.minimum(np.maximum(RANDOM, -0.5), 0.25)).all()
-    with pytest.raises(
-        UsageError, match=r"limit: found lower = 1.0 and upper = 1.0, needed lower < upper"
-    ):
+    with pytest.raises(UsageError, match=r"limit:.*lower < upper.*lower = 1\.0 and upper = 1\.0"):
         limit(lower=1.0, upper=1.0)
 
 
@@ -82,9 +80,7 @@ def test_a_lag_starts_without_a_transient_by_default():
         drive(Linear(lag(time_constant=0.01, size=2)), u), u, rtol=0, atol=30 * 3 * 2.3e-16
     )
     assert (drive(Linear(lag(time_constant=0.01, initial=-1.0, size=2)), u)[0] == -1.0).all()
-    with pytest.raises(
-        UsageError, match=r"lag: found time_constant = 0.0 s, needed a positive time"
-    ):
+    with pytest.raises(UsageError, match=r"lag: time_constant:.*a time.*0\.0 s"):
         lag(time_constant=0.0)
 
 
@@ -99,7 +95,7 @@ def test_a_delay_gives_the_input_n_steps_later(n):
 
 def test_a_delay_of_nothing_is_refused():
     """It would feed through."""
-    with pytest.raises(UsageError, match=r"delay: found 0 communication steps, needed at least 1"):
+    with pytest.raises(UsageError, match=r"delay:.*at least 1 communication step.*0"):
         Delay(0)
 
 
@@ -128,7 +124,7 @@ def test_a_controller_of_the_wrong_shape_is_refused(name, shape):
         "D": np.zeros((1, 1)),
         "x0": np.zeros(2),
     }
-    text = f"controller: {name} has shape {shape}, needed {matrices[name].shape}"
+    text = f"controller: {name}: expected shape {matrices[name].shape}, got {shape}"
     with pytest.raises(UsageError) as error:
         controller(**{**matrices, name: np.zeros(shape)})
     assert str(error.value) == text
@@ -164,7 +160,7 @@ def test_a_replay_refuses_what_was_not_recorded(recording):
     """A component that is not there, a time before the recording."""
     with pytest.raises(LogError, match=r"the run has no component 'lab'; did you mean 'lag'\?"):
         Replay(recording, "lab")
-    with pytest.raises(GraphError, match=r"the recording begins at 0.0 s, was asked for -1.0 s"):
+    with pytest.raises(GraphError, match=r"the recording begins at 0\.0 s.*-1\.0 s"):
         Replay(recording, "u").initialize(-1.0, np.zeros(0))
 
 
@@ -174,7 +170,7 @@ def test_a_delay_line_counts_the_values_of_all_elements(monkeypatch):
     for steps, size in ((12, 1), (3, 4), (4, 3), (1, 12)):
         assert Delay(steps, size=size).interface.outputs[0].size == size
     for steps, size in ((13, 1), (3, 5), (5, 3), (1, 13)):
-        with pytest.raises(UsageError, match=f"{steps} communication steps of {size} values do"):
+        with pytest.raises(UsageError, match=f"{steps} communication steps of {size} values"):
             Delay(steps, size=size)
 
 
@@ -197,15 +193,15 @@ def test_a_product_multiplies_and_divides_from_left_to_right(operations, functio
 def test_a_division_by_zero_stops_the_run_with_the_rows_before_it():
     """The input is named; it may be 0 where y is multiplied by it."""
     u = np.array([[0.0, 1.0], [1.0, 2.0], [1.0, 0.0]])
-    text = "product: u2 is 0, and y is divided by it"
+    text = r"product:.*u2 is 0"
     with pytest.raises(Stopped, match=text) as stop:
         drive(Product("*/"), u)
     assert stop.value.outputs.tolist() == [[0.5]]
-    with pytest.raises(RunError, match=r"u1\[1\] is 0, and y is divided by it"):
+    with pytest.raises(RunError, match=r"u1\[1\] is 0"):
         Product("/", size=2).initialize(0.0, np.array([1.0, 0.0]))
-    with pytest.raises(UsageError, match=r"found operations '\*-', needed \* or / for each input"):
+    with pytest.raises(UsageError, match=r"operations: .*, got '\*-'"):
         Product("*-")
-    with pytest.raises(UsageError, match="found operations ''"):
+    with pytest.raises(UsageError, match=r"operations: .*, got ''"):
         Product("")
 
 

@@ -169,25 +169,25 @@ def test_the_sampled_controller_is_the_recursion_of_the_book():
 @pytest.mark.parametrize(
     ("parameters", "period", "text"),
     [
-        ({"gain": 0.0}, None, "found gain = 0.0, needed another than 0"),
-        ({"integral_time": 0.0}, None, "found integral_time = 0.0, needed a positive time"),
-        ({"derivative_time": -1.0}, None, "found derivative_time = -1.0, needed 0 s or more"),
-        ({"derivative_gain_limit": 0.0}, None, "derivative_gain_limit = 0.0, needed a positive"),
-        ({"lower": 1.0, "upper": 1.0}, None, r"found lower and upper = \(1.0, 1.0\), needed lower"),
+        ({"gain": 0.0}, None, r"gain:.*other than 0.*0\.0"),
+        ({"integral_time": 0.0}, None, r"integral_time:.*a time.*0\.0"),
+        ({"derivative_time": -1.0}, None, r"derivative_time:.*time.*0 s.*-1\.0"),
+        ({"derivative_gain_limit": 0.0}, None, r"derivative_gain_limit:.*0\.0"),
+        ({"lower": 1.0, "upper": 1.0}, None, r"lower and upper:.*lower.*upper.*\(1\.0, 1\.0\)"),
         (
             {"tracking_time": 1.0, "upper": 1.0},
             None,
-            "which needs integral_time and lower or upper",
+            r"integral_time and lower or upper:.*time",
         ),
-        ({"tracking_time": 1.0, "integral_time": 1.0}, None, "needs integral_time and lower or"),
+        ({"tracking_time": 1.0, "integral_time": 1.0}, None, r"integral_time and lower or.*time"),
         (
             {"integral_time": 0.01, "upper": 1.0},
             0.02,
-            "its tracking_time is 0.01 s, shorter than its period of 0.02 s",
+            r"tracking_time:.*period of 0\.02 s.*0\.01 s",
         ),
     ],
 )
-def test_what_is_no_controller_is_refused(parameters, period, text):
+def test_parameters_that_make_no_controller_are_refused(parameters, period, text):
     """With what was found and what is needed."""
     with pytest.raises(UsageError, match=text):
         Pid(PidParameters(**{"gain": 1.0, **parameters}), period=period)

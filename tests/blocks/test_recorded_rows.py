@@ -91,7 +91,7 @@ def test_a_recording_with_other_rows_than_before_is_refused(recording):
     """As where a file has changed."""
     time_ns = np.append(recording.time_ns("lag"), recording.end_ns + np.arange(5))
     rows = RecordedRows(recording, "lag", GivenTimes(time_ns))
-    with pytest.raises(LogError, match=r"the run: found \d+ rows of 'lag' where there were \d+"):
+    with pytest.raises(LogError, match=r"the run:.*rows of 'lag'"):
         rows.at(np.array([STEPS + 4]))
 
 

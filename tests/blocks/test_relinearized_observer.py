@@ -87,7 +87,7 @@ def observer(model, x_a0=None) -> RelinearizedObserver:
 
 def test_it_keeps_the_contract_of_a_component():
     """K steps are one step K times, outputs change nothing, restore undoes."""
-    t = np.arange(11) * H
+    t = np.arange(7) * H
     inputs = np.column_stack([1.0 + np.sin(t), 0.5 + 0.1 * np.cos(3.0 * t)])
     check_component(lambda: observer(Tank()), inputs=inputs, h=H)
 
@@ -164,6 +164,7 @@ class BentTank(Tank):
         return replace(tank, C3=np.array([[0.0, slope]]), C4=constant)
 
 
+@pytest.mark.slow
 def test_where_y_is_no_straight_line_of_x_it_is_of_first_order():
     """What y bends within a step is taken for a motion of x: a half step halves the error."""
     errors = (settled_errors(BentTank(), h, lambda x2: x2 + 0.3 * np.sin(x2)) for h in (0.02, 0.01))

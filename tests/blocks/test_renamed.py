@@ -47,7 +47,7 @@ def test_shown_ports_have_the_bits_of_what_they_stand_for():
     assert set(columns) == {"x_a", "z", "out"}
 
 
-def test_what_depends_on_what_is_shown_in_the_shown_names():
+def test_dependencies_are_shown_in_the_shown_names():
     """Feedthrough, dependencies of initial values; unknown where one part is unknown."""
     shown = renamed(CASES["vectors"]).interface
     assert shown.feedthrough == {"x_a": ("u",), "z": ("f_",), "out": ("f_",)}
@@ -57,7 +57,7 @@ def test_what_depends_on_what_is_shown_in_the_shown_names():
     assert map_ports(unknown, names).interface.feedthrough == {"y": None}
 
 
-def test_whatever_an_interface_names_is_shown_under_its_new_name():
+def test_all_names_of_an_interface_are_shown_anew():
     """Every field of it: of two ports, one has another name, and both are in what has names."""
     own = Interface(
         (Signal("a"), Signal("b")),
@@ -180,8 +180,7 @@ REPLACED = Interface((), (Signal("x", 2), Signal("y"), Signal("z"), Signal("z[1]
 PARTS = {
     "an element beside the whole": (
         {"x": ["s"], "x[0]": ["s[1]"]},
-        r"'plant\.x\[0\]' \(as s\[1\]\) overlaps 'plant\.x' \(as s\); needed 'plant\.x' as a "
-        r"whole, or each of its elements once",
+        r"'plant\.x\[0\]' \(as s\[1\]\) overlaps 'plant\.x' \(as s\)",
     ),
     "an element beside a slice": (
         {"x[0]": ["v"], "x[0:2]": ["s"]},
@@ -193,17 +192,19 @@ PARTS = {
     ),
     "the second element alone": (
         {"x[1]": ["v"]},
-        r"'plant\.x\[1\]' \(as v\) is a part of 'plant\.x', which has 2 elements; needed entries "
-        r"for the rest too: plant\.x\[0\], or one for the whole: plant\.x=\[NAME, NAME\]",
+        r"'plant\.x\[1\]' \(as v\) is a part of 'plant\.x', which has 2 elements",
     ),
-    "the first element alone": ({"x[0]": ["v"]}, r"needed entries for the rest too: plant\.x\[1\]"),
+    "the first element alone": (
+        {"x[0]": ["v"]},
+        r"'plant\.x'.*entries for the rest too: plant\.x\[1\]",
+    ),
     "an element that is not there": (
         {"x[5]": ["v"]},
         r"'plant\.x\[5\]' \(as v\): 'plant\.x' has 2 elements, numbered from 0",
     ),
     "a vector for an element": (
         {"x[0]": ["s"], "x[1]": ["v"]},
-        r"'plant\.x\[0\]' has size 1; found size 2: s",
+        r"'plant\.x\[0\]':.*size 1.*2: s",
     ),
 }
 
@@ -260,14 +261,14 @@ WRONG = {
     "values that may be missing": ({"y": ["r", "o"]}, r"'r' is never NaN, 'o' is optional"),
     "units": ({"y": ["r", "m"]}, r"unit 'kg' of 'm' cannot be converted to 'm'; leave 'plant\.y'"),
     "causality": ({"y": ["r", "w"]}, r"'r' is output, 'w' is input"),
-    "size": ({"y[1]": ["u"]}, r"'plant\.y\[1\]' has size 1; found size 2: u"),
+    "size": ({"y[1]": ["u"]}, r"'plant\.y\[1\]':.*size 1.*2: u"),
     "an input twice": (
         {"a": ["w"], "b": ["w"]},
         r"'plant\.w' is given twice, for 'plant\.a' and 'plant\.b'",
     ),
     "a part of an input": (
         {"a": ["u[1]"]},
-        r"'plant\.a' is a part of the input 'u'; needed ports for the rest too: u\[0\]",
+        r"'plant\.a' is a part of the input 'u'.*ports for the rest too: u\[0\]",
     ),
 }
 

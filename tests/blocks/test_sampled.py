@@ -52,7 +52,7 @@ def test_sampled_agrees_with_the_exact_step_response():
     )  # ten steps, one last bit each
 
 
-def test_what_a_sampled_component_holds_follows_an_input_that_was_extrapolated():
+def test_held_outputs_follow_an_input_that_was_extrapolated():
     """A loop evaluates the outputs again with the right input; these hold until the next sample.
 
     The extrapolated input leaves no trace.
@@ -69,9 +69,7 @@ def test_what_a_sampled_component_holds_follows_an_input_that_was_extrapolated()
 def test_sampled_passes_a_stop_on():
     """With the rows up to there."""
     source = Sampled(Table(np.array([0.0, 0.01]), np.ones((2, 1))), 4)
-    with pytest.raises(
-        Stopped, match=r"table: covers 0.0 s to 0.01 s, was asked for 0.012 s"
-    ) as stop:
+    with pytest.raises(Stopped, match=r"table:.*0\.0 s to 0\.01 s.*0\.012 s") as stop:
         drive(source, np.zeros((31, 0)))
     assert stop.value.steps == 11
 
@@ -95,7 +93,7 @@ def test_decimated_passes_a_stop_on():
     """With the rows up to there."""
     t = np.array([0.0, 0.01])
     y = np.array([[0.0], [10.0]])
-    with pytest.raises(Stopped, match=r"was asked for 0.011 s") as stop:
+    with pytest.raises(Stopped, match=r"s.*0\.01 s.*0\.011 s") as stop:
         drive(Decimated(Table(t, y), 4), np.zeros((31, 0)))
     np.testing.assert_allclose(
         stop.value.outputs[:, 0], [0, 0, 0, 4, 4, 4, 4, 8, 8, 8], rtol=0, atol=2e-15
@@ -105,7 +103,7 @@ def test_decimated_passes_a_stop_on():
 @pytest.mark.parametrize("kind", [Sampled, Decimated])
 def test_a_period_of_nothing_is_refused(kind):
     """At least one communication step."""
-    with pytest.raises(ClockError, match=r"period: found 0 communication steps, needed at least 1"):
+    with pytest.raises(ClockError, match=r"period:.*at least 1 communication step.*0"):
         kind(through(), 0)
 
 

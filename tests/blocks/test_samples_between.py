@@ -144,7 +144,7 @@ def test_a_sample_outside_its_step_stops_the_run(run):
     u[2, 8 + MOST] = 0.5 * H
     component = identifier(scenario)
     component.initialize(t[0], u[0])
-    with pytest.raises(Stopped, match=r"a sample at 0.02 s is said to be of an instant that is"):
+    with pytest.raises(Stopped, match=r"a sample at 0\.02 s"):
         component.advance(t, H, u)
 
 
@@ -257,7 +257,10 @@ def test_samples_between_the_points_stop_an_unstable_plant(run):
     u[50, 8:10] = 0.0, t[50] - 0.5 * H
     component = identifier(scenario, most=1, plant=UNSTABLE, at_points=True)
     component.initialize(t[0], u[0])
-    with pytest.raises(Stopped, match="is said to be of an instant"):
+    with pytest.raises(
+        Stopped,
+        match=r"a sample at 0\.5 s has a time stamp before the previous communication point",
+    ):
         component.advance(t, H, u)
 
 
@@ -303,6 +306,7 @@ def held_response(reduced, h):
     return exponential[:2, :2], exponential[:2, 2]
 
 
+@pytest.mark.slow
 def test_an_exported_identifier_takes_the_samples_too(run, tmp_path):
     """Bit for bit as the component, and it names what stops it as the component does."""
     scenario, log = run

@@ -407,53 +407,70 @@ def test_y_is_interpolated_as_its_input_is():
 @pytest.mark.parametrize(
     ("parameters", "text"),
     [
-        ({"noise": -0.1, "seed": 1}, "noise: found -0.1, needed 0 or more, a standard deviation"),
-        ({"noise": [0.1], "seed": 1}, "noise: found 1 numbers, needed one, or one for each of 2"),
-        ({"noise": math.nan, "seed": 1}, "noise: found NaN or infinity, needed finite numbers"),
-        ({"bias": [1.0, 2.0, 3.0]}, "bias: found 3 numbers, needed one, or one for each of 2"),
+        ({"noise": -0.1, "seed": 1}, "noise: expected a standard deviation >= 0, got -0.1"),
+        (
+            {"noise": [0.1], "seed": 1},
+            "noise: expected one number, or one for each of 2 elements, got 1",
+        ),
+        ({"noise": math.nan, "seed": 1}, "noise: expected finite numbers, got NaN or infinity"),
+        (
+            {"bias": [1.0, 2.0, 3.0]},
+            "bias: expected one number, or one for each of 2 elements, got 3",
+        ),
         (
             {"lower": 1.0, "upper": [2.0, 1.0]},
-            "found lower = 1 and upper = 1, needed lower < upper",
+            "lower < upper, got lower = 1 and upper = 1",
         ),
-        ({"resolution": 0.0}, "resolution: found 0, needed a positive number"),
-        ({"resolution": [0.1, -0.1]}, "resolution: found -0.1, needed a positive number"),
+        ({"resolution": 0.0}, "resolution: expected a number > 0, got 0"),
+        ({"resolution": [0.1, -0.1]}, "resolution: expected a number > 0, got -0.1"),
         (
             {"resolution": 1.0, "lower": 0.2, "upper": 1.9},
-            "resolution: found 1, with fewer than two whole multiples between the limits 0.2 and",
+            "resolution: expected two multiples or more between the limits 0.2 and 1.9, got 1",
         ),
-        ({"bits": 8}, "bits: needed lower and upper too, the range of the levels"),
-        ({"bits": 8, "lower": 0.0}, "bits: needed lower and upper too"),
-        ({"bits": 0, "lower": 0.0, "upper": 1.0}, "bits: found 0, needed 1 to 52"),
-        ({"bits": 53, "lower": 0.0, "upper": 1.0}, "bits: found 53, needed 1 to 52"),
-        ({"bits": 52, "lower": 8.0, "upper": 9.0}, "bits: found 52, and there are not 2**52 doubl"),
-        ({"bits": 9, "lower": -1e308, "upper": 1e308}, "bits: found 9, and there are not 2**9"),
+        ({"bits": 8}, "bits: requires lower and upper, the range of the levels"),
+        ({"bits": 8, "lower": 0.0}, "bits: requires lower and upper, the range of the levels"),
+        ({"bits": 0, "lower": 0.0, "upper": 1.0}, "bits: expected 1 to 52, got 0"),
+        ({"bits": 53, "lower": 0.0, "upper": 1.0}, "bits: expected 1 to 52, got 53"),
+        (
+            {"bits": 52, "lower": 8.0, "upper": 9.0},
+            "bits: got 52, but there are fewer than 2**52 equidistant doubles from lower to upper",
+        ),
+        (
+            {"bits": 9, "lower": -1e308, "upper": 1e308},
+            "bits: got 9, but there are fewer than 2**9 equidistant doubles from lower to upper",
+        ),
         (
             {"bits": 8, "resolution": 0.1, "lower": 0.0, "upper": 1.0},
-            "found resolution and bits, needed one of them",
+            "resolution or bits, got both",
         ),
-        ({"delay": -1.0}, "delay: found -1 communication steps, needed 0 or more"),
-        ({"delay": math.inf}, "delay: found inf communication steps, needed 0 or more"),
-        ({"delay": 1e9}, "delay: found 1e+09 communication steps of 2 values, needed at most"),
-        ({"jitter": -0.1, "seed": 1}, "jitter: found -0.1 communication steps, needed 0 to 0.5"),
+        ({"delay": -1.0}, "delay: expected a number of communication steps >= 0, got -1"),
+        ({"delay": math.inf}, "delay: expected a number of communication steps >= 0, got inf"),
+        (
+            {"delay": 1e9},
+            "delay: expected at most 134217728 values, got 1e+09 communication steps of 2 values",
+        ),
+        (
+            {"jitter": -0.1, "seed": 1},
+            "jitter: expected 0 to 0.5, half the sampling period, so that samples keep their",
+        ),
         (
             {"jitter": 0.6, "delay": 3.0, "seed": 1},
-            "jitter: found 0.6 communication steps, needed 0 to 0.5, half the distance of two sam",
+            "jitter: expected 0 to 0.5, half the sampling period, so that samples keep their",
         ),
         (
             {"jitter": 2.0, "delay": 0.5, "period": 4, "seed": 1},
-            "samples are taken up to 1.5 after they are reported, where the input is not known; "
-            "needed at most 1: less jitter, or more delay",
+            "jitter: got 2 communication steps, so that samples are taken up to 1.5 after they",
         ),
-        ({"dropout": 1.0, "seed": 1}, "dropout: found 1, needed a probability of 0 or more, below"),
-        ({"dropout": -0.1, "seed": 1}, "dropout: found -0.1, needed a probability of 0 or more"),
-        ({"noise": 0.1}, "seed: needed with noise, jitter or dropout, a whole number"),
-        ({"jitter": 0.1}, "seed: needed with noise, jitter or dropout, a whole number"),
-        ({"dropout": 0.1}, "seed: needed with noise, jitter or dropout, a whole number"),
-        ({"noise": 0.1, "seed": -1}, "seed: found -1, needed 0 or more"),
-        ({"period": 0}, "period: found 0 communication steps, needed at least 1"),
+        ({"dropout": 1.0, "seed": 1}, "dropout: expected a probability >= 0 and < 1, got 1"),
+        ({"dropout": -0.1, "seed": 1}, "dropout: expected a probability >= 0 and < 1, got -0.1"),
+        ({"noise": 0.1}, "seed: expected an integer, as noise, jitter and dropout require one"),
+        ({"jitter": 0.1}, "seed: expected an integer, as noise, jitter and dropout require one"),
+        ({"dropout": 0.1}, "seed: expected an integer, as noise, jitter and dropout require one"),
+        ({"noise": 0.1, "seed": -1}, "seed: expected an integer >= 0, got -1"),
+        ({"period": 0}, "period: expected at least 1 communication step, got 0"),
     ],
 )
-def test_what_no_sensor_can_do_is_refused(parameters, text):
+def test_impossible_sensors_are_refused(parameters, text):
     """With the parameter, what was found and what is needed."""
     with pytest.raises(UsageError, match=re.escape(text)):
         Sensor(SensorParameters(**parameters), size=2)

@@ -101,11 +101,9 @@ def test_a_table_refuses_beyond_its_ends(hold):
     """It does not extrapolate: no start outside it; at its end it stops with all rows before."""
     source = table(hold=hold)
     for t in (-0.001, 1.001):
-        with pytest.raises(UsageError, match=rf"table: covers 0.0 s to 1.0 s, was asked for {t} s"):
+        with pytest.raises(UsageError, match=rf"table: .*0\.0 s to 1\.0 s, got {t} s"):
             source.initialize(t, np.zeros(0))
-    with pytest.raises(
-        Stopped, match=r"table: covers 0.0 s to 1.0 s, was asked for 1.001 s"
-    ) as stop:
+    with pytest.raises(Stopped, match=r"table: .*0\.0 s to 1\.0 s, got 1\.001 s") as stop:
         drive(source, np.zeros((1501, 0)))
     assert stop.value.failed
     np.testing.assert_array_equal(stop.value.outputs, drive(source, np.zeros((1001, 0)))[1:])
@@ -127,15 +125,15 @@ def test_a_table_does_not_change_with_the_arrays_it_was_made_from():
         (
             [0.0],
             [[1.0]],
-            "found 1 instants and 1 values, needed the same number of both, at least 2",
+            r"values.*instants, at least 2.*1 instants and 1 values",
         ),
-        ([0.0, 1.0], [[1.0]], "found 2 instants and 1 values"),
-        ([0.0, np.nan], [[1.0], [2.0]], "found NaN or infinity, needed finite numbers"),
-        ([0.0, 1.0], [[1.0], [np.inf]], "found NaN or infinity, needed finite numbers"),
+        ([0.0, 1.0], [[1.0]], r"values.*instants.*2.*2 instants and 1 values"),
+        ([0.0, np.nan], [[1.0], [2.0]], r"finite numbers.*NaN or infinity"),
+        ([0.0, 1.0], [[1.0], [np.inf]], r"finite numbers.*NaN or infinity"),
         (
             [0.0, 1.0, 0.5],
             [[1.0], [2.0], [3.0]],
-            r"t\[2\] = 0.5 s does not come after 1.0 s; needed increasing instants",
+            r"increasing instants.*t\[2\] = 0\.5 s after.*= 1\.0 s",
         ),
     ],
 )
@@ -207,6 +205,6 @@ def test_a_slope_beyond_all_numbers_is_refused():
     """Between finite points it may be infinite."""
     t = np.array([0.0, 5e-324, 1.0])
     y = np.array([[0.0], [1.0], [1.0]])
-    with pytest.raises(UsageError, match=r"t\[0\] = 0\.0 s and 5e-324 s the slope of y is beyond"):
+    with pytest.raises(UsageError, match=r"the slope of y.*t\[0\] = 0\.0 s and 5e-324 s"):
         Table(t, y)
     assert Table(t, y, hold=True).outputs(0.0, np.zeros(0)) == 0.0

@@ -98,14 +98,19 @@ def test_a_steady_one_begins_without_a_transient():
 @pytest.mark.parametrize(
     ("numerator", "denominator", "steady", "text"),
     [
-        ([1.0], [2.0], False, "its denominator has no power of s"),
-        ([1.0, 0.0, 0.0], [1.0, 1.0], False, "found 3 coefficients over 2; .* (proper)"),
-        ([], [1.0, 1.0], False, "found 0 coefficients over 2"),
-        ([1.0], [0.0, 1.0, 1.0], False, "the first coefficient of its denominator is 0"),
-        ([1.0], [1.0, 0.0], True, "so there is no steady state; needed initial = .zero."),
+        ([1.0], [2.0], False, r"denominator.*power of s"),
+        (
+            [1.0, 0.0, 0.0],
+            [1.0, 1.0],
+            False,
+            "1 to 2 coefficients.* (proper), got 3",
+        ),
+        ([], [1.0, 1.0], False, r"2 coefficients.*0"),
+        ([1.0], [0.0, 1.0, 1.0], False, "coefficient of the denominator is 0"),
+        ([1.0], [1.0, 0.0], True, r'is zero.*=.*so there is no steady state.*initial = "zero"'),
     ],
 )
-def test_what_is_no_transfer_function_is_refused(numerator, denominator, steady, text):
+def test_only_proper_transfer_functions_are_taken(numerator, denominator, steady, text):
     with pytest.raises(UsageError, match=text.replace("(proper)", r"\(proper\)")):
         transfer_function(numerator, denominator, steady=steady)
 

@@ -216,20 +216,18 @@ class Bare:
     [
         (
             Carrier(),
-            "component 'p': found an object of type Carrier, whose interface is None; needed a "
-            r"component with a cosim\.core\.Interface; it carries one: hand over its \.component",
+            r"component 'p':.*an interface of type cosim\.core\.Interface.*None",
         ),
-        (Delay, "component 'p': found the class Delay; needed an object of it"),
-        (None, "component 'p': found None, whose interface is None; needed a component"),
+        (Delay, r"component 'p':.*the class Delay"),
+        (None, r"component 'p':.*interface.*None.*None"),
         (Broken(), "component 'p': its interface raised ZeroDivisionError: mine"),
         (
             Bare(),
-            "component 'p': found an object of type Bare, which has no advance, prepare, save, "
-            "restore; needed a component",
+            r"component 'p':.*an object of type Bare.*advance, prepare, save, restore",
         ),
     ],
 )
-def test_what_is_no_component_is_refused(component, text):
+def test_only_components_are_taken(component, text):
     """With what was found, what is missing, and the way out where there is one."""
     with pytest.raises(GraphError, match=f"^{text}"):
         Graph({"p": component}, {})
@@ -238,27 +236,27 @@ def test_what_is_no_component_is_refused(component, text):
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [
-        (lambda: run(None, 1, 2), UsageError, "graph: found None, needed a Graph"),
-        (lambda: run(small(), 1.0, 2), UsageError, r"clock: found 1\.0, needed a Clock"),
+        (lambda: run(None, 1, 2), UsageError, r"graph:.*a Graph.*None"),
+        (lambda: run(small(), 1.0, 2), UsageError, r"clock:.*a Clock.*1\.0"),
         (
             lambda: run(small(), Clock(1.0, 0.1), Memory),
             UsageError,
-            "recorder: found the class Memory; needed an object of it",
+            r"recorder:.*the class Memory",
         ),
         (
             lambda: run(small(), Clock(1.0, 0.1), {}),
             UsageError,
-            "recorder: found an object of type dict, which has no __enter__, __exit__, begin,",
+            r"recorder:.*recorder.*an object of type dict.*__enter__, __exit__, begin",
         ),
         (
             lambda: run(small(), Clock(1.0, 0.1), Nothing(), {}),
             UsageError,
-            "plan: found an object of type dict, needed a Plan",
+            r"plan:.*a Plan.*an object of type dict",
         ),
         (
             lambda: run(small(), Clock(1.0, 0.1), Nothing(), small().prepare(1)),
             UsageError,
-            "plan: found one for steps of 1 ns, the clock has 100000000 ns, or for another graph",
+            r"plan:.*graph.*clock",
         ),
         (
             lambda: run(
@@ -268,17 +266,17 @@ def test_what_is_no_component_is_refused(component, text):
                 Graph({"c": constant([1.0])}, {}).prepare(10**8),
             ),
             UsageError,
-            "plan: found one for steps of 100000000 ns, the clock has 100000000 ns, or for another",
+            r"plan:.*clock.*one for another",
         ),
         (
             lambda: run(small(), Clock(1.0, 0.1), Nothing(), small().prepare(10**8), designs={}),
             UsageError,
-            "found both a plan and designs; needed one of them: a plan has designs",
+            r".*a plan.*designs.*both; a plan.*designs",
         ),
         (
             lambda: small().prepare(0),
             GraphError,
-            "step_ns: found 0, needed a whole number of nanoseconds, at least 1",
+            r"step_ns:.*1.*0",
         ),
         (
             lambda: small().prepare(1, {"y": {}}),
@@ -288,52 +286,60 @@ def test_what_is_no_component_is_refused(component, text):
         (
             lambda: Graph({"c": constant([1.0])}, [("a", "b")]),
             GraphError,
-            "connections: found an object of type list, needed a Mapping",
+            r"connections:.*a Mapping.*an object of type list",
         ),
         (
             lambda: Graph({"c": constant([1.0])}, {"c.u": 3}),
             GraphError,
-            "a connection has 3 as its source; needed a port such as 'plant.y', or a list of these",
+            r".*a port such as 'plant\.y', or a list of.*source of a connection.*3",
         ),
         (
             lambda: Connection("c.y", np.array([[1j]])),
             GraphError,
-            "'c.y': found gain .*; needed finite numbers or a matrix",
+            r"'c\.y':.*finite numbers or a matrix.*gain",
         ),
         (
             lambda: Connection("c.y", "2"),
             GraphError,
-            "'c.y': found gain '2'; needed finite numbers or a matrix",
+            r"'c\.y':.*finite numbers or a matrix.*gain.*'2'",
         ),
-        (lambda: Connection("c.y", unit=3), GraphError, "'c.y': unit: found 3, needed a str"),
-        (lambda: Port("a", "b", -1), GraphError, "'a.b' has no elements -1; needed a number from"),
+        (lambda: Connection("c.y", unit=3), GraphError, r"'c\.y': unit:.*a str.*3"),
+        (
+            lambda: Port("a", "b", -1),
+            GraphError,
+            r"'a\.b': .*index from 0.* got -1",
+        ),
         (
             lambda: Port("a", "b", range(-2, 1)),
             GraphError,
-            r"'a.b' has no elements range\(-2, 1\); needed a number from 0",
+            r"'a\.b':.*from 0.*range\(-2, 1\)",
         ),
-        (lambda: Port("a", "b", range(0, 4, 2)), GraphError, "'a.b' has no elements range"),
+        (
+            lambda: Port("a", "b", range(0, 4, 2)),
+            GraphError,
+            r"'a\.b': .*index from 0.* got range\(0, 4, 2\)",
+        ),
         (
             lambda: Connection("c.y", np.ma.masked_array([[1.0]], mask=True)),
             GraphError,
-            r"'c.y': found gain masked_array",
+            r"'c\.y':.*gain",
         ),
-        (lambda: Port("a", ""), GraphError, "port: found '', needed the name of a component and"),
+        (lambda: Port("a", ""), GraphError, r"port:.*a component and a.*name.*''"),
         (
             lambda: nanoseconds("1e999999999"),
             ClockError,
             "'1e999999999' s is not within 1e-400 to 1e400 s",
         ),
-        (lambda: Clock(True, 1e-3), ClockError, "True is not a time in seconds"),
-        (lambda: Clock(1.0, 0.1, 2.5), ClockError, r"block: found 2\.5 steps, needed at least 1"),
-        (lambda: Memory(5), UsageError, "metadata: found 5, needed a Mapping"),
-        (lambda: Memory()["x.y"], LogError, "the run has no component 'x'; there are none"),
+        (lambda: Clock(True, 1e-3), ClockError, r".*seconds.*True"),
+        (lambda: Clock(1.0, 0.1, 2.5), ClockError, r"block:.*steps.*1.*2\.5"),
+        (lambda: Memory(5), UsageError, r"metadata:.*a Mapping.*5"),
+        (lambda: Memory()["x.y"], LogError, "the run has no component 'x'; none"),
         (
             lambda: Memory()[3],
             LogError,
-            "the run: found 3; needed the name of a signal, or a list of names",
+            r"the run:.*a signal name, or a list of names.*3",
         ),
-        (lambda: Memory().time(None), LogError, "the run: found None, needed a component's name"),
+        (lambda: Memory().time(None), LogError, r"the run:.*a component name.*None"),
     ],
 )
 def test_wrong_arguments_are_named(call, error, text):

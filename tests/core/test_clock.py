@@ -39,13 +39,13 @@ def test_a_tenth_of_a_nanosecond_is_refused(tenths):
     ("value", "text"),
     [
         (1.5e-9, r"1.5e-09 s is not a whole number of nanoseconds; nearest: 2e-09 s"),
-        (float("nan"), r"nan is not a time in seconds; needed a finite number"),
-        (float("inf"), r"inf is not a time in seconds; needed a finite number"),
-        ("soon", r"soon is not a time in seconds; needed a finite number"),
+        (float("nan"), r"a finite number.*seconds.*nan"),
+        (float("inf"), r"a finite number.*seconds.*inf"),
+        ("soon", r"a finite number.*seconds.*soon"),
         (1e10, r"10000000000.0 s does not fit into 64-bit nanoseconds; at most 9.223e\+09 s"),
     ],
 )
-def test_what_is_no_time_is_refused(value, text):
+def test_only_times_are_taken(value, text):
     """With what was found and the nearest value that would do."""
     with pytest.raises(ClockError, match=text):
         nanoseconds(value)
@@ -124,15 +124,15 @@ def test_a_block_can_be_cut():
             {"stop": 1.0, "step": 0.3},
             r"stop: 1.0 s is not a whole number of 0.3 s steps; nearest: 0.9 s",
         ),
-        ({"stop": 1.0, "step": 0.0}, r"step: found 0.0 s, needed a positive time"),
-        ({"stop": 1.0, "step": -1e-3}, r"step: found -0.001 s, needed a positive time"),
-        ({"stop": 0.0, "step": 1e-3}, r"stop: found 0.0 s, needed a positive time"),
+        ({"stop": 1.0, "step": 0.0}, r"step:.*a time.*0\.0 s"),
+        ({"stop": 1.0, "step": -1e-3}, r"step:.*a time.*-0\.001 s"),
+        ({"stop": 0.0, "step": 1e-3}, r"stop:.*a time.*0\.0 s"),
         (
             {"stop": 1.0, "step": 1e-10},
             r"1e-10 s is not a whole number of nanoseconds; nearest: 1e-09 s",
         ),
-        ({"stop": "1", "step": 0.1}, r"stop: found '1', needed a number of seconds"),
-        ({"stop": 1.0, "step": 1e-3, "block": 0}, r"block: found 0 steps, needed at least 1"),
+        ({"stop": "1", "step": 0.1}, r"stop:.*a number of seconds.*'1'"),
+        ({"stop": 1.0, "step": 1e-3, "block": 0}, r"block:.*steps.*1.*0"),
     ],
 )
 def test_a_grid_that_is_none_is_refused(options, text):

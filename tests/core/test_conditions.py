@@ -114,17 +114,17 @@ def test_it_sees_time_elements_and_names_in_quotes():
 REFUSED = {
     "plnt.y > 0": "condition 'plnt.y > 0': the graph has no component 'plnt'; did you mean 'plant'",
     "plant.v > 0": "condition 'plant.v > 0': the graph has no 'plant.v': 'plant' has no signal 'v'",
-    "two.v > 0": "'two.v > 0': 'two.v' has 2 elements; needed one of them, such as two.v[0]",
+    "two.v > 0": "'two.v > 0': expected one element, got 'two.v' with 2 elements",
     "two.v[2] > 0": "condition 'two.v[2] > 0': the graph: ",
-    "two.v[0:2] > 0": "'two.v[0:2]' has 2 elements; needed one of them, such as two.v[0]",
-    "'two' > 0": "condition \"'two' > 0\": the graph: 'two' is no port; needed COMPONENT.SIGNAL",
+    "two.v[0:2] > 0": "'two.v[0:2] > 0': expected one element, got 'two.v[0:2]' with 2 elements",
+    "'two' > 0": "condition \"'two' > 0\": the graph: expected a port COMPONENT.SIGNAL",
     "plant.y > 0 for 1.5 ms": "'plant.y > 0 for 1.5 ms': for: 0.0015 s is not a whole number of "
     "0.001 s steps; nearest: 0.002 s",
 }
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_what_is_not_in_the_graph_is_refused(text):
+def test_signals_that_are_not_in_the_graph_are_refused(text):
     """With the nearest name; a duration that is off the grid, too."""
     with pytest.raises(UsageError) as error:
         condition(text)

@@ -115,14 +115,14 @@ def test_the_error_is_that_of_a_run_of_its_own(end):
         assert isinstance(error, Stopped if isinstance(end, Stopped) else NonFiniteError)
 
 
-def test_what_cannot_take_a_place_is_refused():
+def test_members_that_do_not_fit_are_refused():
     """A name that is not there, and another interface; the graph keeps its components."""
     graph = Graph(components(), CONNECTIONS)
     own = dict(graph.components)
     with pytest.raises(GraphError, match=r"there is no component 'aa'; did you mean 'a'"):
         run_members(graph, CLOCK, [{"aa": integrator()}])
-    with pytest.raises(GraphError, match="component 'a': another one has another interface"):
+    with pytest.raises(GraphError, match=r"component 'a':.*interface"):
         run_members(graph, CLOCK, [{"a": through()}])
     assert graph.components == own
-    with pytest.raises(UsageError, match="clock: found"):
+    with pytest.raises(UsageError, match=r"clock: .*got"):
         run_members(graph, 1.0, [])

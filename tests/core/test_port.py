@@ -30,7 +30,7 @@ def test_a_port_is_its_written_name(text, port):
 
 
 @pytest.mark.parametrize("text", ["plant", "plant.", ".y", "", "plant.x[2:2]", "plant.x[2:1]"])
-def test_what_names_no_port_is_refused(text):
+def test_only_names_of_ports_are_taken(text):
     """A port needs a component, a signal, and at least one element."""
     with pytest.raises(GraphError, match=re.escape(repr(text))):
         Port.parse(text)

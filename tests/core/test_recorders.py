@@ -60,9 +60,8 @@ def test_signal_names_may_have_dots_and_unknown_ones_name_the_nearest():
     assert kept.time("c.p.q").tolist() == kept.time("c").tolist()
     with pytest.raises(
         LogError,
-        match=r"the run has no 'c\.p': 'c' has no signal 'p'; did you mean 'p\.q'\? There is: "
-        r"n, p\.q",
+        match=r"the run has no 'c\.p': 'c' has no signal 'p'; did you mean 'p\.q'\?.*n, p\.q",
     ):
         kept["c.p"]
-    with pytest.raises(LogError, match="the run has no component 'd'; there is: c"):
+    with pytest.raises(LogError, match="the run has no component 'd'; available: c"):
         kept.time("d.n")

@@ -7,7 +7,7 @@
         until the end of the block, or where something stopped:
             every stage advances, by some steps at once (:mod:`cosim.core.stages.pacing`)
             yield the steps that all stages have completed
-        with conditions: up to where one comes true (:mod:`cosim.core.stages.looking_ahead`)
+        with conditions: up to where one is met (:mod:`cosim.core.stages.looking_ahead`)
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Engine:
     divide : bool
         Whether blocks that take long come in pieces.
     conditions : RunConditions, optional
-        Where one comes true a block ends.
+        Where one is met a block ends.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class Engine:
             control.forget_from(0)
 
     def _advance_watched(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
-        """Advance up to where a condition comes true; yield the initial values by themselves."""
+        """Advance up to where a condition is met; yield the initial values by themselves."""
         if block.index == 0:
             yield block.part(0, 0), signals[:1]
         self._end = self.conditions.end_at(float(block.time[0]))

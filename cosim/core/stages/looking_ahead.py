@@ -1,4 +1,4 @@
-"""Stages that advance up to the row where a condition of the run comes true, and no further.
+"""Stages that advance up to the row where a condition of the run is met, and no further.
 
 ::
 

@@ -202,7 +202,7 @@ class TimedAction:
 
 @dataclass(frozen=True, slots=True)
 class ConditionalAction:
-    """Actions, and the condition that they are performed at: where it comes true first.
+    """Actions, and the condition that they are performed at: where it is met first.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ class Reactions:
         return list(dict.fromkeys(action.when for action in self._actions))
 
     def due(self, came_true: Collection[str]) -> list[ConditionalAction]:
-        """Return what is to be performed where some conditions come true; it counts as done."""
+        """Return what is to be performed where some conditions are met; it counts as done."""
         due = []
         for number, action in enumerate(self._actions):
             if action.when in came_true and number not in self.performed:

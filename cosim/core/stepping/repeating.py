@@ -37,7 +37,7 @@ def run_with_actions(
     actions : sequence of TimedAction
         At communication points.
     reactions : sequence of ConditionalAction
-        Where conditions come true first.
+        Where conditions are met first.
 
     Raises
     ------

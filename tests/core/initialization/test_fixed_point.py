@@ -92,7 +92,7 @@ def test_a_solution_at_zero_is_measured_by_the_values_involved():
     assert measure(np.zeros(1), np.array([1e-3]), 0.3).excess > 1e8
 
 
-def test_what_has_no_solution_is_not_found():
+def test_no_fixed_point_is_found_where_there_is_none():
     """No root: the residual of v^2 + 1 stays above 0.75; a singular matrix is distinguished."""
     found = newton(lambda v: v * v + 1.0, np.array([0.2]), lambda: 1.0)
     assert found.residual >= 0.75

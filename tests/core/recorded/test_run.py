@@ -76,7 +76,7 @@ def test_parameters_that_cannot_be_understood_are_refused(text):
     """A log may come from anywhere."""
     memory = Memory(metadata={"cosim.component.plant": {"table": text}})
     memory.begin(plan())
-    with pytest.raises(LogError, match=r"parameters of 'plant' cannot be understood: found .*JSON"):
+    with pytest.raises(LogError, match=r"parameters of 'plant' cannot be.*JSON"):
         memory.parameters  # noqa: B018
 
 
@@ -155,7 +155,7 @@ def test_the_edges_of_a_window_are_doubles_as_the_times_are():
 def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
     """None is how a bound is left out."""
     log, _ = two_rates
-    with pytest.raises(UsageError, match=r"t1: found (nan|inf); needed a finite number of seconds"):
+    with pytest.raises(UsageError, match=r"t1: .*seconds, got (nan|inf)"):
         log.window(0.0, value)
     with pytest.raises(UsageError, match="t0: found 'a'; needed a number"):
         log.window("a", 1.0)
@@ -164,7 +164,7 @@ def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
 def test_bounds_in_the_wrong_order_are_refused(two_rates):
     """Rather than an empty window."""
     log, _ = two_rates
-    with pytest.raises(UsageError, match=r"found t0 = 2\.0 s after t1 = 1\.0 s"):
+    with pytest.raises(UsageError, match=r"t0.*t1.*t0 = 2\.0 s.*t1 = 1\.0 s"):
         log.window(2.0, 1.0)
 
 

@@ -26,7 +26,7 @@ def test_a_run_is_a_mapping_of_its_signals(recorded):
         assert values.tobytes() == recorded[name].tobytes()
 
 
-def test_what_was_not_recorded_is_a_key_error_with_the_nearest_names(recorded):
+def test_an_unrecorded_signal_is_a_key_error_with_the_nearest_names(recorded):
     """So that ``get`` and ``except KeyError`` work as for every mapping."""
     assert recorded.get("plant.x_c") is None
     assert recorded.get("u.y") is not None
@@ -38,9 +38,9 @@ def test_what_was_not_recorded_is_a_key_error_with_the_nearest_names(recorded):
 
 
 @pytest.mark.parametrize("key", [3, None, [], {"u.y"}, slice(None), [3]])
-def test_what_is_no_name_is_refused(recorded, key):
+def test_only_names_of_signals_are_taken(recorded, key):
     """Also in a list."""
-    with pytest.raises(LogError, match="needed"):
+    with pytest.raises(LogError, match=r"a signal name, or a list of names, got "):
         recorded[key]
 
 

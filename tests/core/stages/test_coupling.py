@@ -272,7 +272,7 @@ def test_unknown_feedthrough_that_closes_a_cycle_is_taken_as_not_there():
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
+def test_undeclared_feedthrough_is_a_step_late(coupling):
     """y = x + 0.5 u with u = -y / 2 of the step before, as the warning says.
 
     The output of the gain is of the same instant.
@@ -292,7 +292,7 @@ def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_what_feeds_through_in_a_loop_belongs_to_the_same_instant(coupling):
+def test_direct_feedthrough_in_a_loop_belongs_to_the_same_instant(coupling):
     """The static equations hold at every row with the recorded values of that row."""
     log = record(loop(coupling))
     assert (log["k.y"] == 2.0 * log["plant.v"]).all()
@@ -493,7 +493,7 @@ def two_inputs():
     return Linear(controller(A=-2.0 * np.eye(1), B=np.array([[1.0, 3.0]]), C=np.eye(1), D=D))
 
 
-def test_what_is_evaluated_again_keeps_what_closes_an_algebraic_loop():
+def test_outputs_evaluated_again_keep_the_inputs_that_close_an_algebraic_loop():
     """a and b feed through to each other; a has a second input, known as soon as c has advanced.
 
     Outputs are evaluated again for that one, and belong to the other one from before the step.

@@ -106,7 +106,7 @@ def test_noise_has_its_deviation_and_depends_on_seed_and_element_alone():
     assert (simulation.step(20)["g.u"][:, 1] == runs[2][:20, 1]).all()
 
 
-def test_what_is_dropped_leaves_the_last_value_that_arrived():
+def test_a_dropped_sample_leaves_the_last_value_that_arrived():
     """With the probability, within 5 sqrt(p (1 - p) / N)."""
     count = 4000
     simulation = Simulation(driven(), clock(count + BEGIN))
@@ -154,7 +154,7 @@ def test_a_dropped_sample_of_an_optional_input_is_no_value(native):
     assert simulation.step(3)["c.y"][:, 0].tolist() == [BEGIN + 1.0, BEGIN + 2.0, BEGIN + 3.0]
 
 
-def test_what_feeds_through_follows_a_fault_at_once():
+def test_direct_feedthrough_follows_a_fault_at_once():
     """The row keeps the value before; the step begins behind the jump, with no ramp."""
     simulation = Simulation(driven(), clock())
     rows = simulation.step(BEGIN)
@@ -298,14 +298,14 @@ def test_a_fault_that_leaves_the_range_of_numbers_is_named(native):
     ("kind", "parameters", "text"),
     [
         ("bias", (1.0,), "there is no fault 'bias'; .*freeze"),
-        ("offset", (), "offset: found 0 parameters; needed, of each of 1 elements: offset"),
-        ("noise", (0.1,), "noise: found 1 parameters; needed, of each of 1 elements: deviation"),
-        ("offset", (math.nan,), "offset: found offset nan; needed a finite number"),
-        ("noise", (-0.1, 1), "noise: found a deviation of -0.1; needed 0 or more"),
-        ("drop", (1.5, 0), "drop: found a probability of 1.5; needed more than 0, up to 1"),
-        ("drop", (0.5, -1), "drop: found seed -1; needed a whole number from 0 on"),
-        ("delay", (0,), "delay: found steps 0; needed a whole number from 1 on"),
-        ("delay", (1.5,), "delay: found steps 1.5; needed a whole number from 1 on"),
+        ("offset", (), r"offset:.*each of 1 elements: offset.*0 parameters"),
+        ("noise", (0.1,), r"noise:.*each of 1 elements: deviation.*1 parameters"),
+        ("offset", (math.nan,), r"offset: offset:.*a finite number.*nan"),
+        ("noise", (-0.1, 1), r"noise:.*deviation.*0.*-0\.1"),
+        ("drop", (1.5, 0), r"drop:.*a probability.*0.*1.*1\.5"),
+        ("drop", (0.5, -1), r"drop: seed:.*0.*-1"),
+        ("delay", (0,), r"delay: steps:.*1.*0"),
+        ("delay", (1.5,), r"delay: steps:.*1.*1\.5"),
     ],
 )
 def test_a_fault_that_does_not_fit_is_refused(kind, parameters, text):
@@ -317,9 +317,9 @@ def test_a_fault_that_does_not_fit_is_refused(kind, parameters, text):
 @pytest.mark.parametrize(
     ("signal_type", "kind", "parameters", "text"),
     [
-        ("boolean", "offset", (1.0,), "offset: 'u' is Boolean; needed override, freeze, drop or"),
-        ("integer", "gain", (0.5,), "gain: 'u' is an integer; needed a whole offset or gain, over"),
-        ("integer", "noise", (0.5, 1), "noise: 'u' is an integer; needed a whole offset or gain"),
+        ("boolean", "offset", (1.0,), r"offset: 'u' is Boolean.*override, freeze, drop or"),
+        ("integer", "gain", (0.5,), r"gain: 'u' is an integer.*an integer offset or gain"),
+        ("integer", "noise", (0.5, 1), r"noise: 'u' is an integer.*an integer offset or gain"),
         ("integer", "drift", (1.0,), "drift: 'u' is an integer"),
         ("integer", "offset", (2.0,), ""),
         ("boolean", "delay", (2.0,), ""),
@@ -341,5 +341,5 @@ def test_values_stay_what_their_type_has(signal_type, kind, parameters, text):
 def test_an_event_of_a_fault_without_its_parameters_is_refused():
     """A log that was damaged."""
     event = SignalEvent(0, "offset", "g.u", (1.0,))
-    with pytest.raises(LogError, match="does not fit: offset: found 0 parameters"):
+    with pytest.raises(LogError, match=r"does not fit: offset:.*offset.*0 parameters"):
         repeat(driven(), clock(), Memory(), events=[event])

@@ -274,13 +274,13 @@ def test_a_component_tells_its_own_jumps(native, in_loop):
     [
         (
             {3: np.zeros(2)},
-            r"left_limits returned an array of float64, shape \(2,\); its interface",
+            r"left_limits returned an array of float64, shape \(2,\); expected",
         ),
-        ({3: 0.5}, "left_limits returned float; its interface needs"),
+        ({3: 0.5}, "left_limits returned float; expected a float64 array"),
         (None, "left_limits raised KeyError: 7"),
-        ({8: np.zeros(1)}, "left_limits returned the place 8; needed one from 0 to"),
-        ({-1: np.zeros(1)}, "left_limits returned the place -1; needed one from 0 to"),
-        ({"y": np.zeros(1)}, "left_limits returned the place 'y'; needed one from 0 to"),
+        ({8: np.zeros(1)}, "left_limits: .*from 0 to .*, got 8"),
+        ({-1: np.zeros(1)}, "left_limits: .*from 0 to .*, got -1"),
+        ({"y": np.zeros(1)}, "left_limits: .*from 0 to .*, got 'y'"),
     ],
 )
 def test_left_limits_that_are_none_are_refused(limits, text):

@@ -67,7 +67,7 @@ def expected_end(signal, comparator, value, steps):
 
 @settings(deadline=None, max_examples=40)
 @given(CONDITIONS, st.sampled_from(BLOCKS), st.booleans())
-def test_a_run_ends_at_the_row_where_the_condition_came_true(condition, block, native):
+def test_a_run_ends_at_the_row_where_the_condition_is_met(condition, block, native):
     """As the rows of the whole run say; those up to there are the same, and there are no others."""
     signal, comparator, value, steps = condition
     until = f"{signal} {comparator} {value} for {50 * steps} ms"
@@ -159,7 +159,7 @@ class Doomed(Counter):
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_what_has_failed_behind_the_row_need_not_go_back(block):
+def test_a_component_that_failed_behind_the_row_need_not_go_back(block):
     """The run ends at the row; in one that goes on there would be no way."""
     memory = Memory()
     doomed = Graph({"c": Doomed(fails_at=8)}, {})
@@ -184,7 +184,7 @@ def test_components_stand_at_the_last_row(block):
     assert counter.last >= 5
 
 
-def test_what_can_go_back_goes_ahead():
+def test_components_with_rollback_go_ahead():
     """Else the blocks would be of one step for nothing."""
     counter, _ = count("c.y >= 5", block=8)
     assert counter.last == 8
@@ -192,7 +192,7 @@ def test_what_can_go_back_goes_ahead():
 
 @pytest.mark.parametrize("options", [{"rollback": False}, {"restarts": True}])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_what_cannot_go_back_does_not_pass_the_row(block, options):
+def test_components_without_rollback_do_not_pass_the_row(block, options):
     """Nor is it saved, as that would change the steps that follow."""
     counter, memory = count("c.y >= 5", block, **options)
     assert counter.last == counter.k == memory.steps == 5
@@ -213,8 +213,9 @@ def test_a_component_that_does_other_steps_the_second_time_is_an_error():
     with pytest.raises(RunError) as error:
         count("c.y >= 5", block=8, lies=True)
     assert str(error.value) == (
-        "'c' went back to t = 0.0 s, and the same steps gave other values, first at t = 0.1 s; "
-        "needed a save() and restore() that fit, or an interface that declares no rollback"
+        "'c' went back to t = 0.0 s and repeated the same steps with different values, "
+        "first at t = 0.1 s; its save() and restore() must be complete, or its interface must not "
+        "declare rollback"
     )
 
 
@@ -295,19 +296,19 @@ def test_where_a_run_ends_no_action_is_performed(until, steps):
 
 
 REFUSED = {
-    "x.y": "condition 'x.y': found 'x.y'; needed a comparison",
+    "x.y": "condition 'x.y': got 'x.y'",
     "x.v > 1": "the graph has no 'x.v': 'x' has no signal 'v'; ",
     "x.y > 1 for 70 ms": "for: 0.07 s is not a whole number of 0.05 s steps; nearest: 0.05 s",
 }
 
 
 @pytest.mark.parametrize("until", REFUSED)
-def test_what_is_no_condition_of_the_graph_is_refused(until):
+def test_only_conditions_of_the_graph_are_taken(until):
     """Before anything begins; so is what is no text."""
     with pytest.raises(UsageError) as error:
         recorded(until)
     assert REFUSED[until] in str(error.value)
-    with pytest.raises(UsageError, match="until: found 1"):
+    with pytest.raises(UsageError, match=r"until:.*1"):
         recorded(1)
 
 
@@ -321,9 +322,8 @@ LOOPS = (
 
 
 @pytest.mark.parametrize("native", [True, False])
-@pytest.mark.parametrize("block", BLOCKS)
 @pytest.mark.parametrize("options", LOOPS, ids=lambda options: " ".join(map(str, options.values())))
-def test_a_loop_goes_back_with_all_that_it_keeps(options, block, native):
+def test_a_loop_goes_back_with_all_that_it_keeps(options, native):
     """What loops that iterate keep from step to step decides the last bits of those that follow."""
 
     def loop(native):
@@ -337,7 +337,11 @@ def test_a_loop_goes_back_with_all_that_it_keeps(options, block, native):
         return Graph(components, connections, native=native, **options)
 
     whole = recorded(None, native=native, graph=loop)
-    memory = recorded("t > 1.72", block=block, native=native, graph=loop)
-    assert 0 < memory.steps < whole.steps
-    for name in whole:
-        assert memory[name].tobytes() == whole[name][: memory.steps + 1].tobytes()
+    different = []
+    for block in BLOCKS:
+        memory = recorded("t > 1.72", block=block, native=native, graph=loop)
+        assert 0 < memory.steps < whole.steps
+        for name in whole:
+            if memory[name].tobytes() != whole[name][: memory.steps + 1].tobytes():
+                different.append((block, name))
+    assert different == []

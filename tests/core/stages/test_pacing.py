@@ -15,6 +15,7 @@ from cosim.core.graph import Graph
 from cosim.core.master import run, simulate
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
+from cosim.core.simulation import Simulation
 from cosim.core.stages import pacing
 from cosim.errors import CosimError
 from tests.core.parts import integrator
@@ -172,9 +173,21 @@ def test_fixed_blocks_of_a_simulation_are_not_divided(wall):
     assert {steps for steps, _ in slow.calls} == {1}
 
 
+def test_many_steps_of_a_simulation_are_recorded_piece_by_piece(wall):
+    """A live view of its log falls behind by less than a second, however long the steps take."""
+    graph = Graph({"s": sine(rate=1.0), "x": Costly(wall, lambda k: 0.05)}, {"x.u": "s.y"})
+    clock = Clock(0.1, 1e-3)
+    memory = Watching(wall)
+    plan = graph.prepare(clock.step_ns)
+    memory.begin(plan)
+    Simulation(graph, clock, plan, recorder=memory).step(100)
+    assert wall.now > 4.0
+    assert memory.longest < 1.0
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**6), st.sampled_from([None, 5, 40]))
-def test_what_is_recorded_does_not_depend_on_the_pace(seed, block):
+def test_rows_do_not_depend_on_the_pace(seed, block):
     """Rows, the first error and its time: with components that turn slow, stop and fail anywhere.
 
     The reference advances step by step.

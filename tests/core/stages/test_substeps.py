@@ -61,7 +61,7 @@ def test_the_parts_of_a_step_follow_each_other_in_whole_nanoseconds(step_ns, min
 
 
 @given(st.floats(0.0, 1e6), st.floats(1e-15, 10.0), st.data())
-def test_what_an_event_leaves_is_divided_at_whole_nanoseconds(begin, length, data):
+def test_the_rest_behind_an_event_is_divided_at_whole_nanoseconds(begin, length, data):
     """Its ends are what was given, to the last bit; its parts follow each other."""
     span = Span.between(begin, begin + length)
     if not span.whole.has_halves:
@@ -122,7 +122,7 @@ def driven(source, substeps=None, **options):
     return Graph({"drive": source, "one": one, "two": two}, wires, substeps=substeps, **options)
 
 
-def test_what_drives_a_loop_is_interpolated_between_communication_points():
+def test_inputs_of_a_loop_are_interpolated_between_communication_points():
     """A ramp is a straight line, so that halves of a step are those of a finer run but rounding."""
     strict = SubstepTolerance(rtol=0.0, atol=1e-300, min_ns=5_000_000)
     divided = record(driven(ramp(slope=3.0), strict), stop=0.1, step=0.01)
@@ -322,15 +322,15 @@ def test_events_without_end_stop_the_run(event_time):
     """As in an FMU whose relay slides."""
     graph = eventful(event_time, tolerance(1.0))
     reason = r"'one' stopped at t = .*: 1000 events between t = 0.0 s and 0.01 s, the last at .* s"
-    with pytest.raises(RunError, match=f"{reason}; they do not end"):
+    with pytest.raises(RunError, match=f"{reason}; events accumulate"):
         record(graph, stop=0.05, step=0.01)
 
 
 @pytest.mark.parametrize(
     ("event_time", "text"),
     [
-        (lambda t0, t1: math.nan, r"first_event returned nan; needed a time \[s\], or infinity"),
-        (lambda t0, t1: None, r"first_event returned None; needed a time \[s\], or infinity"),
+        (lambda t0, t1: math.nan, r"first_event: .*a time \[s\], or infinity.* got nan"),
+        (lambda t0, t1: None, r"first_event: .*a time \[s\], or infinity.* got None"),
     ],
 )
 def test_a_time_of_an_event_that_is_none_is_refused(event_time, text):
@@ -421,7 +421,7 @@ def test_substeps_that_are_missing_are_named():
     first = next(substep for substep in whole if substep.accepted)
     for damaged in ([], [s for s in whole if s is not first], whole[:-1]):
         original.substeps = lambda damaged=damaged: damaged
-        with pytest.raises(LogError, match=r"substeps of the loop of 'one' .* are not whole"):
+        with pytest.raises(LogError, match=r"the substeps of the loop of 'one'.*loop.*step"):
             again(original)
 
 
@@ -444,7 +444,7 @@ def jumping(source, components=None, substeps=None):
     return Graph(parts, connections, coupling="newton", substeps=substeps)
 
 
-def test_what_follows_a_jump_behind_recorded_substeps_takes_its_left_limit():
+def test_followers_of_a_jump_behind_recorded_substeps_take_its_left_limit():
     """The row has the right one; the left one is that of the last substep before the jump."""
     limits = tolerance(1e-5)
     source = {"time": 0.05, "before": 0.0, "after": 1.0}
@@ -579,19 +579,21 @@ def test_a_component_that_others_follow_through_a_step_is_refused():
     """It would have to be known between communication points."""
     components = {"one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0), "whole": Follows()}
     connections = {"one.u": "whole.y", "whole.u": "one.y"}
-    with pytest.raises(GraphError, match="whole in this loop cannot take parts of a step"):
+    with pytest.raises(
+        GraphError, match=r"whole in this loop cannot take part of a step.*step.*a loop.*step"
+    ):
         Graph(components, connections, substeps=tolerance(1e-6))
 
 
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"rtol": -1e-6}, "rtol: found -1e-06, needed a number, 0 or more"),
-        ({"atol": math.nan}, "atol: found nan, needed a number, 0 or more"),
-        ({"rtol": "small"}, "rtol: found 'small', needed a number, 0 or more"),
-        ({"rtol": 0.0, "atol": 0.0}, "rtol = atol = 0, needed one of them above 0"),
-        ({"min_ns": 0}, "min_ns: found 0, needed a whole number of nanoseconds, at least 1"),
-        ({"min_ns": 1.5}, "min_ns: found 1.5, needed a whole number of nanoseconds, at least 1"),
+        ({"rtol": -1e-6}, r"rtol:.*0.*-1e-06"),
+        ({"atol": math.nan}, r"atol:.*0.*nan"),
+        ({"rtol": "small"}, r"rtol:.*0.*'small'"),
+        ({"rtol": 0.0, "atol": 0.0}, r"rtol.*0.*atol.*0.*rtol = atol = 0"),
+        ({"min_ns": 0}, r"min_ns:.*1.*0"),
+        ({"min_ns": 1.5}, r"min_ns:.*1.*1\.5"),
     ],
 )
 def test_a_wrong_tolerance_is_refused(values, text):
@@ -603,7 +605,7 @@ def test_a_wrong_tolerance_is_refused(values, text):
 def test_a_shortest_substep_that_is_no_half_of_a_step_is_refused():
     """There would be nothing to choose."""
     graph = pair(substeps=SubstepTolerance(min_ns=6_000_000))
-    text = "min: found 0.006 s, longer than half a step of 0.01 s; needed at most 0.005 s"
+    text = r"min:.*at most 0\.005 s, half.*step of 0\.01 s.*0\.006 s"
     with pytest.raises(GraphError, match=text):
         graph.prepare(10_000_000)
 

@@ -96,7 +96,7 @@ def test_an_action_is_performed_when_its_point_is_reached():
     assert simulation["plant.u"] == simulation["controller.y"] + 0.5
 
 
-def test_what_fails_between_actions_keeps_the_rows_before():
+def test_a_failure_between_actions_keeps_the_rows_before():
     """Those of the parts that were completed, and of the one that was not."""
     values = [1.0] * 8 + [np.inf] * 40
     components = {"s": Scripted(values), "x": integrator()}
@@ -225,11 +225,11 @@ def test_a_graph_has_its_own_components_again_behind_a_run():
 def test_a_variant_needs_the_same_interface_and_a_state():
     """Refused before the run."""
     graph = chain()
-    with pytest.raises(GraphError, match="'g': another one has another interface"):
+    with pytest.raises(GraphError, match=r"'g':.*interface"):
         graph.prepare_variant("g", integrator(), clock().step_ns, {})
     components = {"s": Scripted([1.0] * 50)}
     graph = Graph(components, {})
-    with pytest.raises(GraphError, match="'s': its state cannot be handed over"):
+    with pytest.raises(GraphError, match="'s': its state cannot be passed on"):
         graph.prepare_variant("s", Scripted([2.0] * 50), clock().step_ns, {})
 
 

@@ -118,7 +118,7 @@ def order_of(components, connections, **options):
         lambda: Sampled(Delay(2), 3),
     ],
 )
-def test_what_needs_no_input_at_the_end_of_a_step_goes_first(first):
+def test_components_without_feedthrough_go_first(first):
     """A delay, a sampled controller, also inside another component."""
     components = {"a": integrator(), "r": sine(rate=1.0), "s": sum_of([1.0, 1.0]), "z": first()}
     connections = {"a.u": "s.y", "s.u1": "r.y", "s.u2": "z.y", "z.u": "a.y"}
@@ -139,7 +139,7 @@ def test_a_sampled_controller_with_feedthrough_still_samples_at_the_start():
     assert order.broken == 1
 
 
-def test_what_a_zero_order_hold_drives_is_not_broken():
+def test_connections_from_a_zero_order_hold_are_not_broken():
     """A discrete output holds over the step anyway: the lag behind it goes first."""
     discrete = Decimated(integrator(3.0), 1)
     components = {"b": discrete, "z": integrator()}
@@ -184,7 +184,7 @@ def test_a_sum_of_what_jumps_and_what_does_not_is_broken_as_a_whole():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_delays_in_a_circle_are_discrete(n):
+def test_delays_in_a_cycle_are_discrete(n):
     """Nothing continuous is behind them, also where one drives itself."""
     components = {f"d{i}": Delay(1, initial=1.0) for i in range(n)}
     connections = {f"d{i}.u": f"d{(i + 1) % n}.y" for i in range(n)}

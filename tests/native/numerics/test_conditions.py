@@ -59,7 +59,7 @@ def certain(text, row):
 
 
 @given(conditions, st.tuples(values, values))
-def test_what_has_no_value_makes_no_condition_true(text, rest):
+def test_a_missing_value_makes_no_condition_true(text, rest):
     """Of a condition that is true with NaN, the parts without NaN alone make it true.
 
     So it is true whatever the missing value would be, and so is no negation of it.
@@ -176,7 +176,7 @@ REFUSED = {
 }
 
 
-def test_whatever_is_no_condition_is_refused():
+def test_only_conditions_are_compiled():
     """With what was found and what is possible instead; nothing is evaluated or called."""
     wrong = []
     for text, problem in REFUSED.items():

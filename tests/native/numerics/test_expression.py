@@ -169,7 +169,7 @@ REFUSED = {
 }
 
 
-def test_whatever_is_not_in_the_language_is_refused():
+def test_only_the_language_is_compiled():
     """With what was found and what is there instead; nothing is evaluated, imported or called."""
     wrong = []
     for text, problem in REFUSED.items():

@@ -21,7 +21,7 @@ from cosim.native.numerics.programs import evaluate
         "exp(-t)/(1 + t**2)",
     ],
 )
-def test_what_is_continuous_has_no_jumps(text):
+def test_continuous_expressions_have_no_jumps(text):
     """abs, min and max are continuous; step and sign of a constant are constants."""
     assert jumps(text) == ()
 
@@ -69,6 +69,6 @@ def test_the_remedy_is_the_same_function_with_the_value_after_the_jump(function,
     assert evaluate(compile_expression(jump.remedy), float(instant)) == after
 
 
-def test_what_is_no_expression_is_refused():
+def test_only_expressions_have_jumps():
     with pytest.raises(UsageError, match="unknown function"):
         jumps("step(t) + stop(t)")

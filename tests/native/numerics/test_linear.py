@@ -199,9 +199,14 @@ def augmented(A, B, h):
     return M
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_a_discretization_is_the_exponential_of_the_augmented_matrix_bit_by_bit(seed):
+def test_a_discretization_is_the_exponential_of_the_augmented_matrix_bit_by_bit():
     """What is not computed is 0 or 1: of any sizes, stiff, singular, of short and long steps."""
+    different = [seed for seed in range(60) if not has_bits_of_the_exponential(seed)]
+    assert different == []
+
+
+def has_bits_of_the_exponential(seed):
+    """Compare the discretizations of random systems with the exponentials."""
     rng = np.random.default_rng(seed)
     n, m = rng.integers(0, 6), rng.integers(0, 5)
     A = rng.standard_normal((n, n)) * 10.0 ** rng.uniform(-8.0, 4.0)
@@ -219,7 +224,9 @@ def test_a_discretization_is_the_exponential_of_the_augmented_matrix_bit_by_bit(
         starts = np.where(held, whole, whole - slope)
         expected = (E[:n, :n], starts, np.where(held, 0.0, slope))
         for found, needed in zip(computed, expected, strict=True):
-            assert np.ascontiguousarray(found).tobytes() == np.ascontiguousarray(needed).tobytes()
+            if np.ascontiguousarray(found).tobytes() != np.ascontiguousarray(needed).tobytes():
+                return False
+    return True
 
 
 @pytest.mark.parametrize("h", [1e-9, 1e-3, 1.0, 1e3])

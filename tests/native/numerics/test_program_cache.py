@@ -209,7 +209,7 @@ def test_a_run_with_other_instants_takes_the_place_of_the_one_before():
 
 
 @pytest.mark.parametrize("text", ["1.5", "2.0*t + 1.0", "max(t, abs(t))", "step(t - 1)*sqrt(t)"])
-def test_what_is_computed_as_fast_as_it_is_read_is_not_kept(text):
+def test_programs_computed_as_fast_as_they_are_read_are_not_kept(text):
     caches = ProgramCaches()
     step = step_of(text)
     caches.connect("u", step)

@@ -190,7 +190,7 @@ def test_each_state_is_measured_by_its_own_scale(method):
 
 
 @pytest.mark.parametrize("method", EXPLICIT)
-def test_what_comes_after_save_comes_after_restore_again(method):
+def test_steps_after_save_come_again_after_restore(method):
     """Bit for bit, as often as asked, within a step too; also into another solver."""
     solver = started(method, kepler, 0.0, orbit(0.0, 0.3), rtol=1e-6)
     reach(solver, 0.0, [0.1, 0.2])
