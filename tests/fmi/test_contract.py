@@ -44,8 +44,8 @@ def test_loaded_fmus_keep_the_contract(path, interface_type):
         loaded.append(load(path, FmuOptions(interface_type=interface_type)))
         return loaded[-1].component
 
-    check_component(make)
-    check_rollback(make)
+    check_component(make, steps=15)
+    check_rollback(make, steps=15)
     for fmu in loaded:
         fmu.close()
 

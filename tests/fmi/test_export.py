@@ -18,7 +18,6 @@ from cosim.errors import FmuError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.export import export
-from cosim.fmi.exporting.identifier import output_error as kernel_of_output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
@@ -33,9 +32,8 @@ from cosim.native.estimation.regression import (
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.linear import first_order_hold
 from tests.fmi.dae import descriptor
+from tests.fmi.identifiers import output_error
 from tests.fmi.plant import INTERFACE, A, B, C, D, grid, inputs, model, run, solution
-from tests.scenario.online import COARSE
-from tests.scenario.online import identifier as online
 
 NAMES = ("y", "x_a[0]", "x_a[1]", "x_b")
 
@@ -259,16 +257,6 @@ def identifier():
     return DiscreteModel(
         interface, kernels.least_squares(constants), 1_000_000, "it is discrete", steps_per_sample=3
     )
-
-
-def output_error():
-    """Return the identifier of the example for a run of 1 s; estimates begin before its end."""
-    settings = {**COARSE, "scenario.stop": 1.0, "identifier.start": 3.5}
-    component = online("academic", {**settings, "identifier.period": 0.01})
-    held = np.zeros(component.interface.n_u, np.bool_)
-    constants = component.method.constants(0.01, held, component.method.design(0.01, held))
-    kernel = kernel_of_output_error(constants)
-    return DiscreteModel(component.interface, kernel, 1_000_000, "it is discrete")
 
 
 def sampled():
