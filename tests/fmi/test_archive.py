@@ -6,9 +6,11 @@ Nothing is written outside the work folder, nothing is left, and memory is bound
 import os
 import stat
 import struct
+import tempfile
 import tracemalloc
 import zipfile
 import zlib
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -145,16 +147,16 @@ def test_names_that_not_every_system_takes(tmp_path, monkeypatch):
 
     def check(names):
         path = write(tmp_path / "x.fmu", [Entry(name, name.encode()) for name in names])
-        folder = tmp_path / "folder"
-        folder.mkdir()
+        folder = Path(tempfile.mkdtemp(dir=tmp_path))
         contents = archive.read_archive(path, (), folder)
         assert {name: (folder / name).read_bytes() for name in names} == {
             name: name.encode() for name in names
         }
         (warning,) = contents.warnings
         assert "keeps for devices or streams" in warning or "are one on some systems" in warning
-        monkeypatch.setattr(archive, "SYSTEM", "windows")
-        with pytest.raises(FmuError, match=r"keeps for devices or streams|are one on some systems"):
+        message = r"keeps for devices or streams|are one on some systems"
+        with monkeypatch.context() as patch, pytest.raises(FmuError, match=message):
+            patch.setattr(archive, "SYSTEM", "windows")
             archive.read_archive(path, ())
 
     check_all(check, ON_SOME_SYSTEMS.values())
@@ -424,9 +426,10 @@ def test_document_types(place):
         path = write(place / "x.fmu", [], xml=xml)
         refused(path, "modelDescription.xml is not well-formed: it has a document type")
 
-    check_all(
-        check, ["utf-8", "utf-16", "utf-16-be", "utf-16-le", "iso-8859-1"], DOCUMENT_TYPES.values()
-    )
+    first, *others = DOCUMENT_TYPES.values()
+    encodings = ["utf-8", "utf-16", "utf-16-be", "utf-16-le", "iso-8859-1"]
+    check_all(check, encodings, [first])
+    check_all(check, ["utf-8", "utf-16-le"], others)
 
 
 def test_an_entity_that_is_not_known(place):

@@ -73,6 +73,7 @@ def test_co_simulation_fmus_without_D_keep_the_contract(edited, able):
         fmu.close()
 
 
+@pytest.mark.slow
 def test_a_co_simulation_fmu_of_others_keeps_the_contract(foreign2):
     """By pythonfmu: integer and Boolean inputs, no D, no saved states."""
     loaded = []

@@ -627,7 +627,7 @@ def integrated(saw, *, native, block):
     return memory
 
 
-@pytest.mark.parametrize("solver", ["rk4", "RK45", "BDF"])
+@pytest.mark.parametrize("solver", slow_but(["rk4"], ["rk4", "RK45", "BDF"]))
 def test_what_follows_an_output_that_jumps_takes_its_left_limit(solver):
     """The integral of ten teeth of 0.1 s is 10 (0.1^2 / 2), in blocks of any length.
 

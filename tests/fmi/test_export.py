@@ -463,13 +463,14 @@ def test_an_instance_that_is_too_large_is_refused(tmp_path):
         export(wide, tmp_path / "x.fmu", name="x")
 
 
-def test_the_page_says_what_it_is(exported, tmp_path):
+def test_the_page_says_what_it_is(exported, tmp_path, monkeypatch):
     """Ports, matrices, how to compile; a discrete model, its step, and that NaN is no value."""
     with zipfile.ZipFile(exported) as archive:
         page = archive.read("documentation/index.html").decode()
     assert "x&#x27; = A x + B u" in page or "x' = A x + B u" in page
     assert "<td>delta</td><td>input</td>" in page
     assert "fmi2.c instance.c continuous.c model.c linear.c" in page
+    monkeypatch.setattr(build, "compiler", list)  # the page is enough
     with zipfile.ZipFile(export(regressor(), tmp_path / "r.fmu", name="r").path) as archive:
         page = archive.read("documentation/index.html").decode()
     assert "NaN: no value yet" in page

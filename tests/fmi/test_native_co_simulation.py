@@ -131,7 +131,9 @@ def check_rows(path, version, can, start, wiring):
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 @pytest.mark.parametrize(
-    ("cases", "wiring"), [(USUAL, "ring"), (RARE, "chain")], ids=["usual", "rare"]
+    ("cases", "wiring"),
+    [(USUAL, "ring"), (RARE[:10], "chain"), (RARE[10:], "chain")],
+    ids=["usual", "rare", "rarer"],
 )
 def test_rows_messages_and_ends_are_those_of_the_methods(path, version, cases, wiring):
     """Usual steps in a ring, rare ones in a chain."""
