@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+SLOW = pytest.mark.slow
+
 
 def check_all(check: Callable[..., None], *tables: Iterable[Any]) -> None:
     """Call a function with each case of a table, or of the product of several.
@@ -23,3 +25,9 @@ def check_all(check: Callable[..., None], *tables: Iterable[Any]) -> None:
             shown = ", ".join(repr(argument)[:100] for argument in arguments)
             failed.append(f"{shown}: {error}")
     assert not failed, "\n".join(failed)
+
+
+def slow_but(fast: Iterable[Any], values: Iterable[Any]) -> list[Any]:
+    """Return values for ``parametrize``, all of which but some are slow ones."""
+    kept = list(fast)
+    return [value if value in kept else pytest.param(value, marks=SLOW) for value in values]

@@ -1,10 +1,13 @@
 """The options of ``cosim check``: start values for the trials, and what is an error."""
 
+import pytest
+
 from tests.fmi.rogues import XML, compile_rogue
 
 FAULT = "error: trial run, co-simulation: fmi2DoStep returned 3 (error)"
 
 
+@pytest.mark.slow
 def test_a_fault_behind_a_parameter(probe2, call):
     """With a start value of its own the trial comes to it; a wrong one is refused."""
     assert FAULT not in call("check", probe2)[1]

@@ -318,6 +318,7 @@ def test_the_contract_holds_with_clocks(opened, interface_type):
     check_rollback(make, inputs=inputs, h=H)
 
 
+@pytest.mark.slow
 @TYPES
 def test_a_good_clocked_fmu_has_no_findings(tmp_path, interface_type):
     can = ("any step", "events", "state")

@@ -15,6 +15,7 @@ from cosim.fmi.exporting.export import export
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SYSTEM
 from cosim.native import build
+from tests.fmi.identifiers import output_error
 from tests.fmi.plant import model, run
 
 needs_zig = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="no ziglang")
@@ -103,6 +104,39 @@ def test_zig_and_cc_give_the_same_bits(tmp_path):
         with load(path, FmuOptions(interface_type="cs")) as fmu:
             runs.append(run(fmu.component, step=0.01))
     assert np.array_equal(*runs)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not build.compiler(), reason="no C compiler")
+def test_the_optimization_of_the_compiler_changes_no_bit(tmp_path, monkeypatch):
+    """Of a linear model in both interface types, and of an identifier with all its kernels."""
+    first, *others = (rows_of(tmp_path, monkeypatch, level) for level in ("-O2", "-O0", "-O3"))
+    assert [np.isfinite(rows).any() for rows in first] == [True, True, True]
+    for rows in others:
+        assert [part.tobytes() for part in rows] == [part.tobytes() for part in first]
+
+
+def rows_of(folder, monkeypatch, level):
+    """Return the rows of FMUs whose kernels are compiled with an option of optimization."""
+    flags = tuple(level if flag == "-O2" else flag for flag in build.FLAGS)
+    assert level in flags
+    monkeypatch.setattr(build, "FLAGS", flags)
+    rows = []
+    plant = export(model(), folder / f"plant{level}.fmu", name="plant").path
+    for interface_type in ("me", "cs"):
+        with load(plant, FmuOptions(interface_type=interface_type)) as fmu:
+            rows.append(run(fmu.component, step=0.01))
+    path = export(output_error(), folder / f"identifier{level}.fmu", name="identifier").path
+    with load(path) as fmu:
+        n_u = fmu.component.interface.n_u
+
+        def u(t):
+            return np.sin(np.multiply.outer(t, np.arange(1.0, n_u + 1.0)))
+
+        held = np.ones(n_u, np.bool_)
+        rows.append(run(fmu.component, step=0.001, stop=0.1, held=held, u=u))
+    monkeypatch.undo()
+    return rows
 
 
 def test_without_zig_other_machines_are_refused(tmp_path, monkeypatch):

@@ -44,8 +44,8 @@ def test_loaded_fmus_keep_the_contract(path, interface_type):
         loaded.append(load(path, FmuOptions(interface_type=interface_type)))
         return loaded[-1].component
 
-    check_component(make)
-    check_rollback(make)
+    check_component(make, steps=15)
+    check_rollback(make, steps=15)
     for fmu in loaded:
         fmu.close()
 
@@ -73,6 +73,7 @@ def test_co_simulation_fmus_without_D_keep_the_contract(edited, able):
         fmu.close()
 
 
+@pytest.mark.slow
 def test_a_co_simulation_fmu_of_others_keeps_the_contract(foreign2):
     """By pythonfmu: integer and Boolean inputs, no D, no saved states."""
     loaded = []

@@ -66,7 +66,7 @@ def mutated(random: Random) -> Element:
     return root
 
 
-@pytest.mark.parametrize("count", [120, pytest.param(20_000, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [60, pytest.param(20_000, marks=pytest.mark.campaign)])
 def test_crafted_descriptions(tmp_path, monkeypatch, count, capsys):
     """Info shows it or raises a CosimError; the check has findings."""
     monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])

@@ -37,6 +37,7 @@ def plant(tmp_path_factory):
 # --- out ---
 
 
+@pytest.mark.slow
 def test_a_dae_fmu_is_a_valid_fmu(plant):
     """The validator of fmpy and our own check find nothing; x_b and its residual are arrays."""
     assert validate_fmu(str(plant)) == []

@@ -1,11 +1,11 @@
 """Outputs that change at every n-th step only: because of an inner step, and for other reasons."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.fmi.driving.inner_step import InnerStep
+from tests.fmi.cases import check_all
 
 
 def detections(outputs, inputs, watch=None):
@@ -35,31 +35,23 @@ def test_an_inner_step_is_detected_once(n, moves, rest):
     assert detections(np.exp(-0.1 * intervals), MOVING if moves else STILL) == [(k, n)]
 
 
-@pytest.mark.parametrize(
-    ("outputs", "inputs"),
-    [
-        (STILL, MOVING),
-        (STILL, STILL),
-        (MOVING, MOVING),
-        (STEPS // 10, STEPS // 10),
-        ((STEPS - 3) // 10, STEPS // 10),
-        (STEPS // 10 % 2, STILL),
-        (1.0 + 2.0**-52 * (STEPS // 10), STILL),
-        (np.random.default_rng(1).poisson(0.5, len(STEPS)).cumsum(), STILL),
-    ],
-    ids=[
-        "rest, moved",
-        "rest",
-        "changes in every step",
-        "zero-order hold of the input",
-        "zero-order hold of the input, delayed",
-        "pulse",
-        "slow decay",
-        "irregular",
-    ],
-)
-def test_nothing_else_is_taken_for_one(outputs, inputs):
-    assert detections(outputs.astype(float), inputs.astype(float)) == []
+def test_nothing_else_is_taken_for_one():
+    def check(outputs, inputs):
+        assert detections(outputs.astype(float), inputs.astype(float)) == []
+
+    check_all(
+        check,
+        [
+            (STILL, MOVING),
+            (STILL, STILL),
+            (MOVING, MOVING),
+            (STEPS // 10, STEPS // 10),
+            ((STEPS - 3) // 10, STEPS // 10),
+            (STEPS // 10 % 2, STILL),
+            (1.0 + 2.0**-52 * (STEPS // 10), STILL),
+            (np.random.default_rng(1).poisson(0.5, len(STEPS)).cumsum(), STILL),
+        ],
+    )
 
 
 def test_the_history_can_be_restored():

@@ -414,8 +414,8 @@ REFUSED = {
     "no such state": ({"states": ["thet"]}, r"pendulum: no state 'thet'; did you mean 'theta'\?"),
     "an integer input": (
         {"inputs": ["level"]},
-        r"input 'level' cannot be linearized for: found type Int32, "
-        r"variability discrete, needed a real",
+        r"input 'level' cannot be linearized for: .*type Int32, "
+        r"variability discrete",
     ),
     "twice": ({"inputs": ["wind", "wind"]}, r"input 'wind' is named twice"),
     "no such start": ({"start": {"lenght": 1.0}}, r"no variable 'lenght'; did you mean 'length'\?"),
@@ -430,7 +430,7 @@ REFUSED = {
     "start of an output": ({"start": {"y": 1.0}}, r"'y' has no start value that can be set"),
     "negative time": (
         {"at": -1.0},
-        r"pendulum: expected 0 s or later, got -1.0 s",
+        r"pendulum: .*expected 0 s or later, got -1.0 s",
     ),
     "no such method": (
         {"method": "difference"},

@@ -53,6 +53,7 @@ def test_the_time_of_a_check_is_proportional_to_the_size(tmp_path, path, monkeyp
     assert seconds(check, path) < 20.0 * seconds(check, small)
 
 
+@pytest.mark.slow
 def test_all_of_it_is_read(path):
     """Nothing is left out: 20000 variables, one input, ten outputs, nothing to find."""
     description = read(path).description

@@ -186,10 +186,8 @@ def outcome(seed, lags, *, native=True, threads=1, block=None, way=run, ends=Fal
         return error, memory.status, memory.reason, rows, said
 
 
-@settings(deadline=None, max_examples=12)
-@given(st.integers(0, 10**6))
-def test_mixed_graphs_have_one_outcome(lags, seed):
-    """In Python, in compiled steps, in blocks of any length, in two threads, and by hand."""
+def check_outcome(lags, seed):
+    """Check it in Python and compiled, in blocks of any length, in two threads, and by hand."""
     expected = outcome(seed, lags, native=False, block=1)
     assume(expected is not None)
     for block in BLOCKS:
@@ -199,6 +197,19 @@ def test_mixed_graphs_have_one_outcome(lags, seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Branches, "_chooses_two", lambda self: True)
         assert outcome(seed, lags, threads=2, block=7) == expected
+
+
+@settings(deadline=None, max_examples=3)
+@given(st.integers(0, 10**6))
+def test_mixed_graphs_have_one_outcome(lags, seed):
+    check_outcome(lags, seed)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 10**6))
+def test_many_mixed_graphs_have_one_outcome(lags, seed):
+    check_outcome(lags, seed)
 
 
 @pytest.mark.slow

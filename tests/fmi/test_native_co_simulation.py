@@ -122,17 +122,30 @@ def simulated(
     return rows, error, messages
 
 
+def check_rows(path, version, can, start, wiring):
+    """Check that compiled steps give the rows, error and messages of the methods."""
+    case = (path, version, can, start)
+    expected = simulated(*case, native=False, wiring=wiring, block=1)
+    assert simulated(*case, native=True, wiring=wiring, block=1) == expected
+
+
 @pytest.mark.parametrize("version", ["1", "2", "3"])
-def test_rows_messages_and_ends_are_those_of_the_methods(path, version):
-    """Of every FMU of that version, in a chain and in a ring."""
+@pytest.mark.parametrize(
+    ("cases", "wiring"),
+    [(USUAL, "ring"), (RARE[:10], "chain"), (RARE[10:], "chain")],
+    ids=["usual", "rare", "rarer"],
+)
+def test_rows_messages_and_ends_are_those_of_the_methods(path, version, cases, wiring):
+    """Usual steps in a ring, rare ones in a chain."""
+    check_all(check_rows, [path], [case for case in cases if case[0] == version], [wiring])
 
-    def check(version, can, start, wiring):
-        case = (path, version, can, start)
-        expected = simulated(*case, native=False, wiring=wiring, block=1)
-        assert simulated(*case, native=True, wiring=wiring, block=1) == expected
 
-    cases = [case for case in USUAL + RARE if case[0] == version]
-    check_all(check, cases, ["chain", "ring"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cases", "wiring"), [(USUAL, "chain"), (RARE, "ring")], ids=["usual", "rare"]
+)
+def test_rows_messages_and_ends_are_those_of_the_methods_in_the_other_graph(path, cases, wiring):
+    check_all(check_rows, [path], cases, [wiring])
 
 
 @pytest.mark.parametrize(("version", "can", "start"), [USUAL[4], USUAL[10], RARE[3], RARE[9]])
@@ -146,25 +159,23 @@ def test_bits_depend_on_no_block_size(path, version, can, start):
     check_all(check, ["gauss-seidel", "jacobi"], [None, 7])
 
 
-@pytest.mark.parametrize(
-    ("version", "can", "start"), [case for case in USUAL if "events" not in case[1]]
-)
-def test_usual_steps_are_compiled(path, version, can, start, monkeypatch):
+def test_usual_steps_are_compiled(path, monkeypatch):
     """All of them, but for the first one of an FMU whose state is saved before each."""
+    taken = []
+    step = Stepper.step
 
-    def check(wiring):
-        taken = []
-        step = Stepper.step
+    def counted(self, *arguments):
+        taken.append(arguments)
+        return step(self, *arguments)
 
-        def counted(self, *arguments):
-            taken.append(arguments)
-            return step(self, *arguments)
+    monkeypatch.setattr(Stepper, "step", counted)
 
-        monkeypatch.setattr(Stepper, "step", counted)
+    def check(version, can, start, wiring):
+        taken.clear()
         simulated(path, version, can, start, native=True, wiring=wiring)
         assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
 
-    check_all(check, ["chain", "ring"])
+    check_all(check, [case for case in USUAL if "events" not in case[1]], ["chain", "ring"])
 
 
 def test_what_is_shared_is_put_back_once_for_many_steps(tmp_path):

@@ -516,7 +516,7 @@ def mutant(random: Random) -> str:
     return xml
 
 
-@pytest.mark.parametrize("count", [200, pytest.param(20_000, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [100, pytest.param(20_000, marks=pytest.mark.campaign)])
 def test_mutants_are_read_or_refused(described, tmp_path, monkeypatch, count):
     """Reading returns a description with an interface, or raises; the check has findings."""
     monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])

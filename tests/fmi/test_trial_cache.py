@@ -13,6 +13,7 @@ from cosim.fmi.cache import cache_folder, cached_files
 from cosim.fmi.child_process import TrialProblem, find_rollback_problems
 from cosim.fmi.reading.model_description import read
 from cosim.fmi.trial_cache import keep_problems, read_problems
+from tests.fmi.cases import check_all
 from tests.fmi.compiled import with_description
 from tests.fmi.rogues import XML, compile_rogue
 
@@ -90,27 +91,29 @@ def test_another_content_is_another_trial(tmp_path, trials, archive):
     assert len(trials) == 2
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda data: b"",
-        lambda data: data[: len(data) // 2],
-        lambda data: data.replace(b"0000", b"1111"),  # another file's
-        lambda data: b'{"key": 1}',
-        lambda data: b"[" * 60_000,
-        lambda data: b"\xff\xfe" + data,
-        lambda data: data.replace(b'["goes back wrongly"]', b'"goes"'),
-        lambda data: data.replace(b'["goes back wrongly"]', b"[1]"),
-    ],
-)
-def test_a_damaged_file_is_none(folder, damage):
-    keep_problems(*KEY, ["goes back wrongly"])
-    assert read_problems(*KEY) == ("goes back wrongly",)
-    ((file, _),) = cached_files()
-    file.write_bytes(damage(file.read_bytes()))
-    assert read_problems(*KEY) is None
-    keep_problems(*KEY, [])
-    assert read_problems(*KEY) == ()
+def test_a_damaged_file_is_none(folder):
+    def check(damage):
+        keep_problems(*KEY, ["goes back wrongly"])
+        assert read_problems(*KEY) == ("goes back wrongly",)
+        ((file, _),) = cached_files()
+        file.write_bytes(damage(file.read_bytes()))
+        assert read_problems(*KEY) is None
+        keep_problems(*KEY, [])
+        assert read_problems(*KEY) == ()
+
+    check_all(
+        check,
+        [
+            lambda data: b"",
+            lambda data: data[: len(data) // 2],
+            lambda data: data.replace(b"0000", b"1111"),  # another file's
+            lambda data: b'{"key": 1}',
+            lambda data: b"[" * 60_000,
+            lambda data: b"\xff\xfe" + data,
+            lambda data: data.replace(b'["goes back wrongly"]', b'"goes"'),
+            lambda data: data.replace(b'["goes back wrongly"]', b"[1]"),
+        ],
+    )
 
 
 def test_the_version_of_the_trial_and_the_platform_count(folder, monkeypatch):
@@ -174,25 +177,28 @@ def test_clear_removes_what_is_kept_and_nothing_else(folder):
     assert read_problems(*KEY) is None
 
 
-@pytest.mark.parametrize(
-    ("platform", "variables", "expected"),
-    [
-        ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/cosim"),
-        ("linux", {"XDG_CACHE_HOME": "relative"}, "/home/me/.cache/cosim"),
-        ("linux", {}, "/home/me/.cache/cosim"),
-        ("darwin", {}, "/home/me/Library/Caches/cosim"),
-        ("win32", {"LOCALAPPDATA": "/local"}, "/local/cosim"),
-    ],
-)
-def test_the_folder_of_each_system(monkeypatch, platform, variables, expected):
+def test_the_folder_of_each_system(monkeypatch):
     """As the XDG Base Directory Specification, Apple and Microsoft say."""
-    monkeypatch.delenv(cache.VARIABLE)
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setenv("HOME", "/home/me")
-    monkeypatch.setattr(sys, "platform", platform)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    assert cache_folder() == Path(expected)
+
+    def check(platform, variables, expected):
+        monkeypatch.delenv(cache.VARIABLE, raising=False)
+        monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+        monkeypatch.setenv("HOME", "/home/me")
+        monkeypatch.setattr(sys, "platform", platform)
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        assert cache_folder() == Path(expected)
+
+    check_all(
+        check,
+        [
+            ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/cosim"),
+            ("linux", {"XDG_CACHE_HOME": "relative"}, "/home/me/.cache/cosim"),
+            ("linux", {}, "/home/me/.cache/cosim"),
+            ("darwin", {}, "/home/me/Library/Caches/cosim"),
+            ("win32", {"LOCALAPPDATA": "/local"}, "/local/cosim"),
+        ],
+    )
 
 
 def test_the_command(call, folder):
