@@ -43,8 +43,8 @@ def test_run_shows_errors_estimates_and_start_time(call):
         "observer.x_a",
         "observer.delta",
         "identifier.theta[1]",
-        "identification start time T_id\t6.461 s",
-        "T_obs 3.4539 + T_f 0.0069 + D_max 3 = 6.4608 s",
+        "identification\tfrom 6.461 s",
+        "observer 3.4539 s + filter 0.0069 s + longest delay 3 s",
         "wall time",
     ):
         assert text in out

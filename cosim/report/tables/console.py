@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from textwrap import TextWrapper
 from typing import Any, Final
 
@@ -53,6 +53,14 @@ def print_table(table: Table) -> None:
         _print_records(rows, width)
     else:
         console.print(_aligned(table, rows, widths))
+
+
+def print_tables(tables: Iterable[Table]) -> None:
+    """Print tables one below the other, in a terminal with a blank line between them."""
+    for i, table in enumerate(tables):
+        if i and terminal_width() is not None:
+            typer.echo()
+        print_table(table)
 
 
 def terminal_width() -> int | None:
