@@ -26,8 +26,8 @@ def print_contents(source: str, *, as_json: bool) -> None:
     path = path_argument("source", source)
     if path.is_dir():
         raise UsageError(
-            f"{source}: is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv, "
-            ".parquet) or a scenario"
+            f"{source}: expected a log (.mcap), an FMU (.fmu), samples (.csv, .parquet) or a "
+            "scenario, got a folder"
         )
     source_type = file_type(path)
     match source_type:
