@@ -46,7 +46,7 @@ def design(
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank designs of an identification by the predicted error of theta.
+    """Rank experiment designs by the predicted error of theta.
 
     Ranks delays, filters, steps and windows relative to the Cramer-Rao bound of y, which the
     output-error method attains.

@@ -49,8 +49,8 @@ study = typer.Typer(
     cls=StudyCommands,
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Run a scenario many times.\n\nWith other values each time, and show what comes of it. "
-    "'cosim study STUDY' is 'cosim study run STUDY'.",
+    help="Run a scenario many times with varied values.\n\n"
+    "Also shows, verifies and plots the results. 'cosim study STUDY' is 'cosim study run STUDY'.",
 )
 
 DatasetArgument = Annotated[

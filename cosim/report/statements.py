@@ -67,8 +67,8 @@ _ALWAYS_COMPARED = (
     "warnings",
 )
 NOT_COMPARED = (
-    "designs, gains of loops, certificates, why the run ended, its machine, what FMUs and files "
-    "say of themselves"
+    "gains of controllers and observers, error growth of loops, error estimates, stop reason, "
+    "machine, metadata of FMUs and files"
 )
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
@@ -96,8 +96,8 @@ class Contradiction:
 
     def __str__(self) -> str:
         place, found, expected = _first_difference(self.found, self.expected)
-        text = f"{self.statement}{place}: found {quoted(found)}"
-        return f"{text}, the replay has {quoted(expected)}"
+        text = f"{self.statement}{place}: {quoted(found)} in the log"
+        return f"{text}, {quoted(expected)} in the replay"
 
 
 def _first_difference(found: Any, expected: Any) -> tuple[str, Any, Any]:
@@ -152,7 +152,7 @@ def compared_statements(source: Log, again: Log | Memory) -> str:
         names.append("verdicts")
     text = ", ".join(names)
     if not statements.has_all:
-        text += f"; all as far as they are about {', '.join(again.channels)}"
+        text += f"; as far as they concern {', '.join(again.channels)}"
     return text
 
 

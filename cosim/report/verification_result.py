@@ -11,11 +11,11 @@ from cosim.log.comparison.difference import ElementDifference, LogDifference, Si
 from cosim.report.statements import NOT_COMPARED, Contradiction
 
 _MOST_SHOWN = 8  # contradictions, or components
-_HASH_FITS = "the content hash is the recorded one"
-_NO_HASH = "no content hash to check: the log is unfinished, as its run was killed or still goes on"
+_HASH_FITS = "the content hash is as recorded"
+_NO_HASH = "no content hash: the log is unfinished (its run was killed or is still running)"
 _NOT_WHOLE: Final[Mapping[str, str]] = {
-    "partial": "verified only as far as the log, which is partial, has it",
-    "absent": "not verified, as the log, which is partial, has neither it nor what computes it",
+    "partial": "verified only in part, as the log is partial",
+    "absent": "not verified, as the partial log has neither it nor its inputs",
 }
 VerificationStatus: TypeAlias = Literal[
     "equal", "differs", "copied", "partial", "unrecorded", "absent"

@@ -82,7 +82,7 @@ def _events_text(difference: EventsDifference) -> str:
         "no jump" if jump is None else f"{jump.cause} {jump.value!r}" for jump in (first.a, first.b)
     )
     return (
-        f"{text}{difference.outside} of {difference.jumps} jumps of elements differ; first "
+        f"{text}{difference.outside} of {difference.jumps} jumps differ; first "
         f"{first.signal} at {first.time_ns / 1e9} s: {values}"
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,7 +23,7 @@ class EstimateRow:
     ----------
     label, estimate, half_width, truth, error, verdict : str
     reason : str
-        Of the verdict; empty: there is none, or it is no more than the term of an amplitude.
+        Of the verdict.
     """
 
     label: str
@@ -90,8 +90,8 @@ def _parameter_row(
 ) -> EstimateRow:
     estimate = "no value" if parameter.value is None else f"{parameter.value:+.6g}"
     half_width = "" if parameter.half_width is None else f"± {parameter.half_width:.2g}"
-    reason = "" if parameter.reason.startswith(_IN_TERM) else parameter.reason
-    return EstimateRow(label, estimate, half_width, truth, error, parameter.verdict, reason)
+    verdict = parameter.verdict
+    return EstimateRow(label, estimate, half_width, truth, error, verdict, parameter.reason)
 
 
 def estimate_table(rows: list[EstimateRow]) -> Table:
@@ -112,30 +112,46 @@ def estimate_table(rows: list[EstimateRow]) -> Table:
 
 def estimate_notes(summary: Summary) -> Iterator[tuple[str, str]]:
     """Yield the reasons of verdicts, each once, and the terms that amplitudes belong to."""
+    rows = estimate_rows(summary)
+    yield from reason_notes([(row.label, row.verdict, row.reason) for row in rows])
+    for identification in summary.identifications:
+        amplitudes = identification.amplitudes
+        yield from term_notes([(amplitude.estimate, amplitude.reason) for amplitude in amplitudes])
+
+
+def reason_notes(rows: Iterable[tuple[str, str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the reasons of verdicts, each once; with what they are about where they differ.
+
+    Parameters
+    ----------
+    rows : iterable of (label, verdict, reason)
+    """
     by_verdict: dict[str, dict[str, list[str]]] = {}
-    for row in estimate_rows(summary):
-        if row.reason:
-            by_reason = by_verdict.setdefault(row.verdict, {})
-            by_reason.setdefault(row.reason, []).append(row.label)
+    for label, verdict, reason in rows:
+        if reason and not reason.startswith(_IN_TERM):
+            by_verdict.setdefault(verdict, {}).setdefault(reason, []).append(label)
     for verdict, by_reason in by_verdict.items():
         for reason, labels in by_reason.items():
             names = "" if len(by_reason) == 1 else f"{', '.join(labels)}: "
             yield verdict, f"{names}{reason}"
-    for identification in summary.identifications:
-        yield from _terms(identification)
 
 
-def _terms(identification: Identification) -> Iterator[tuple[str, str]]:
-    """Yield the terms that amplitudes belong to, then what other constants are in."""
+def term_notes(amplitudes: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the terms that amplitudes belong to, then the units of other constants.
+
+    Parameters
+    ----------
+    amplitudes : iterable of (name, reason)
+    """
     terms: dict[str, None] = {}
     units: dict[str, None] = {}
-    for amplitude in identification.amplitudes:
-        text = amplitude.reason.removeprefix(_IN_TERM)
-        if not amplitude.reason.startswith(_IN_TERM):
+    for name, reason in amplitudes:
+        text = reason.removeprefix(_IN_TERM)
+        if not reason.startswith(_IN_TERM):
             continue
         if "[" in text:
             terms[text] = None
         else:
-            units[f"{amplitude.estimate} in {text}"] = None
+            units[f"{name} in {text}"] = None
     if terms:
         yield "terms of delta", "; ".join([*terms, *units])

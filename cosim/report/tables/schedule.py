@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.report.schedule import GraphSchedule, ScheduledComponent, ScheduledStage
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import new_table, print_json, print_tables
 
 
 def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
@@ -15,7 +15,7 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
     table = new_table(title, ("", "components", "advance"))
     for stage in schedule.stages:
         table.add_row(str(stage.number), ", ".join(stage.members), stage_text(stage))
-    print_table(table)
+    tables = [table]
     table = new_table("components", ("", "stage", "kind", "outputs change", "direct feedthrough"))
     for component in schedule.components:
         table.add_row(
@@ -25,11 +25,11 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
             component.rate,
             feedthrough_text(component),
         )
-    print_table(table)
+    tables.append(table)
     table = new_table("connections", ("from", "to", "within a step"))
     for connection in schedule.connections:
         table.add_row(connection.source, connection.to, COURSES[connection.course])
-    print_table(table)
+    print_tables([*tables, table])
 
 
 COURSES = {
