@@ -145,8 +145,7 @@ def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
     """Its factor is finite and not 0."""
     with pytest.raises(
         ValueError,
-        match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, "
-        "no factor 0",
+        match=f"unit: .* factor {factor}, offset {offset}",
     ):
         BaseUnit(LENGTH, factor, offset)
 
@@ -154,7 +153,7 @@ def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
 @pytest.mark.parametrize("exponents", [(), (1,), (0.5,) * 8, (True,) * 8])
 def test_a_unit_has_one_whole_exponent_for_each_base_unit(exponents):
     """No more, no fewer, and no fractions."""
-    with pytest.raises(ValueError, match="needed a whole number for each of kg, m, s, A, K, mol"):
+    with pytest.raises(ValueError, match=r"unit: .* each of kg, m, s, A, K, mol"):
         BaseUnit(exponents)
 
 

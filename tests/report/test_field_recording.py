@@ -110,14 +110,15 @@ def test_what_is_not_read_is_said(tmp_path, monkeypatch):
     assert content["more fields"] == {"not shown": 1}
     assert content["topics"][1]["messages"] == 0
     problems = {row["topic"]: row["problem"] for row in content["not read"]}
-    assert problems["/odd"].startswith("its messages are in 'cbor' with no schema; needed protobuf")
+    assert "'cbor'" in problems["/odd"]
+    assert "protobuf" in problems["/odd"]
     assert problems["/bad"].startswith("the message is not JSON")
 
 
 def test_times_beyond_63_bits_are_refused(tmp_path):
     """Nothing can be said of distances between them."""
     path = write_json(tmp_path / "log.mcap", {"/t": [(2**63, {"x": 1})]})
-    with pytest.raises(LogError, match="'/t' has a message at 9223372036854775808 ns; needed"):
+    with pytest.raises(LogError, match=r"'/t'.* 9223372036854775808 ns"):
         describe_recording(str(path))
 
 

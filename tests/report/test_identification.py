@@ -204,28 +204,28 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (("--bounds", "[[-1,0]]"), "needed [lower, upper] for each of the 2 parameters"),
+        (("--bounds", "[[-1,0]]"), r"--bounds: .*2 parameters"),
         (
             ("--bounds", "[[0,-1],[-1,0]]"),
-            "bounds of theta[0]: the lower 0 is above the upper -1",
+            r"bounds of theta\[0\]: the lower 0 is above the upper -1",
         ),
-        (("--bounds", "[[-1,0],[nan,1]]"), "bounds of theta[1]: found [nan, 1]; needed two"),
-        (("--bounds", "[[-1,0],[true,1]]"), "bounds of theta[1]: found [True, 1]; needed two"),
-        (("--bounds", f"[[-1,0],[1,{10**400}]]"), "bounds of theta[1]: found [1, 1000"),
-        (("--bounds", "[[-1,0],[inf,inf]]"), "[inf, inf] has no number between"),
-        (("--bounds", "wide"), "bounds: found wide; needed [lower, upper]"),
-        (("--irregular", "-1"), "--irregular: found -1, needed a positive number"),
-        (("--irregular", "nan"), "--irregular: found nan, needed a positive number"),
+        (("--bounds", "[[-1,0],[nan,1]]"), r"bounds of theta\[1\]: .*\[nan, 1\]"),
+        (("--bounds", "[[-1,0],[true,1]]"), r"bounds of theta\[1\]: .*\[True, 1\]"),
+        (("--bounds", f"[[-1,0],[1,{10**400}]]"), r"bounds of theta\[1\]: .*\[1, 1000"),
+        (("--bounds", "[[-1,0],[inf,inf]]"), r"\[inf, inf\] has no number between"),
+        (("--bounds", "wide"), "bounds: .*wide"),
+        (("--irregular", "-1"), "--irregular: .*-1"),
+        (("--irregular", "nan"), "--irregular: .*nan"),
         (("--component", "observer"), "no identifier 'observer' with a model of y"),
-        (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), "theta[1] was not estimated"),
-        (("--plot", "a.txt"), "a.txt: found the ending '.txt'"),
+        (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), r"theta\[1\] was not estimated"),
+        (("--plot", "a.txt"), r"a\.txt: .*'\.txt'"),
     ],
 )
 def test_wrong_use_is_refused(logs, call, options, text):
     """Before anything is printed."""
     code, output, errors = call("identify", logs["first"].path, *options)
     assert (code, output) == (2, "")
-    assert text in errors
+    assert re.search(text, errors)
 
 
 @pytest.mark.parametrize("option", [(), ("--validate",)])

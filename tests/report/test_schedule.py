@@ -1,6 +1,7 @@
 """How the components of a scenario advance, as text and as a picture."""
 
 import json
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -233,11 +234,11 @@ def test_wrong_use_is_one_error_each(tmp_path, capsys):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"")
     error = run(capsys, "info", path, "--graph", code=2)
-    assert f"--graph {path}: found a log; needed a scenario" in error
+    assert re.search(rf"--graph {re.escape(str(path))}: .*a scenario.*a log", error)
     error = run(capsys, "info", "academic", "--out", tmp_path / "a.png", code=2)
-    assert "--out is the picture of --graph; needed both, or neither" in error
+    assert re.search("--out .*--graph", error)
     error = run(capsys, "info", "academic", "--graph", "--out", tmp_path / "a.xyz", code=2)
-    assert "found the ending '.xyz'" in error
+    assert "'.xyz'" in error
     error = run(capsys, "info", write(tmp_path, certified.ECHO), "--graph", code=2)
     assert "the ports of echo are known to code of users alone" in error
 

@@ -97,14 +97,14 @@ def is_found_out(path):
 @pytest.mark.parametrize(
     ("old", "new", "statement"),
     [
-        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth: found"),
-        ("stop = 0.05", "stop = 0.06", "stop: found '0.05', the replay has '0.06'"),
-        ("stop = 0.05", "stop = 1e9", "stop: found"),
-        ("stop = 0.05", "", "stop: found"),
+        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth: "),
+        ("stop = 0.05", "stop = 0.06", "stop: '0.05' in the log, '0.06' in the replay"),
+        ("stop = 0.05", "stop = 1e9", "stop: "),
+        ("stop = 0.05", "", "stop: "),
         ('kind = "sine"\namplitude = 1.0\nrate = 1.0', 'kind = "fmu"\npath = "x.fmu"', "'u'"),
-        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "table of 'u': found"),
-        ('name = "academic"', 'name = "other"', "scenario: found 'academic'"),
-        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connection to 'observer.u': found"),
+        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "table of 'u': "),
+        ('name = "academic"', 'name = "other"', "scenario: 'academic'"),
+        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connection to 'observer.u': "),
     ],
 )
 def test_another_scenario_is_found(valid, tmp_path, old, new, statement):
@@ -248,8 +248,8 @@ def test_declared_signals_are_compared(valid, tmp_path):
     path = forged(put_together(content, path), tmp_path / "c.mcap", attachments=attachments)
     problems = verified(path).problems
     assert len(problems) == 2
-    assert "signals of 'observer': found" in problems[0]
-    assert "kind of 'regressor': found 'identifier', the replay has 'regressor'" in problems[1]
+    assert "signals of 'observer': " in problems[0]
+    assert "kind of 'regressor': 'identifier' in the log, 'regressor' in the replay" in problems[1]
 
 
 def test_warnings_of_computed_components_are_compared(tmp_path):
@@ -326,10 +326,10 @@ def test_the_log_of_a_swapped_run_passes_without_what_was_swapped_in(valid, tmp_
 @pytest.mark.parametrize(
     ("found", "expected", "text"),
     [
-        ([1, 2, 3], [1, 7, 3], "what, entry 1: found 2, the replay has 7"),
-        ([1, 2, 3], [1], "what, from entry 1 on: found [2, 3], the replay has []"),
-        ([], [1], "what: found [], the replay has [1]"),
-        ("a", "b", "what: found 'a', the replay has 'b'"),
+        ([1, 2, 3], [1, 7, 3], "what, entry 1: 2 in the log, 7 in the replay"),
+        ([1, 2, 3], [1], "what, from entry 1 on: [2, 3] in the log, [] in the replay"),
+        ([], [1], "what: [] in the log, [1] in the replay"),
+        ("a", "b", "what: 'a' in the log, 'b' in the replay"),
     ],
 )
 def test_of_lists_the_first_difference_is_shown(found, expected, text):

@@ -76,7 +76,7 @@ def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     assert verification.passed
     assert verification.copied == COPIED
     assert not set(COPIED) & set(verification.computed)
-    assert "not computed, but copied from the log: plant.y, plant.x_a" in verification.lines[-2]
+    assert "taken from the log, not recomputed: plant.y, plant.x_a" in verification.lines[-2]
     assert "a log of another run, put in its place as a whole, passes" in verification.lines[-1]
     # y drives the observer: its rows do not follow from a changed y any more
     path = scaled(valid, tmp_path / "c.mcap", slice(2, 3), 2.0, forged=True)
@@ -267,7 +267,7 @@ def test_a_changed_scenario_is_not_called_that_of_the_log(valid):
     again = cosim.replay(valid, set={"observer.filter_rate": 500.0})
     problems = "\n".join(verify(open_log(valid), again).problems)
     assert "contradicts its scenario" not in problems
-    assert "differs from the replay, whose scenario was changed: table of 'observer'" in problems
+    assert "differs from the replay with a changed scenario: table of 'observer'" in problems
 
 
 def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, capsys):

@@ -79,7 +79,7 @@ def test_what_was_recovered_of_a_killed_log_is_verified(killed, tmp_path):
     verification = verify(log, cosim.replay(log))
     assert verification.passed
     lines = "\n".join(verification.lines)
-    assert "the content hash is the recorded one" in lines
+    assert "the content hash is as recorded" in lines
     assert "run recorded" not in lines
     assert "last row" not in lines
 

@@ -85,12 +85,8 @@ def test_a_replay_takes_the_substeps_of_recorded_components(tmp_path):
     assert verification.passed, verification.problems
     assert "plant.x_a" in verification.copied
     (text,) = [line for line in verification.lines if "/cosim/step" in line]
-    assert text == (
-        "not computed, but copied from the log: the substeps of the loop of controller, error, "
-        "feedback, observer, plant in /cosim/step: which were taken or refused, their estimated "
-        "errors, the inputs at their ends and there the outputs of plant; the other outputs there "
-        "were compared"
-    )
+    assert "the substeps of the loop of controller, error, feedback, observer, plant" in text
+    assert "outputs of plant" in text
     assert Log(tmp_path / "y.mcap").substeps() == log.substeps() != []
 
 
