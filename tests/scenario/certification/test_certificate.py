@@ -123,7 +123,7 @@ def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
         cosim.run("academic", set=set_, certify=True)
     )
     assert json.loads(log.attachment("result.json"))["certificate"]["step"] == 1e-3
-    with pytest.raises(LogError, match=r"has no certificate; needed cosim.run with certify=True"):
+    with pytest.raises(LogError, match=r"cosim\.run with certify=True"):
         cosim.certificate(plain)
     with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; "):
         cosim.certificate(log)["observer.x"]
@@ -215,7 +215,7 @@ def test_a_certificate_is_a_mapping():
         assert error is certificate[name]
         assert error.signal == name
     assert certificate.get("plant.z") is None
-    text = r"no 'plant\.x_a'; it has: plant\.x_a\[0\], plant\.x_a\[1\]$"
+    text = r"no 'plant\.x_a'; available: plant\.x_a\[0\], plant\.x_a\[1\]$"
     with pytest.raises(UnknownSignalError, match=text):
         certificate["plant.x_a"]
     with pytest.raises(UnknownSignalError, match=r"no 'plant\.yy'; did you mean 'plant\.y'\?"):
@@ -610,5 +610,5 @@ def test_a_run_that_fails_has_no_figures(tmp_path):
 
 
 def test_certify_is_true_or_false():
-    with pytest.raises(UsageError, match="certify: found 1; needed True or False"):
+    with pytest.raises(UsageError, match="certify: .* 1$"):
         cosim.run("academic", certify=1)

@@ -114,7 +114,7 @@ def test_what_cannot_be_chosen_is_refused(tmp_path):
         cosim.replay(log, components=["observer", "plant"])
     with pytest.raises(UsageError, match="components: found none; needed at least one"):
         cosim.replay(log, components=[])
-    with pytest.raises(UsageError, match="components: found 'observer'; needed a list of strings"):
+    with pytest.raises(UsageError, match=r"components: .*'observer'"):
         cosim.replay(log, components="observer")
 
 

@@ -97,7 +97,7 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     ("options", "message"),
     [
         ({"flush": 0.0, "out": "a.mcap"}, r"flush: found 0\.0; needed a time above 0 s"),
-        ({"flush": "1", "out": "a.mcap"}, "flush: found '1'; needed a number"),
+        ({"flush": "1", "out": "a.mcap"}, "flush: .*'1'"),
         ({"flush": 1.0}, "found flush=True, which is about the log at out, and no out"),
         ({"sync": True}, "found sync=True, which is about the log at out, and no out"),
         ({"sync": 1, "out": "a.mcap"}, "sync: found 1"),

@@ -276,7 +276,7 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
         ({"u": np.array([[0.0], [np.nan], [0.0]])}, "u is not finite at t = 1.0 s"),
         ({"y": np.full((3, 1), np.nan)}, r"y\[0\] is never measured"),
         ({"y": np.zeros((2, 1))}, "y: 2 samples; needed 3"),
-        ({"y": np.zeros(3)}, "y: found an array of shape (3,), needed one with 2 axes"),
+        ({"y": np.zeros(3)}, "y: expected an array with 2 axes, got shape (3,)"),
         ({"t": "late"}, "t: could not convert string to float"),
         ({"alpha": np.full((3, 2), np.inf)}, "alpha is not finite at t = 0.0 s"),
     ],
