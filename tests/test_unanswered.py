@@ -39,6 +39,7 @@ def open_files():
     return sorted(os.listdir("/proc/self/fd"))
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
     """The first is answered with what a second one would do; the log is left as it was written."""
     compile_fmu(tmp_path / "hangs.fmu", STATELESS, "rogue2.c", defines=("ROGUE=HANGS_LATER",))

@@ -65,6 +65,7 @@ def replays(folder):
     return {"source": "academic", "replay": "field.mcap", "vary": vary, "metrics": METRICS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [plain, fmu, replays])
 def test_a_member_that_is_run_alone_has_the_bits_of_its_study(call, tmp_path, kind):
     """By the command that is printed, and from its log; in Python, too."""
@@ -117,20 +118,26 @@ def test_rows_that_a_log_lacks_are_said(call):
         (["--of", "a", "--of", "b"], "--of: .*given 2 times"),
     ],
 )
-def test_what_is_no_metric_is_refused(call, arguments, text):
-    """With the way out."""
+def test_a_wrong_metric_is_refused(call, arguments, text):
+    """With its place."""
     call("run", "academic", "--stop", "0.01", "--out", "a.mcap", "-q")
     assert re.search(text, call("metrics", "a.mcap", *arguments, code=2))
 
 
-def test_what_is_no_log_is_refused(call, tmp_path):
-    """Also a study without metrics."""
+def test_a_log_that_is_not_there_is_refused(call):
+    """By its name."""
     assert "none.mcap" in call("metrics", "none.mcap", "last(t)", code=2)
+
+
+@pytest.mark.slow
+def test_a_study_without_metrics_is_refused(call):
+    """As it says nothing of what to compute."""
     cosim.study("academic", set={"scenario.stop": 0.01}, out="x", workers=1)
     call("run", "academic", "--stop", "0.01", "--out", "a.mcap", "-q")
     assert "this study has no metrics" in call("metrics", "a.mcap", "--of", "x", code=2)
 
 
+@pytest.mark.slow
 def test_a_log_of_another_scenario_than_the_study_is_noticed(call, tmp_path):
     folder = tmp_path / "study"
     cosim.study(**plain(folder), out=folder, workers=1)

@@ -22,7 +22,7 @@ def test_values_are_toml_where_they_can_be():
         (["a.x=" + 200 * "[" + 200 * "]"], r"--vary a\.x: .*nested"),
     ],
 )
-def test_what_are_no_values_is_refused(texts, message):
+def test_wrong_values_are_refused(texts, message):
     """The message names the key."""
     with shell_language(), pytest.raises(UsageError, match=message):
         read_variations(texts)

@@ -78,6 +78,7 @@ def test_files_are_looked_into_for_a_map_alone(folder, monkeypatch):
     assert looked == []
 
 
+@pytest.mark.slow
 def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
     """It stands in the table with its reason; exit 1; the logs of the others are there."""
     swaps = []

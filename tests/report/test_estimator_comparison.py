@@ -55,7 +55,7 @@ def test_the_table_shows_half_of_the_intervals_that_the_verdicts_have(compared, 
     print_estimators(compared, as_json=False)
     lines = capsys.readouterr().out.splitlines()
     shown = {line.split("\t")[0]: line.split("\t") for line in lines[2:]}
-    assert any("half of the 95 % interval" in line for line in lines)
+    assert any("half width of the 95 % interval" in line for line in lines)
     for result in compared.results:
         assert shown[result.method][1].count("±") == np.isfinite(result.half_width).sum()
         for record, half_width in zip(result.verdicts, result.half_width, strict=True):
@@ -76,6 +76,7 @@ def test_theta_is_drawn_by_every_method(compared, tmp_path):
     assert ">truth<" in drawn
 
 
+@pytest.mark.slow
 def test_keys_of_another_method_are_left_out():
     """P0 belongs to least squares: the others run without it, least squares with it."""
     found = cosim.compare_estimators(

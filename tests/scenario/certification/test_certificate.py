@@ -610,5 +610,5 @@ def test_a_run_that_fails_has_no_figures(tmp_path):
 
 
 def test_certify_is_true_or_false():
-    with pytest.raises(UsageError, match="certify: .* 1$"):
+    with pytest.raises(UsageError, match=r"certify: .* 1$"):
         cosim.run("academic", certify=1)

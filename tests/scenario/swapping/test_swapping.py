@@ -409,7 +409,10 @@ def test_a_wrong_entry_of_the_file_is_reported_with_its_line(swap, text):
             ["--swap", "plant=a.fmu", "--swap", "plant=b.fmu"],
             "--swap plant: expected once, given 2 times; 'cosim compare' runs several plants",
         ),
-        (["--map", "plant.u=a", "--map", "plant.u=b"], "--map plant.u: expected once, given 2 times"),
+        (
+            ["--map", "plant.u=a", "--map", "plant.u=b"],
+            "--map plant.u: expected once, given 2 times",
+        ),
     ],
 )
 def test_a_name_is_given_once(options, text, capsys):
