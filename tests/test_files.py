@@ -83,11 +83,11 @@ def special(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["a pipe", "a socket", "a device", "a folder"])
-@pytest.mark.parametrize("suffix", [".toml", ".csv", ".fmu"])
-def test_only_regular_files_are_read(special, kind, suffix):
+def test_only_regular_files_are_read(special, kind):
     """A device never ends and a pipe never begins: each is refused at once, by its name."""
-    with pytest.raises(ScenarioError, match=rf"special{suffix}.*{kind}"):
-        read(special(kind, suffix))
+    for suffix in (".toml", ".csv", ".fmu"):
+        with pytest.raises(ScenarioError, match=rf"special{suffix}.*{kind}"):
+            read(special(kind, suffix))
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".csv", ".fmu"])

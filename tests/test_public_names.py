@@ -90,7 +90,7 @@ def test_importing_the_packages_loads_no_library():
 
 
 @pytest.mark.parametrize("text", [README, *docstrings()])
-def test_what_is_shown_is_public(text):
+def test_shown_imports_are_public(text):
     """README and docstrings import public names from their packages only."""
     for module, name in shown_imports(text):
         if module in TESTING:

@@ -66,7 +66,7 @@ def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
     assert cosim.open_log(tmp_path / "x.mcap").status == "unfinished"
 
 
-def test_what_python_answers_is_left_to_its_handlers(capfd):
+def test_signals_that_python_answers_are_left_to_its_handlers(capfd):
     """Any number of signals, however fast they come: nothing is said, and nothing ends."""
     received = []
     signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
@@ -77,7 +77,7 @@ def test_what_python_answers_is_left_to_its_handlers(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_what_is_deferred_is_not_ended(capfd, monkeypatch):
+def test_a_deferred_signal_ends_nothing(capfd, monkeypatch):
     """Such as the end of a log, however long a disk takes for it."""
     monkeypatch.setattr(unanswered, "PATIENCE", 0.01)
     received = []

@@ -55,7 +55,7 @@ def test_lost_rows_are_shown(call, log):
     assert call("recover", "broken.mcap", "-o", "good.mcap", "--force")[0] == 0
 
 
-def test_what_else_is_lost_is_shown(call, log):
+def test_lost_scenarios_and_messages_are_shown(call, log):
     """Without statistics nothing says how many messages there were; a late part is not replayed."""
     data = log.read_bytes()
     (log.parent / "b.mcap").write_bytes(data[: len(data) * 3 // 4])

@@ -73,7 +73,7 @@ def test_a_log_without_a_recorded_hash_is_said_to_have_none(call, tmp_path):
     assert err == "b.mcap: no content hash was recorded to compare this one with\n"
 
 
-def test_what_is_no_log_exits_with_2(call, tmp_path):
+def test_a_file_that_is_no_log_exits_with_2(call, tmp_path):
     """One line, no traceback."""
     (tmp_path / "a.mcap").write_bytes(b"nothing")
     for name in ("a.mcap", "b.mcap", "academic"):

@@ -51,7 +51,7 @@ def test_info_says_what_is_recorded_of_what(call):
         ("diff", "part.mcap", "whole.mcap", "u.y"),
     ],
 )
-def test_what_is_not_recorded_is_refused_with_the_reason(call, words):
+def test_an_unrecorded_signal_is_refused_with_the_reason(call, words):
     """Every command says that the log is partial, and how it was recorded."""
     code, out, err = call(*words)
     assert (code, out) == (2, "")

@@ -62,7 +62,7 @@ def test_four_plants_are_one_scenario(four):
     assert 0.0 < apart["observer.delta", "plant"] <= 1e-8
 
 
-def test_what_is_computed_of_the_runs_is_computed_once(four):
+def test_summaries_and_differences_are_computed_once(four):
     """Every access of a summary would read the whole logs again."""
     assert four.summaries is four.summaries
     assert four.differences is four.differences
@@ -129,7 +129,7 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     assert re.match(r"cosim: --swap plant: .*'#xs'", second)
 
 
-def test_what_no_alternative_can_be_is_refused_before_the_first_run(folder, monkeypatch):
+def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch):
     """A key that one of them has is set there, and the outcome of the others."""
     plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
     with monkeypatch.context() as patch:
@@ -183,11 +183,14 @@ def test_a_map_may_list_ports(folder):
 
 def test_a_picture_shows_all_of_them(four, tmp_path):
     """Estimates with truth on the left, differences on the right."""
-    pytest.importorskip("matplotlib")
     from cosim.report.plots import plot_comparison
 
-    plot_comparison(four, tmp_path / "c.png")
-    assert (tmp_path / "c.png").stat().st_size > 20_000
+    plot_comparison(four, tmp_path / "c.svg")
+    drawn = (tmp_path / "c.svg").read_text(encoding="utf-8")
+    for label in ("descriptor", "plant", "plant#cs", "log"):
+        assert f">{label}<" in drawn
+    for estimate in four.estimates:
+        assert estimate in drawn
 
 
 def test_problems_of_all_plants_are_raised_once(folder):

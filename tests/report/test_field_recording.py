@@ -92,7 +92,7 @@ def test_fields_of_json_are_those_of_its_first_message(tmp_path):
     }
 
 
-def test_what_is_not_read_is_said(tmp_path, monkeypatch):
+def test_unread_topics_are_listed_with_the_problem(tmp_path, monkeypatch):
     """By topic, and it is no error; of very many fields the first are shown."""
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:

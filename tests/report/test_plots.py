@@ -116,7 +116,7 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):
         ({"stop": float("inf")}, "stop: expected a finite number, got inf s"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(options, text):
+def test_a_wrong_size_or_window_is_refused(options, text):
     """Before anything is drawn."""
     with pytest.raises(UsageError, match=re.escape(text)):
         PictureOptions(**options)

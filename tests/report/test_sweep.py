@@ -130,7 +130,7 @@ def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
     assert not folder.exists()
 
 
-def test_what_is_varied_cannot_be_set_too(log):
+def test_a_varied_key_cannot_be_set_too(log):
     """In whichever spelling."""
     message = r"set\['identifier.P0'\] and vary\['identifier.P0'\]"
     with pytest.raises(UsageError, match=message):

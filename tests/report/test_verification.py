@@ -221,7 +221,7 @@ def statements_line(verification):
     return line
 
 
-def test_what_a_partial_replay_does_not_compute_is_not_said_to_agree(tmp_path):
+def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     """Between rows that were left out no observer is computed: its forged values are unseen."""
     settings = {"scenario.stop": 8.0, "scenario.step": 0.01, "record.every": 7}
     cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
