@@ -155,8 +155,8 @@ class ChangedFileError(RunError):
     def __str__(self) -> str:
         """Add the way out, in the language of whoever reads it."""
         return (
-            f"{self.problem}; put it back as it was, and the study goes on from here, or begin "
-            f"anew with {flag('new')}"
+            f"{self.problem}; put it back as it was to resume the study, or start again with "
+            f"{flag('new')}"
         )
 
 

@@ -15,6 +15,7 @@ from cosim.scenario.document.document import Document, find
 SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
 
 
+@pytest.mark.slow
 def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
     """Every command that reads or writes a log, an FMU or a scenario takes it for the same."""
     pytest.importorskip("matplotlib")

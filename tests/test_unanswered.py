@@ -50,8 +50,8 @@ def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
             assert process.stderr.readline() == "hangs\n"
             process.send_signal(signal.SIGINT)
             assert process.stderr.readline() == (
-                "cosim: interrupted by the user: ends when the call under way returns, such as one "
-                "of an FMU; Ctrl-C again ends it at once, without a complete log\n"
+                "cosim: interrupted by the user: ends when the current call (of an FMU, say) "
+                "returns; Ctrl-C again ends it at once, without a complete log\n"
             )
             assert process.poll() is None
             process.send_signal(signal.SIGINT)
@@ -60,8 +60,8 @@ def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
             process.kill()
     assert process.returncode == 130
     assert messages == (
-        "cosim: interrupted by the user: ended at once; a log that has rows is not closed: "
-        "'cosim info' says up to where it is whole\n"
+        "cosim: interrupted by the user: ended at once; a log with rows was not closed: "
+        "'cosim info' shows up to where it is complete\n"
     )
     assert cosim.open_log(tmp_path / "x.mcap").status == "unfinished"
 

@@ -49,7 +49,7 @@ def check(
 
     if is_scenario(subject):
         if strict:
-            raise UsageError("--strict: is of an FMU; leave it out")
+            raise UsageError("--strict is for FMUs; omit it")
         _check_scenario(str(subject), values, as_json=as_json)
         return
     from cosim.fmi.checking.check import check as check_fmu

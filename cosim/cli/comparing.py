@@ -156,7 +156,7 @@ def compare(
 
     if estimators:
         if not base:
-            raise UsageError("--no-base is about plants; leave it out with --estimators")
+            raise UsageError("--no-base is for plants; omit it with --estimators")
         options = {"map": read_unique_pairs(maps, "map"), "set": read_edits(changes)}
         swap = _one_plant(swaps)
         _compare_estimators(

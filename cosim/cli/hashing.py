@@ -37,10 +37,10 @@ def hash_(
         for name, digest in lines.items():
             print_line(f"{digest}  {name}")
     if recorded is None:
-        print_notice(f"{opened.path}: no content hash was recorded to compare this one with")
+        print_notice(f"{opened.path}: no content hash was recorded")
     elif found != recorded:
         print_notice(
-            f"{opened.path}: the content hash differs from {recorded}, which is recorded: its "
-            "signals are no longer those that were written"
+            f"{opened.path}: the content hash differs from the recorded {recorded}: its signals "
+            "were changed after recording"
         )
         raise typer.Exit(1)

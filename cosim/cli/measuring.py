@@ -58,7 +58,7 @@ def metrics(
     values = parsed.of(opened)
     lacking = missing_rows(parsed, opened)
     if lacking:
-        print_notice(f"{lacking}; metrics of the whole run, as a study has them, may be others")
+        print_notice(f"{lacking}; metrics of the whole run, as in a study, may differ")
     if as_json:
         print_json(values)
         return
@@ -78,10 +78,9 @@ def _metrics_of(place: str, log: str) -> dict[str, str]:
     try:
         check_is_of_scenario(log, load_scenario(study.scenario))
     except CosimError as error:
-        print_notice(f"these may be no metrics of a member of {place}: {error}")
+        print_notice(f"these may not be metrics of a member of {place}: {error}")
     if not texts:
         raise UsageError(
-            f"--of {place}: this study has no metrics; its columns are what the result of a run "
-            "says, which 'cosim info LOG' shows"
+            f"--of {place}: this study has no metrics, only results of runs; see 'cosim info LOG'"
         )
     return texts

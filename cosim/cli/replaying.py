@@ -208,9 +208,9 @@ def _check_choices(
         If two of them do not.
     """
     if verify and stop is not None:
-        raise UsageError("--verify compares the whole log; leave out --stop")
+        raise UsageError("--verify compares the whole log; omit --stop")
     if verify and any(change.startswith("scenario.stop=") for change in changes or ()):
-        raise UsageError("--verify compares the whole log; leave out --set scenario.stop")
+        raise UsageError("--verify compares the whole log; omit --set scenario.stop")
     if vary and (verify or plot is not None):
         name = "--verify" if verify else "--plot"
         raise UsageError(f"{name} is for one replay; omit it or --vary")

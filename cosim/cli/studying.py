@@ -217,8 +217,8 @@ def run(
     if dry_run:
         if scheduler is not None:
             raise UsageError(
-                "found both --dry-run and --scheduler; the time that --dry-run shows is that of "
-                "workers on this machine: leave out --scheduler"
+                "--dry-run and --scheduler: --dry-run measures workers on this machine; omit "
+                "--scheduler"
             )
         _dry_run(file, workers, None if new else place, as_json=as_json)
         return

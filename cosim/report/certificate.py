@@ -113,7 +113,7 @@ class StepCertificate(Mapping[str, SignalCertificate]):
         elements = [name for name in names if name.startswith(f"{signal}[")]
         suggestion = f"available: {listing(elements)}" if elements else nearest(str(signal), names)
         reason = f": {self.problem}" if self.problem else f"; {suggestion}"
-        raise UnknownSignalError(f"the certificate has no {signal!r}{reason}")
+        raise UnknownSignalError(f"no error estimate of {signal!r}{reason}")
 
     def __iter__(self) -> Iterator[str]:
         return (entry.signal for entry in self.signals)

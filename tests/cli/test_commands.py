@@ -211,7 +211,7 @@ def test_info_and_diff_show_overrides(call):
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u")
     assert code == 1
     assert (
-        "events: 12 in a, 12 in b: 6 of 12 jumps of elements differ; first plant.u at "
+        "events: 12 in a, 12 in b: 6 of 12 jumps differ; first plant.u at "
         "0.001 s: override 0.3, override 0.4"
     ) in " ".join(out.split())
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u", "--atol", "0.2")
@@ -713,7 +713,7 @@ def test_verify_compares_the_whole_log(call):
     """A shorter replay is no verification."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
     code, _, err = call("replay", "a.mcap", "--verify", "--stop", "0.05")
-    assert (code, err) == (2, "cosim: --verify compares the whole log; leave out --stop\n")
+    assert (code, err) == (2, "cosim: --verify compares the whole log; omit --stop\n")
 
 
 def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):

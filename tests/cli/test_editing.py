@@ -44,7 +44,7 @@ def test_lost_rows_are_shown(call, log):
     lines = out.splitlines()
     assert lines[0] == "component\trows\tlost"
     assert lines[-1] == "good.mcap: partial, recovered from broken.mcap"
-    assert "its scenario is lost: it can be read, but not replayed" in lines
+    assert "the scenario is lost: the log can be read, but not replayed" in lines
     assert open_log("good.mcap").status == "partial"
     shown = json.loads(call("recover", "broken.mcap", "-o", "b.mcap", "--json")[1])
     lost = [own["lost"] for own in shown["components"].values() if own["lost"]]
@@ -60,7 +60,7 @@ def test_lost_scenarios_and_messages_are_shown(call, log):
     data = log.read_bytes()
     (log.parent / "b.mcap").write_bytes(data[: len(data) * 3 // 4])
     _, out, _ = call("recover", "b.mcap", "-o", "good.mcap")
-    assert "messages, events or substeps are lost, too, or nothing says how many" in out
+    assert "messages, events or substeps are lost, too, or their number is unknown" in out
     call("run", "academic", "--stop", "0.2", "--out", "run.mcap")
     call("cut", "run.mcap", "--from", "0.1", "-o", "late.mcap")
     code, out, _ = call("recover", "late.mcap", "-o", "saved.mcap")
@@ -77,7 +77,7 @@ def test_a_truncated_log_names_the_command(call, log):
     assert "'cosim recover'" in err
     code, out, _ = call("recover", "b.mcap", "-o", "c.mcap")
     assert code == 0
-    assert "if there were any, are lost, too: the file has no end" in out
+    assert "are lost, too: the file has no end" in out
     assert call("info", "c.mcap")[0] == 0
 
 

@@ -144,4 +144,4 @@ def test_a_log_of_another_scenario_than_the_study_is_noticed(call, tmp_path):
     for scenario, is_noticed in (("academic-noisy", False), ("academic", True)):
         cosim.run(scenario, set={"scenario.stop": 0.5}, out=tmp_path / f"{scenario}.mcap")
         text = call("metrics", f"{scenario}.mcap", "--of", "study")
-        assert ("these may be no metrics of a member of study: " in text) == is_noticed
+        assert ("these may not be metrics of a member of study: " in text) == is_noticed

@@ -164,7 +164,7 @@ def test_an_interrupted_study_says_how_to_go_on(tmp_path):
     os.kill(child.pid, signal.SIGINT)
     _, messages = child.communicate(timeout=60)
     assert child.returncode == 130
-    assert "of 500 members are recorded in out; the same command goes on" in messages
+    assert "of 500 members are recorded in out; the same command resumes" in messages
 
 
 @pytest.mark.slow

@@ -76,9 +76,9 @@ def test_a_tuning_that_is_interrupted_says_how_to_go_on(lag, tmp_path, capsys, m
     code, out, err = call(capsys, *options, "--members=9")
     assert (code, out) == (130, "")
     recorded = f"stopped: 5 of 9 members are recorded in {tmp_path / 'd'}; the "
-    assert f"{recorded}same command goes on\n" in err
+    assert f"{recorded}same command resumes\n" in err
     _, _, err = call(capsys, *options, "--members=9", "--new")
-    assert f"{recorded}command without --new goes on with these" in err
+    assert f"{recorded}same command without --new resumes from them" in err
     _, _, err = call(capsys, *options[:-1], f"--out={tmp_path / 'e'}")
     assert "stopped before the first member was recorded" in err
     (tmp_path / "d" / "study.json").write_text("{")

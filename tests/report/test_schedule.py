@@ -240,7 +240,7 @@ def test_wrong_use_is_one_error_each(tmp_path, capsys):
     error = run(capsys, "info", "academic", "--graph", "--out", tmp_path / "a.xyz", code=2)
     assert "'.xyz'" in error
     error = run(capsys, "info", write(tmp_path, certified.ECHO), "--graph", code=2)
-    assert "the ports of echo are known to code of users alone" in error
+    assert "the ports of echo are defined by user code" in error
 
 
 # --- the places ---

@@ -66,7 +66,7 @@ def test_changed_rows_that_nothing_follows_from_are_found(valid, tmp_path, colum
     assert verification.difference.equal
     assert not verification.passed
     assert verification.found_hash != verification.recorded_hash
-    assert "were changed after they were recorded" in verification.problems[0]
+    assert "were changed after recording" in verification.problems[0]
 
 
 def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
@@ -77,7 +77,7 @@ def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     assert verification.copied == COPIED
     assert not set(COPIED) & set(verification.computed)
     assert "taken from the log, not recomputed: plant.y, plant.x_a" in verification.lines[-2]
-    assert "a log of another run, put in its place as a whole, passes" in verification.lines[-1]
+    assert "logs are not signed" in verification.lines[-1]
     # y drives the observer: its rows do not follow from a changed y any more
     path = scaled(valid, tmp_path / "c.mcap", slice(2, 3), 2.0, forged=True)
     verification = verify(open_log(path), cosim.replay(path))

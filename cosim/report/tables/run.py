@@ -107,7 +107,7 @@ def _path_of(recording: Recording) -> Path | None:
     if recording.is_at_its_path:
         return recording.path
     state = "holds the log of another run by now" if recording.path.exists() else "was removed"
-    text = f"warning: {recording.path} {state}; what is shown is of this run, whose log is lost"
+    text = f"warning: {recording.path} {state}; shown is this run, whose log is lost"
     print_line(text, error=True)
     return None
 

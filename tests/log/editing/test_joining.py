@@ -179,4 +179,4 @@ def test_a_last_part_without_a_hash_is_not_said_to_have_one(tmp_path):
     assert open_log(last).status == "unfinished"
     verification = verify(open_joined(last), cosim.replay(last))
     assert verification.passed
-    assert verification.lines[0].startswith("no content hash to check: the log is unfinished")
+    assert verification.lines[0].startswith("no content hash: the log is unfinished")

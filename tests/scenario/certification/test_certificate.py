@@ -125,7 +125,7 @@ def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
     assert json.loads(log.attachment("result.json"))["certificate"]["step"] == 1e-3
     with pytest.raises(LogError, match=r"cosim\.run with certify=True"):
         cosim.certificate(plain)
-    with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; "):
+    with pytest.raises(LogError, match=r"no error estimate of 'observer\.x'; "):
         cosim.certificate(log)["observer.x"]
 
 
@@ -167,7 +167,7 @@ def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number, ends
     reason = "a run with a smaller step did not come to its end: interrupted by the user"
     assert (certificate.problem, list(certificate.ends)) == (reason, ends)
     assert list(certificate) == []
-    with pytest.raises(UnknownSignalError, match=f"the certificate has no 'plant.y': {reason}"):
+    with pytest.raises(UnknownSignalError, match=f"no error estimate of 'plant.y': {reason}"):
         certificate["plant.y"]
 
 

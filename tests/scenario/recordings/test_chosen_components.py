@@ -157,7 +157,7 @@ def test_the_command_line_names_what_was_not_verified(tmp_path, call):
     cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
     code, out, _ = call("replay", "a.mcap", "--component", "observer", "--verify")
     assert code == 0
-    assert "not verified, as other components were chosen: u.y, delta.y, regressor.mu" in out
+    assert "not verified, as not chosen: u.y, delta.y, regressor.mu" in out
     command = ("replay", "a.mcap", "--component", "observer", "--component", "u", "--verify")
     _, out, _ = call(*command, "--json")
     found = {entry["component"]: entry for entry in json.loads(out)["components"]}
