@@ -770,6 +770,7 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     assert found["static_gain"][0] == pytest.approx([2.0 / 3.0], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_linearize_says_where_there_is_no_gain(call, tmp_path):
     """An integrator."""
     (tmp_path / "i.toml").write_text(

@@ -37,6 +37,7 @@ def four(folder):
     )
 
 
+@pytest.mark.slow
 def test_four_plants_are_one_scenario(four):
     """The co-simulation FMU and the log have the bits of the generated plant.
 
@@ -62,6 +63,7 @@ def test_four_plants_are_one_scenario(four):
     assert 0.0 < apart["observer.delta", "plant"] <= 1e-8
 
 
+@pytest.mark.slow
 def test_summaries_and_differences_are_computed_once(four):
     """Every access of a summary would read the whole logs again."""
     assert four.summaries is four.summaries
@@ -181,6 +183,7 @@ def test_a_map_may_list_ports(folder):
         compare("academic", swap=plants, map={**MAP, "plant.x_a": ["s[0]", "q[1]"]})
 
 
+@pytest.mark.slow
 def test_a_picture_shows_all_of_them(four, tmp_path):
     """Estimates with truth on the left, differences on the right."""
     from cosim.report.plots import plot_comparison

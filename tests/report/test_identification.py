@@ -75,6 +75,7 @@ def test_the_table_shows_what_was_recorded(logs, call):
     assert shown["terms of delta"] == ["amplitude[0] exp(theta[0] t); amplitude[1] exp(theta[1] t)"]
 
 
+@pytest.mark.slow
 def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     """In the table of the run and in the JSON of its log, at t = 0 though it starts at 2 s.
 
@@ -212,7 +213,7 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (("--bounds", "[[-1,0]]"), r"--bounds: .*2 parameters"),
+        (("--bounds", "[[-1,0]]"), r"bounds: .*2 parameters"),
         (
             ("--bounds", "[[0,-1],[-1,0]]"),
             r"bounds of theta\[0\]: the lower 0 is above the upper -1",
@@ -246,6 +247,7 @@ def test_no_data_count_twice(logs, call, option, tmp_path):
     assert "copy.mcap has the rows of" in errors
 
 
+@pytest.mark.slow
 def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, tmp_path):
     """With axes, units of time and frequency; of several logs each has its panels."""
     pytest.importorskip("matplotlib")
@@ -259,7 +261,11 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
 
 
 @pytest.mark.parametrize(
-    ("bounds", "verdict"), [(None, "IDENTIFIABLE"), ({1: (-0.5, -0.5)}, "INCONSISTENT")]
+    ("bounds", "verdict"),
+    [
+        (None, "IDENTIFIABLE"),
+        pytest.param({1: (-0.5, -0.5)}, "INCONSISTENT", marks=pytest.mark.slow),
+    ],
 )
 def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict):
     """Where the residual is not what noise leaves, the titles say why there is none."""

@@ -125,6 +125,7 @@ def records(path):
             yield name, key
 
 
+@pytest.mark.slow
 def test_no_metadata_can_be_changed_that_a_replay_computes(valid, tmp_path):
     """Whatever entry is altered, with its checksum computed anew: the log fails."""
     unnoticed = []
@@ -197,7 +198,7 @@ def test_no_estimate_can_be_changed(judged, tmp_path, key, place, named):
         assert verification.passed is passes
         if not passes:
             (problem,) = verification.problems
-            assert f"{named} 'identifier': found" in problem
+            assert f"{named} 'identifier': " in problem
 
 
 @pytest.mark.parametrize("key", ["amplitudes", "irregular"])
@@ -218,7 +219,7 @@ def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
     count = len(verification.contradictions)
     assert count > 9
     assert len(verification.problems) == 9
-    assert verification.problems[-1].endswith(f"{count - 8} times more")
+    assert verification.problems[-1].endswith(f"{count - 8} more")
     assert len(verification.to_dict()["contradictions"]) == count
 
 
@@ -227,7 +228,7 @@ def test_an_end_before_the_stop_needs_a_reason(valid, tmp_path):
     changed = {"cosim.run": {"stop": "0.06"}}
     path = forged(valid, tmp_path / "b.mcap", text=("stop = 0.05", "stop = 0.06"), metadata=changed)
     (problem,) = verified(path).problems
-    assert "end of the run [ns]: found 50000000, the replay has 60000000" in problem
+    assert "end of the run [ns]: 50000000 in the log, 60000000 in the replay" in problem
 
 
 def test_declared_signals_are_compared(valid, tmp_path):
@@ -260,11 +261,11 @@ def test_warnings_of_computed_components_are_compared(tmp_path):
     assert verified(valid).problems == []
     changed = {"cosim.run": {"warnings": "[]"}}
     (problem,) = verified(forged(valid, tmp_path / "b.mcap", metadata=changed)).problems
-    assert "warnings: found [], the replay has [('observer', " in problem
+    assert "warnings: [] in the log, [('observer', " in problem
     content = take_apart(valid)
     content.messages = [row for row in content.messages if b"do not trust delta" not in row[3]]
     (problem,) = verified(put_together(content, tmp_path / "c.mcap")).problems
-    assert "messages: found [], the replay has [('observer', " in problem
+    assert "messages: [] in the log, [('observer', " in problem
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ def test_the_command_line_says_what_was_proven(valid, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         main(["replay", str(path), "--verify"])
     assert left.value.code == 1
-    message = f"is {open_log(path).content_hash()}, recorded {log.recorded_hash}"
+    message = f"content hash {open_log(path).content_hash()}, recorded {log.recorded_hash}"
     assert message in capsys.readouterr().err
 
 
@@ -217,7 +217,9 @@ def forge(results):
 
 def statements_line(verification):
     """Return what is said of the statements that were compared."""
-    (line,) = [line for line in verification.lines if line.startswith("what the log says")]
+    (line,) = [
+        line for line in verification.lines if line.startswith("the records of the run agree")
+    ]
     return line
 
 
@@ -231,7 +233,7 @@ def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     line = statements_line(verification)
     assert "verdicts" not in line
     assert "truth" not in line
-    assert line.endswith("all as far as they are about u, delta")
+    assert line.endswith("as far as they concern u, delta")
 
 
 def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_path):
@@ -258,7 +260,7 @@ def test_a_part_is_not_said_to_have_the_last_row_of_the_replay(identified, tmp_p
 def test_a_replay_that_records_less_than_its_log_verifies_nothing(valid, changes):
     """What it left out would pass unseen."""
     again = cosim.replay(valid, set=changes)
-    with pytest.raises(UsageError, match=r"compares all that .* has; found a replay that records"):
+    with pytest.raises(UsageError, match=r"compares all signals of .* records only"):
         verify(open_log(valid), again)
 
 
@@ -275,4 +277,4 @@ def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, capsys):
     with pytest.raises(SystemExit) as left:
         main(["replay", str(valid), "--verify", "--set", "scenario.stop=0.02"])
     assert left.value.code == 2
-    assert "leave out --set scenario.stop" in capsys.readouterr().err
+    assert "omit --set scenario.stop" in capsys.readouterr().err
