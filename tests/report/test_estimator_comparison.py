@@ -116,7 +116,7 @@ def test_a_scenario_needs_one_identifier(tmp_path):
         '[scenario]\nname = "one"\nstop = 1.0\nstep = 0.1\n'
         '[components.u]\nkind = "sine"\nrate = 1.0\n'
     )
-    with pytest.raises(UsageError, match="identifier.* got none"):
+    with pytest.raises(UsageError, match=r"identifier.* got none"):
         cosim.compare_estimators(path)
 
 

@@ -182,6 +182,7 @@ def test_progress_is_that_of_all_replays(failing):
     assert seen[-1] == (0.4, 0.4)
 
 
+@pytest.mark.slow
 def test_the_command_line_shows_a_table(log, call):
     """Rows are the varied values, columns what the results say; --json has all of each."""
     command = ("replay", log.path, "--vary", "identifier.P0=1e3,1e9")
