@@ -26,10 +26,10 @@ def path_argument(name: str, value: object) -> Path:
         If it is neither text nor a path, or no file can have it.
     """
     if not isinstance(value, str | os.PathLike):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path")
+        raise UsageError(f"{option(name)}: expected a path, got {quoted(value)}")
     path = os.fspath(value)
     if not isinstance(path, str):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path as a string")
+        raise UsageError(f"{option(name)}: expected a path as a string, got {quoted(value)}")
     check_path(path)
     return Path(path)
 
@@ -43,11 +43,11 @@ def log_argument(value: object) -> Path:
         If it is none, but that of something else; names the command for that.
     """
     path = path_argument("log", value)
-    needed = f"{quoted(str(path))}: needed a log (.mcap)"
+    expected = f"{quoted(str(path))}: expected a log (.mcap)"
     if is_scenario(path):
-        raise UsageError(f"{needed}; {command('run')} runs a scenario")
+        raise UsageError(f"{expected}; {command('run')} runs a scenario")
     if file_type(path) == "FMU":
-        raise UsageError(f"{needed}; 'cosim info' shows an FMU")
+        raise UsageError(f"{expected}; 'cosim info' shows an FMU")
     return path
 
 
@@ -60,11 +60,11 @@ def fmu_argument(value: object) -> Path:
         If it is none, but that of something else; names the command for that.
     """
     path = path_argument("fmu", value)
-    needed = f"{quoted(str(path))}: needed an FMU (.fmu)"
+    expected = f"{quoted(str(path))}: expected an FMU (.fmu)"
     if is_scenario(path):
-        raise UsageError(f"{needed}; 'cosim info' shows a scenario")
+        raise UsageError(f"{expected}; 'cosim info' shows a scenario")
     if file_type(path) == "log":
-        raise UsageError(f"{needed}; 'cosim info' shows a log")
+        raise UsageError(f"{expected}; 'cosim info' shows a log")
     return path
 
 
@@ -84,12 +84,10 @@ def check_path(path: str | Path) -> None:
     try:
         os.stat(path)
     except ValueError as error:  # NUL, or half a surrogate pair
-        raise UsageError(f"found the path {quoted(str(path))}; no file can have it") from error
+        raise UsageError(f"{quoted(str(path))} is no valid path") from error
     except OSError as error:
         if error.errno in NO_PATH:
-            raise UsageError(
-                f"found the path {quoted(str(path))}; no file can have it ({error.strerror})"
-            ) from error
+            raise UsageError(f"{quoted(str(path))} is no valid path ({error.strerror})") from error
 
 
 def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
@@ -104,12 +102,12 @@ def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
         return {}
     if not isinstance(value, Mapping):
         raise UsageError(
-            f"{option(name)}: found {quoted(value)}; needed a mapping, such as "
-            "{'component.name': ...}"
+            f"{option(name)}: expected a mapping, such as {{'component.name': ...}}, "
+            f"got {quoted(value)}"
         )
     for key in value:
         if not isinstance(key, str):
-            raise UsageError(f"{option(name)}: found the key {quoted(key)}; needed a string")
+            raise UsageError(f"{option(name)}: expected strings as keys, got {quoted(key)}")
     return value
 
 
@@ -125,7 +123,7 @@ def texts_argument(name: str, value: object) -> tuple[str, ...] | None:
         return None
     items = value if isinstance(value, Sequence) and not isinstance(value, str) else (None,)
     if not all(isinstance(item, str) for item in items):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a list of strings")
+        raise UsageError(f"{option(name)}: expected a list of strings, got {quoted(value)}")
     return tuple(items)
 
 
@@ -138,7 +136,7 @@ def number_argument(name: str, value: object) -> float:
         If it is none; truth values are none.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a number")
+        raise UsageError(f"{option(name)}: expected a number, got {quoted(value)}")
     return float(value)
 
 
@@ -151,7 +149,7 @@ def truth_argument(name: str, value: object) -> bool:
         If it is something else.
     """
     if not isinstance(value, bool | np.bool_):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed True or False")
+        raise UsageError(f"{option(name)}: expected True or False, got {quoted(value)}")
     return bool(value)
 
 
@@ -166,7 +164,7 @@ def whole_argument(name: str, value: object) -> int | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a whole number")
+        raise UsageError(f"{option(name)}: expected a whole number, got {quoted(value)}")
     return int(value)
 
 
@@ -179,7 +177,7 @@ def fillable_argument(name: str, value: object) -> None:
         If it is no dict.
     """
     if value is not None and not isinstance(value, dict):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a dict, to fill")
+        raise UsageError(f"{option(name)}: expected a dict to fill, got {quoted(value)}")
 
 
 def callable_argument(name: str, value: object) -> None:
@@ -191,4 +189,4 @@ def callable_argument(name: str, value: object) -> None:
         If it cannot be called.
     """
     if value is not None and not callable(value):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a function")
+        raise UsageError(f"{option(name)}: expected a function, got {quoted(value)}")

@@ -27,7 +27,7 @@ def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
     array = np.array(values, dtype=np.float64, order="C")
     if array.ndim != ndim:
         axes = "one axis" if ndim == 1 else f"{ndim} axes"
-        raise ValueError(f"found an array of shape {array.shape}, needed one with {axes}")
+        raise ValueError(f"expected an array with {axes}, got shape {array.shape}")
     array.setflags(write=False)
     return array
 

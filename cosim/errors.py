@@ -23,7 +23,7 @@
         ├── ChangedFileError  a file that a study reads is another one than when it began
         └── Interrupted       Ctrl-C or another signal; exit 128 + its number
 
-Every message names the thing, what was found, what was needed and the way out, in the language of
+Every message names the thing, what was expected, what was found and the way out, in the language of
 the caller: :func:`option` and :func:`flag` name an argument as it is written in Python, or in the
 shell under :func:`shell_language`.
 """
@@ -83,7 +83,7 @@ class AssumptionError(UsageError):
     Parameters
     ----------
     evidence : str
-        What was found and what was needed.
+        What was found and what was expected.
     verdict : str
         The name of what is wrong, such as ``INDEX_2``; empty: it has none.
     cure : str
@@ -155,8 +155,8 @@ class ChangedFileError(RunError):
     def __str__(self) -> str:
         """Add the way out, in the language of whoever reads it."""
         return (
-            f"{self.problem}; put it back as it was, and the study goes on from here, or begin "
-            f"anew with {flag('new')}"
+            f"{self.problem}; put it back as it was to resume the study, or start again with "
+            f"{flag('new')}"
         )
 
 

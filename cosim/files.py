@@ -2,7 +2,7 @@
 
 A device, a pipe or a socket may never end, or never begin; what a user names must not stop the
 program there. Whatever is refused is an ``OSError``, as every other reason why a file cannot be
-read: who opens a file catches that, and names the file and what was needed.
+read: who opens a file catches that, and names the file and what was expected.
 """
 
 from __future__ import annotations

@@ -77,13 +77,13 @@ def _listen(reader: int, ended: threading.Event) -> None:
             if select.select([reader], [], [], 0.0)[0]:
                 os.read(reader, _ALL)  # before it is said what a second one does
             _write(
-                "ends when the call under way returns, such as one of an FMU; Ctrl-C again ends it "
-                "at once, without a complete log"
+                "ends when the current call (of an FMU, say) returns; Ctrl-C again ends it at "
+                "once, without a complete log"
             )
         elif not is_deferred():
             _write(
-                "ended at once; a log that has rows is not closed: 'cosim info' says up to where "
-                "it is whole"
+                "ended at once; a log with rows was not closed: 'cosim info' shows up to where "
+                "it is complete"
             )
             os._exit(INTERRUPTED)
 

@@ -112,14 +112,14 @@ class BaseUnit:
         is_whole = [type(exponent) is int for exponent in self.exponents]
         if len(is_whole) != len(BASE) or not all(is_whole):
             raise ValueError(
-                f"unit: found exponents {self.exponents!r}; needed a whole number for each of "
-                f"{', '.join(BASE)}"
+                f"unit: expected a whole exponent for each of {', '.join(BASE)}, "
+                f"got {self.exponents!r}"
             )
         finite = math.isfinite(self.factor) and math.isfinite(self.offset)
         if not finite or self.factor == 0.0:
             raise ValueError(
-                f"unit: found factor {self.factor} and offset {self.offset}; needed finite "
-                "numbers, no factor 0"
+                f"unit: expected a finite factor other than 0 and a finite offset, "
+                f"got factor {self.factor}, offset {self.offset}"
             )
 
 
@@ -210,10 +210,10 @@ def _same_name(first: Unit, second: Unit) -> bool:
 
 
 def unknown_unit(name: str) -> str:
-    """Return what is wrong with a unit that is not known, and what is needed."""
+    """Return what is wrong with a unit that is not known, and what is expected."""
     return (
-        f"{name!r} is not known; needed a product of units, such as mm, kN.m, W/(m2.K), degC or "
-        "rev/min, or none at all"
+        f"{name!r} is not known; expected a product of units, such as mm, kN.m, W/(m2.K), degC or "
+        "rev/min, or no unit"
     )
 
 

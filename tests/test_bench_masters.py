@@ -15,7 +15,10 @@ from tests.bench.masters.systems import STEP_NS, chain, ring
 STEPS = 200
 STEP = STEP_NS / 1e9
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler"),
+]
 
 
 @pytest.mark.parametrize(
@@ -79,7 +82,7 @@ def test_a_master_that_fails_is_reported_with_its_last_line():
         (["--steps", "10"], "argument --steps: found 10; needed at least 1000"),
     ],
 )
-def test_what_the_benchmark_cannot_measure_is_refused(options, text, capsys):
+def test_wrong_options_of_the_benchmark_are_refused(options, text, capsys):
     """An empty table would look as if there were nothing to say."""
     with pytest.raises(SystemExit):
         arguments(options)

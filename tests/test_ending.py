@@ -81,6 +81,7 @@ def wait_for(path, process, size=20_000):
     pytest.fail("has not begun to write")
 
 
+@pytest.mark.slow
 def test_runs_at_once_without_a_path_get_one_name_each(start, tmp_path):
     """Of eight processes none fails, no number is left out, and nothing else is left."""
     process = start("run", "academic", "--stop", "0.05", "--json", code=EIGHT)
@@ -114,6 +115,7 @@ def test_threads_may_share_a_path_too(tmp_path):
         assert cosim.diff(log, cosim.open_log(log.path)).equal
 
 
+@pytest.mark.slow
 def test_a_run_does_not_replace_the_log_that_another_writes(start, tmp_path):
     """Two runs with --force on one path: the second is refused, the first goes on."""
     path = tmp_path / "a.mcap"
@@ -136,7 +138,7 @@ def test_a_run_does_not_replace_the_log_that_another_writes(start, tmp_path):
 
 
 @pytest.mark.parametrize("removed", [False, True])
-def test_what_a_run_returns_is_its_own(tmp_path, capsys, removed):
+def test_a_run_returns_its_own_rows_whatever_happens_to_its_path(tmp_path, capsys, removed):
     """Whatever happens to the path meanwhile: rows, summary, and what is said of the path."""
     path = tmp_path / "a.mcap"
 
@@ -205,7 +207,10 @@ def assert_whole(path, reason):
     assert cosim.diff(log, cosim.replay(path)).equal
 
 
-@pytest.mark.parametrize(("number", "code", "reason"), ENDS)
+@pytest.mark.parametrize(
+    ("number", "code", "reason"),
+    [ENDS[0], *(pytest.param(*end, marks=pytest.mark.slow) for end in ENDS[1:])],
+)
 def test_a_signal_ends_a_run_with_a_whole_log(start, tmp_path, number, code, reason):
     """With the exit code that a shell gives, and nothing is left but the log."""
     path = tmp_path / "a.mcap"
@@ -221,6 +226,7 @@ def test_a_signal_ends_a_run_with_a_whole_log(start, tmp_path, number, code, rea
     assert not os.listdir(tmp_path / "temporary")
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_ends_a_run_with_a_whole_log(start, tmp_path):
     """The kernel sends SIGHUP to the programs of a terminal, and nothing can be written to it."""
     path = tmp_path / "a.mcap"
@@ -242,6 +248,7 @@ def test_a_closed_terminal_ends_a_run_with_a_whole_log(start, tmp_path):
     assert_whole(path, "its terminal was closed")
 
 
+@pytest.mark.slow
 def test_an_ignored_signal_does_not_end_a_run(start, tmp_path):
     """Such as SIGHUP in a program that nohup started, or SIGINT in a shell's background."""
     path = tmp_path / "a.mcap"
@@ -301,6 +308,7 @@ value = 0.0
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["success", "stop", "refused", "failed", *ENDS, "killed"])
 def test_no_temporary_folder_is_left(start, tmp_path, end):
     """However a run with an FMU ends; what a killed one leaves, the next removes."""
@@ -342,6 +350,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_a_file_that_may_not_grow_ends_the_run_with_a_whole_log(start, tmp_path):
     """As on a full disk: exit 1, and the message says up to where the log goes."""
     path = tmp_path / "a.mcap"
@@ -421,8 +430,8 @@ def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypa
     """Two outputs need two paths; a pipe may have no other end."""
     monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
     for arguments, text in [
-        (("--out", "a.mcap", "--plot", "a.mcap"), "found the ending '.mcap'"),
-        (("--out", "a.mcap", "--plot", "a.mcap/x.png"), "found the path of the log"),
+        (("--out", "a.mcap", "--plot", "a.mcap"), "'.mcap'"),
+        (("--out", "a.mcap", "--plot", "a.mcap/x.png"), "is the path of the log"),
         (("--plot", "pipe.png"), "it is a pipe, not a regular file"),
         (("--out", "a.log"), "expected a path that ends in .mcap"),
         (("--out", "folder.mcap"), "is a folder; name a file"),
@@ -444,10 +453,11 @@ def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatc
         code, err = call(*command, folder)
         assert (code, "cannot be created" in err) == (2, True), err
     code, err = call(*command, "x.png", "--plot", "x.png")
-    assert (code, "found the path of the log" in err) == (2, True), err
+    assert (code, "is the path of the log" in err) == (2, True), err
     assert os.listdir(tmp_path / "logs") == ["a.mcap"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
 def test_closed_standard_streams_are_nothing(tmp_path, closed):
     """No traceback, and no file of the run is stdout to C code, whose text would be in it."""
@@ -465,6 +475,7 @@ def test_closed_standard_streams_are_nothing(tmp_path, closed):
     assert open_log(tmp_path / "a.mcap").status == "complete"
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_command_line_is_imported_ends_without_a_traceback():
     """As later: with its exit code, and nothing on stderr."""
     code = (
@@ -492,6 +503,7 @@ def trials_of(fmu):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for it")
 def test_a_trial_ends_with_the_command_that_began_it(start, tmp_path):
     """However that ends; an FMU that hangs in its trial would go on computing without end."""

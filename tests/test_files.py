@@ -15,6 +15,7 @@ from cosim.scenario.document.document import Document, find
 SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
 
 
+@pytest.mark.slow
 def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
     """Every command that reads or writes a log, an FMU or a scenario takes it for the same."""
     pytest.importorskip("matplotlib")
@@ -35,16 +36,16 @@ def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
     code, out, _ = call("compare", "S.TOML", *swaps, "--set", "scenario.stop=0.01", "--json")
     assert code == 0
     assert [plant["plant"] for plant in json.loads(out)["plants"]] == ["descriptor", "P#cs", "A"]
-    for command, needed in [
-        (("check", "A.Mcap"), "needed an FMU"),
-        (("replay", "P.FMU"), "needed a log"),
-        (("run", "P.FMU"), "needed a scenario"),
+    for command, expected in [
+        (("check", "A.Mcap"), "an FMU (.fmu)"),
+        (("replay", "P.FMU"), "a log (.mcap)"),
+        (("run", "P.FMU"), "P.FMU"),
         (("run", "no.Toml"), "cannot be read"),
-        (("run", "academic", "--out", "a.log"), "expected a path that ends in .mcap"),
-        ((*export, "P.so"), "expected a path that ends in .fmu"),
+        (("run", "academic", "--out", "a.log"), ".mcap"),
+        ((*export, "P.so"), ".fmu"),
     ]:
         code, _, err = call(*command)
-        assert (code, needed in err) == (2, True), err
+        assert (code, expected in err) == (2, True), err
 
 
 def read(path):
@@ -83,11 +84,11 @@ def special(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["a pipe", "a socket", "a device", "a folder"])
-@pytest.mark.parametrize("suffix", [".toml", ".csv", ".fmu"])
-def test_only_regular_files_are_read(special, kind, suffix):
+def test_only_regular_files_are_read(special, kind):
     """A device never ends and a pipe never begins: each is refused at once, by its name."""
-    with pytest.raises(ScenarioError, match=rf"special{suffix}.*{kind}"):
-        read(special(kind, suffix))
+    for suffix in (".toml", ".csv", ".fmu"):
+        with pytest.raises(ScenarioError, match=rf"special{suffix}.*{kind}"):
+            read(special(kind, suffix))
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".csv", ".fmu"])

@@ -78,6 +78,7 @@ def test_a_name_that_is_not_there_is_an_error(package):
         getattr(import_module(package), "nothing")  # noqa: B009
 
 
+@pytest.mark.slow
 def test_importing_the_packages_loads_no_library():
     """Names load what they need when they are first used."""
     heavy = "numpy scipy mcap pydantic fmpy rich typer matplotlib"
@@ -89,7 +90,7 @@ def test_importing_the_packages_loads_no_library():
 
 
 @pytest.mark.parametrize("text", [README, *docstrings()])
-def test_what_is_shown_is_public(text):
+def test_shown_imports_are_public(text):
     """README and docstrings import public names from their packages only."""
     for module, name in shown_imports(text):
         if module in TESTING:

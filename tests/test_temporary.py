@@ -47,6 +47,7 @@ def test_a_folder_is_removed_at_the_end_of_its_block(parent):
     folder.remove()
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_killed_process_is_removed_by_the_next(parent):
     """Not before: as long as the process lives, it stays."""
     with subprocess.Popen(

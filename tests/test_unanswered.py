@@ -39,6 +39,7 @@ def open_files():
     return sorted(os.listdir("/proc/self/fd"))
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
     """The first is answered with what a second one would do; the log is left as it was written."""
     compile_fmu(tmp_path / "hangs.fmu", STATELESS, "rogue2.c", defines=("ROGUE=HANGS_LATER",))
@@ -49,8 +50,8 @@ def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
             assert process.stderr.readline() == "hangs\n"
             process.send_signal(signal.SIGINT)
             assert process.stderr.readline() == (
-                "cosim: interrupted by the user: ends when the call under way returns, such as one "
-                "of an FMU; Ctrl-C again ends it at once, without a complete log\n"
+                "cosim: interrupted by the user: ends when the current call (of an FMU, say) "
+                "returns; Ctrl-C again ends it at once, without a complete log\n"
             )
             assert process.poll() is None
             process.send_signal(signal.SIGINT)
@@ -59,13 +60,13 @@ def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
             process.kill()
     assert process.returncode == 130
     assert messages == (
-        "cosim: interrupted by the user: ended at once; a log that has rows is not closed: "
-        "'cosim info' says up to where it is whole\n"
+        "cosim: interrupted by the user: ended at once; a log with rows was not closed: "
+        "'cosim info' shows up to where it is complete\n"
     )
     assert cosim.open_log(tmp_path / "x.mcap").status == "unfinished"
 
 
-def test_what_python_answers_is_left_to_its_handlers(capfd):
+def test_signals_that_python_answers_are_left_to_its_handlers(capfd):
     """Any number of signals, however fast they come: nothing is said, and nothing ends."""
     received = []
     signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
@@ -76,7 +77,7 @@ def test_what_python_answers_is_left_to_its_handlers(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_what_is_deferred_is_not_ended(capfd, monkeypatch):
+def test_a_deferred_signal_ends_nothing(capfd, monkeypatch):
     """Such as the end of a log, however long a disk takes for it."""
     monkeypatch.setattr(unanswered, "PATIENCE", 0.01)
     received = []

@@ -32,14 +32,16 @@ TABLE = {  # factor to the base unit, and the base unit itself
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", TABLE)
-def test_names_are_exact(name):
+def test_names_are_exact():
     """The factor is the double nearest to the definition; the powers are those of the base unit."""
-    factor, base = TABLE[name]
-    computed = base_unit(name)
-    plain = base_unit(base)
-    assert (computed.factor, computed.exponents, computed.offset) == (factor, plain.exponents, 0.0)
-    assert plain.factor == 1.0
+    wrong = {}
+    for name, (factor, base) in TABLE.items():
+        computed = base_unit(name)
+        plain = base_unit(base)
+        expected = BaseUnit(plain.exponents, factor, 0.0)
+        if computed != expected or plain.factor != 1.0:
+            wrong[name] = (computed, expected)
+    assert wrong == {}
 
 
 def test_powers_of_prefixes_are_rounded_once():
@@ -49,7 +51,7 @@ def test_powers_of_prefixes_are_rounded_once():
     assert base_unit("mm-3").factor == float(Fraction(10**9))
 
 
-def test_what_has_more_than_one_reading_is_not_read():
+def test_an_ambiguous_unit_is_not_read():
     """Prefixes stand only before symbols with which they are in use; ``min`` is no milli-inch."""
     for name in (
         "Gs",
@@ -145,16 +147,19 @@ def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
     """Its factor is finite and not 0."""
     with pytest.raises(
         ValueError,
-        match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, "
-        "no factor 0",
+        match=f"unit: .* factor {factor}, offset {offset}",
     ):
         BaseUnit(LENGTH, factor, offset)
 
 
-@pytest.mark.parametrize("exponents", [(), (1,), (0.5,) * 8, (True,) * 8])
-def test_a_unit_has_one_whole_exponent_for_each_base_unit(exponents):
+def test_a_unit_has_one_whole_exponent_for_each_base_unit():
     """No more, no fewer, and no fractions."""
-    with pytest.raises(ValueError, match="needed a whole number for each of kg, m, s, A, K, mol"):
+    for exponents in ((), (1,), (0.5,) * 8, (True,) * 8):
+        _assert_refused(exponents)
+
+
+def _assert_refused(exponents):
+    with pytest.raises(ValueError, match=r"unit: .* each of kg, m, s, A, K, mol"):
         BaseUnit(exponents)
 
 

@@ -25,7 +25,7 @@ def check(
         bool,
         typer.Option(
             "--strict",
-            help="Of an FMU: exit 1 also for a warning: against the standard, but runs here.",
+            help="FMU: exit 1 also for warnings (violations of the standard that run here).",
         ),
     ] = False,
     values: Annotated[
@@ -33,7 +33,7 @@ def check(
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Start value for the trial runs of an FMU; of a scenario a value, such as "
+            help="FMU: start value for the trial runs. Scenario: a value, such as "
             "observer.filter_rate=500. Repeatable.",
         ),
     ] = None,
@@ -41,15 +41,15 @@ def check(
 ) -> None:
     """Report problems of an FMU, or the assumptions of a scenario.
 
-    Of an FMU archive, schema, structure, binaries and trial runs; of a scenario each assumption
-    with the number that decides it, without a run; but its FMUs are loaded and its classes of kind
-    python imported, which runs their code. Exit 1 if there is an error, or one fails.
+    FMU: archive, schema, structure, binaries and trial runs. Scenario: each assumption with the
+    number that decides it. The scenario is not run, but FMUs are loaded and Python classes
+    imported, which runs their code. Exit 1 if there is an error or an assumption fails.
     """
     from cosim.arguments import fmu_argument, is_scenario
 
     if is_scenario(subject):
         if strict:
-            raise UsageError("--strict: is of an FMU; leave it out")
+            raise UsageError("--strict is for FMUs; omit it")
         _check_scenario(str(subject), values, as_json=as_json)
         return
     from cosim.fmi.checking.check import check as check_fmu

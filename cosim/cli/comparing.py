@@ -37,8 +37,8 @@ AlternativesOption = Annotated[
         "--swap",
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
-        help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs, a recorded log (.mcap) "
-        "or samples with their times (.csv, .parquet). Once for each.",
+        help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs, a recorded log "
+        "(.mcap) or time-stamped samples (.csv, .parquet). Repeatable.",
     ),
 ]
 
@@ -55,17 +55,17 @@ EstimatorsOption = Annotated[
 BaseOption = Annotated[
     bool,
     typer.Option(
-        "--base/--no-base", help="Run the scenario's own component too, as the reference."
+        "--base/--no-base", help="Also run the scenario's own component, as the reference."
     ),
 ]
 
 ComparisonPlotOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Plot the estimates of all runs, and their differences."),
+    typer.Option(metavar="FILE", help="Plot the estimates of all runs and their differences."),
 ]
 
 FolderOption = Annotated[
-    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")
+    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the logs.")
 ]
 
 
@@ -82,15 +82,16 @@ def diff(
     ] = None,
     atol: Annotated[float, typer.Option(min=0.0, help="Absolute tolerance.")] = 0.0,
     rtol: Annotated[
-        float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")
+        float, typer.Option(min=0.0, help="Tolerance relative to the largest value of each signal.")
     ] = 0.0,
     tol: Annotated[
         list[str] | None,
         typer.Option(
             "--tol",
             metavar="SIGNAL=VALUE",
-            help="Absolute tolerance of a signal, or of all that match a pattern, instead of "
-            "--atol and --rtol: '*.delta=1e-3'. If several match, the last one counts. Repeatable.",
+            help="Absolute tolerance of the signals that match a pattern, instead of --atol and "
+            "--rtol: '*.delta=1e-3'. If several patterns match, the last one counts. "
+            "Repeatable.",
         ),
     ] = None,
     plot: Annotated[
@@ -146,8 +147,8 @@ def compare(
 ) -> None:
     """Run a scenario on several plants, or with several estimators.
 
-    With --swap once for each plant; with --estimators every method takes the same recorded data.
-    Exit 1 where one of them fails.
+    With --swap the scenario runs once for each plant; with --estimators every method gets the same
+    recorded data. Exit 1 if one of them fails.
     """
     from cosim.report.comparing import compare as compare_plants
     from cosim.report.tables.comparison import print_plants
@@ -155,7 +156,7 @@ def compare(
 
     if estimators:
         if not base:
-            raise UsageError("--no-base is about plants; leave it out with --estimators")
+            raise UsageError("--no-base is for plants; omit it with --estimators")
         options = {"map": read_unique_pairs(maps, "map"), "set": read_edits(changes)}
         swap = _one_plant(swaps)
         _compare_estimators(
@@ -163,7 +164,7 @@ def compare(
         )
         return
     if not swaps:
-        raise UsageError("found neither --swap nor --estimators; needed what is compared")
+        raise UsageError("expected --swap or --estimators: what to compare")
     alternatives = _alternatives(swaps)
     loaded = load(scenario)
     check_plot(plot, out)
@@ -209,7 +210,7 @@ def _one_plant(swaps: list[str] | None) -> dict[str, str]:
     for component in components:
         if components.count(component) > 1:
             raise UsageError(
-                f"found --estimators and several plants in --swap {component}; needed one plant: "
+                f"--estimators: expected one plant, got several in --swap {component}; "
                 "compare plants and estimators one after the other"
             )
     return read_pairs(swaps, "swap")

@@ -27,8 +27,8 @@ def info(
         str,
         typer.Argument(
             metavar="LOG|FMU|SCENARIO",
-            help="A log (.mcap, of another tool, too), an FMU (.fmu), samples (.csv, .parquet) or "
-            "a scenario.",
+            help="A log (.mcap, also of other tools), an FMU (.fmu), samples (.csv, .parquet) or"
+            " a scenario.",
             autocompletion=completion.complete_source,
         ),
     ],
@@ -37,26 +37,26 @@ def info(
         bool,
         typer.Option(
             "--graph",
-            help="Of a scenario: in which stages its components advance, the order inside loops, "
-            "rates and direct feedthrough.",
+            help="Scenario: show stages, the order inside loops, sample rates and direct "
+            "feedthrough.",
         ),
     ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="FILE", help="With --graph: a picture (.png, .svg, .pdf)."
+            "--out", "-o", metavar="FILE", help="With --graph: draw it (.png, .svg, .pdf)."
         ),
     ] = None,
 ) -> None:
     """Show what a log, an FMU or a scenario contains.
 
-    Nothing of an FMU or of a user's class runs.
+    Runs no code of FMUs or user classes.
     """
     if graph:
         _show_graph(source, out, as_json=as_json)
         return
     if out is not None:
-        raise UsageError("--out is the picture of --graph; needed both, or neither")
+        raise UsageError("--out is for the picture of --graph; give both or neither")
     from cosim.report.tables.contents import print_contents
 
     print_contents(source, as_json=as_json)
@@ -75,7 +75,7 @@ def _show_graph(source: str, out: Path | None, *, as_json: bool) -> None:
 
     type_name = file_type(source)
     if type_name in ("log", "FMU", "table"):
-        raise UsageError(f"--graph {source}: found a {type_name}; needed a scenario")
+        raise UsageError(f"--graph {source}: expected a scenario, got a {type_name}")
     if out is not None:
         from cosim.report.plots import need_plot
 
@@ -95,9 +95,9 @@ def plot(
         list[str],
         typer.Argument(
             metavar="LOG... [SIGNAL]...",
-            help="One or several logs (.mcap), then signals or their elements, a panel each: "
-            "plant.y plant.x_a[0]. With commas between they share a panel: plant.y,observer.y. "
-            "Without signals: the standard picture of a log.",
+            help="Logs (.mcap), then signals or elements, one panel each: plant.y plant.x_a[0]. "
+            "Joined by commas they share a panel: plant.y,observer.y. Without signals: the "
+            "standard picture of a log.",
         ),
     ],
     out: Annotated[
@@ -121,9 +121,7 @@ def plot(
     logs = [open_log(source) for source in sources if file_type(source) == "log"]
     signals = [source for source in sources if file_type(source) != "log"]
     if not logs:
-        raise UsageError(
-            f"found no log among {', '.join(sources)}; needed a path that ends in .mcap"
-        )
+        raise UsageError(f"expected a log (.mcap), got {', '.join(sources)}")
     if signals:
         plot_signals(logs, signals, out, options)
     elif len(logs) == 1:
@@ -142,7 +140,7 @@ def read_size(text: str | None) -> tuple[float, float] | None:
         return float(width), float(height)
     except ValueError as error:
         raise UsageError(
-            f"--size: found {text!r}, needed WIDTHxHEIGHT in cm, such as 16x9"
+            f"--size: expected WIDTHxHEIGHT in cm, such as 16x9, got {text!r}"
         ) from error
 
 
@@ -151,7 +149,7 @@ def list_(
         str | None,
         typer.Argument(
             metavar="KIND",
-            help="A component kind, to explain its ports and parameters.",
+            help="Component kind whose ports and parameters to explain.",
             autocompletion=completion.complete_kind,
         ),
     ] = None,
@@ -170,7 +168,7 @@ def list_(
 
 
 def show(scenario: ScenarioArgument) -> None:
-    """Print the text of a scenario, to start your own from."""
+    """Print the text of a scenario, as a template for your own."""
     from cosim.scenario.document.document import find
 
     text = find(scenario).text

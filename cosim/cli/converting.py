@@ -39,15 +39,15 @@ def cat(
         bool,
         typer.Option(
             "--follow",
-            help="Keep printing rows while a run writes to the log, as they are flushed (looked "
-            "for every 0.2 s), until the run ends. The log has to exist already.",
+            help="Keep printing rows as a run flushes them to the log (polled every 0.2 s), "
+            "until the run ends. The log must exist.",
         ),
     ] = False,
 ) -> None:
     """Print the rows of a log as CSV or JSON Lines.
 
-    If components have several rates there is a row at every instant at which one of them has one;
-    where another has none, the cell is empty (in JSON Lines: omitted).
+    Components with several rates share one table: a row for every sampling instant, with empty
+    cells (JSON Lines: omitted keys) for components without a sample there.
     """
     from cosim.log.conversion.text import TextSource, table_text
 
@@ -82,8 +82,8 @@ def convert(
 ) -> None:
     """Convert a log to CSV, Parquet, MAT or NumPy's npz.
 
-    CSV and Parquet contain the rows that 'cosim cat' prints; .mat and .npz contain an array for
-    each signal, and one for the times of each component.
+    CSV and Parquet contain the rows of 'cosim cat'; .mat and .npz contain one array per signal and
+    one array of times per component.
     """
     from cosim.log.conversion.choice import choose
     from cosim.log.conversion.files import check_target

@@ -13,8 +13,8 @@ NoiseOption = Annotated[
     str | None,
     typer.Option(
         metavar="D",
-        help="Deviation of the noise of y, or [d0,d1] for several outputs; default: what the "
-        "identifier, the observer or a sensor states.",
+        help="Standard deviation of the noise of y, or [d0,d1] for several outputs; default:"
+        " as given for the identifier, the observer or a sensor.",
     ),
 ]
 
@@ -22,8 +22,7 @@ ThetaOption = Annotated[
     str | None,
     typer.Option(
         metavar="[...]",
-        help="theta to design for, in the order of the regressor's terms; default: that of the "
-        "disturbance.",
+        help="True theta, in the order of the regressor's terms; default: that of the disturbance.",
     ),
 ]
 
@@ -31,12 +30,11 @@ LongestOption = Annotated[
     float | None,
     typer.Option(
         metavar="T",
-        help="Longest delay that is tried [s]; default: a quarter of the run, or that of the "
-        "scenario.",
+        help="Longest delay to try [s]; default: a quarter of the run, or that of the scenario.",
     ),
 ]
 
-InputOption = Annotated[bool, typer.Option("--input", help="Rank other sizes of the input too.")]
+InputOption = Annotated[bool, typer.Option("--input", help="Also rank other input amplitudes.")]
 
 
 def design(
@@ -48,10 +46,10 @@ def design(
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank what may be chosen by the predicted error of theta.
+    """Rank experiment designs by the predicted error of theta.
 
-    Delays, filters, steps and windows, against the Cramer-Rao bound of y, which output error
-    reaches.
+    Ranks delays, filters, steps and windows relative to the Cramer-Rao bound of y, which the
+    output-error method attains.
     """
     from cosim.report.tables.experiment_design import print_design
     from cosim.scenario.experiment_design.ranking import design as ranked
@@ -75,5 +73,5 @@ def _numbers(name: str, text: str | None) -> list[float] | None:
     value = parse_value(text)
     listed = value if isinstance(value, list) else [value]
     if any(isinstance(item, bool) or not isinstance(item, int | float) for item in listed):
-        raise UsageError(f"{option(name)}: found {text}; needed a number, or a list of numbers")
+        raise UsageError(f"{option(name)}: expected a number, or a list of numbers, got {text}")
     return [float(item) for item in listed]

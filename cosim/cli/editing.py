@@ -27,28 +27,28 @@ def cut(
     stop: ToOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Write a span of time of a log to a new log.
+    """Copy a time span of a log to a new log.
 
-    That opens like any other and says that it is partial; 'cosim merge' joins such parts again.
+    The new log is marked as partial; 'cosim merge' joins such parts.
     """
     from cosim.log.editing.cutting import cut as cut_log
 
     if start is None and stop is None:
-        raise UsageError("found neither --from nor --to; needed what to cut")
+        raise UsageError("expected --from, --to or both")
     _print_log(cut_log(log, start, stop, out, names=("--from", "--to"), force=force))
 
 
 def merge(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG...", help="Logs of consecutive spans of one run, in any order"),
+        typer.Argument(metavar="LOG...", help="Logs of consecutive parts of one run, in any order"),
     ],
     out: NewLogOption,
     force: ForceOption = False,
 ) -> None:
-    """Join logs of consecutive spans of one run.
+    """Join logs of consecutive parts of one run.
 
-    Logs of other runs, overlapping logs and logs with rows missing between them are refused.
+    Logs of other runs, overlaps and gaps are refused.
     """
     from cosim.log.editing.merging import merge as merge_logs
 
@@ -61,9 +61,9 @@ def recover(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write what is intact in a damaged log to a new log.
+    """Copy the intact parts of a damaged log to a new log.
 
-    That is every chunk whose CRC matches, also after the damage. Shows which rows are lost.
+    Keeps every chunk whose CRC matches, also after the damage, and shows which rows are lost.
     """
     from cosim.log.editing.recovering import recover as recover_log
     from cosim.report.tables.recovery import print_recovery

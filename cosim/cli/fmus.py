@@ -14,7 +14,7 @@ from cosim.report.printable import printable
 
 
 def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove everything in it.")] = False,
+    clear: Annotated[bool, typer.Option("--clear", help="Remove all entries.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show or clear the cache of FMU trial results and compiled files.
@@ -45,7 +45,7 @@ def export(
             "--out",
             "-o",
             metavar="PATH",
-            help="The .fmu to write; default: fmus/<scenario>-<component>.fmu",
+            help="FMU to write; default: fmus/<scenario>-<component>.fmu",
         ),
     ] = None,
     fmi: Annotated[str, typer.Option(metavar="2|3", help="FMI version: 2 (2.0) or 3 (3.0).")] = "2",
@@ -69,7 +69,7 @@ def export(
 ) -> None:
     """Export a component as an FMU, C source and binary.
 
-    It has both interface types; that of a discrete component is for co-simulation only.
+    The FMU has both interface types; that of a discrete component is for co-simulation only.
     """
     from cosim.scenario.exporting import export_component
 
@@ -84,7 +84,7 @@ def export(
 TimeOption = Annotated[
     float,
     typer.Option(
-        metavar="T", help="Time of the operating point, reached with constant inputs [s]."
+        metavar="T", help="Time of the operating point [s], reached with constant inputs."
     ),
 ]
 

@@ -12,14 +12,15 @@ from cosim.cli.options import JsonOption, LogArgument, print_notice
 def hash_(
     log: LogArgument,
     signals: Annotated[
-        bool, typer.Option("--signals", help="Add a line for each signal: its times and bits.")
+        bool,
+        typer.Option("--signals", help="Also print a hash of times and values for each signal."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Print the content hash of a log.
 
-    It covers what every signal is declared as (name, unit, role, ...), its times and bits;
-    compression and chunks do not change it. Exit 1 if another one is recorded in the log.
+    It covers the declaration of every signal (name, unit, role, ...), its times and values;
+    compression and chunking do not change it. Exit 1 if the log records another hash.
     """
     from cosim.log import open_log
     from cosim.report.tables.console import print_json, print_line
@@ -36,10 +37,10 @@ def hash_(
         for name, digest in lines.items():
             print_line(f"{digest}  {name}")
     if recorded is None:
-        print_notice(f"{opened.path}: no content hash was recorded to compare this one with")
+        print_notice(f"{opened.path}: no content hash was recorded")
     elif found != recorded:
         print_notice(
-            f"{opened.path}: the content hash differs from {recorded}, which is recorded: its "
-            "signals are no longer those that were written"
+            f"{opened.path}: the content hash differs from the recorded {recorded}: its signals "
+            "were changed after recording"
         )
         raise typer.Exit(1)

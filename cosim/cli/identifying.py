@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 LogsArgument = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...", help="Logs (.mcap) of one plant under one theta: they make one fit."
+        metavar="LOG...", help="Logs (.mcap) of one plant with one theta, for a joint fit."
     ),
 ]
 
 IdentifierOption = Annotated[
     str | None,
     typer.Option(
-        "--component", metavar="NAME", help="The identifier, where the scenario has several."
+        "--component", metavar="NAME", help="The identifier, if the scenario has several."
     ),
 ]
 
@@ -32,20 +32,21 @@ ValidateOption = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="LOG",
-        help="A log that is not used in the fit: does theta hold there? Exit 1 if not. Repeatable.",
+        help="Validate theta on a log that is not used in the fit; exit 1 if it does not "
+        "hold. Repeatable.",
     ),
 ]
 
 OffsetOption = Annotated[
-    bool, typer.Option("--offset", help="An unknown constant is on every output.")
+    bool, typer.Option("--offset", help="Every output has an unknown constant offset.")
 ]
 
 BoundsOption = Annotated[
     str | None,
     typer.Option(
         metavar="ROWS",
-        help="[lower, upper] for every theta, equal ones fix it: [[-1,0],[-inf,inf]]; default: "
-        "those of the scenario.",
+        help="[lower, upper] of each theta, equal bounds fix it: [[-1,0],[-inf,inf]]; "
+        "default: those of the scenario.",
     ),
 ]
 
@@ -53,8 +54,8 @@ IrregularOption = Annotated[
     float | None,
     typer.Option(
         metavar="D",
-        help="Guaranteed intervals for an irregular part of the disturbance, |delta_0| <= D, by "
-        "linear programs.",
+        help="Guaranteed intervals for an irregular part of the disturbance |delta_0| <= D, "
+        "by linear programming.",
     ),
 ]
 
@@ -62,7 +63,8 @@ IdentificationPlotOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Plot residual, its spectrum, the smoothed disturbance and theta (.png, .svg, .pdf).",
+        help="Plot the residual, its spectrum, the smoothed disturbance and theta (.png, "
+        ".svg, .pdf).",
     ),
 ]
 
@@ -79,9 +81,8 @@ def identify(
 ) -> None:
     """Identify theta from logs by output error.
 
-    Whatever method their runs used.
-
-    Standard errors, 95 % intervals, a verdict on every parameter, tests of the residual.
+    The method of the recorded runs does not matter. Shows standard errors, 95 % intervals, a
+    verdict on every parameter and tests of the residual.
     """
     from cosim.log import open_log
     from cosim.report.identification import report_identification
@@ -90,7 +91,7 @@ def identify(
     from cosim.scenario.identifying import identifier_record, identify_records
 
     if irregular is not None and not 0.0 < irregular < float("inf"):
-        raise UsageError(f"--irregular: found {irregular:g}, needed a positive number")
+        raise UsageError(f"--irregular: expected a positive number, got {irregular:g}")
     check_plot(plot, None)
     records = [identifier_record(open_log(log), component) for log in logs]
     others = [identifier_record(open_log(log), component) for log in validate or ()]

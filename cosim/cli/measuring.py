@@ -20,20 +20,21 @@ def metrics(
         list[str] | None,
         typer.Argument(
             metavar="[NAME=]EXPRESSION",
-            help="Such as 'rms(observer.delta - delta.y, t > 5)', as in [metrics] of a study.",
+            help="Expressions as in [metrics] of a study, such as 'rms(observer.delta - delta.y,"
+            " t > 5)'.",
         ),
     ] = None,
     study: Annotated[
         str | None,
         typer.Option(
-            "--of", metavar="DIR", help="Compute the metrics of the study whose dataset this is."
+            "--of", metavar="DIR", help="Compute the metrics of the study with this dataset."
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute metrics of a log, with all their digits.
+    """Compute metrics of a log, with all digits.
 
-    They are those that a study has of this run, bit for bit.
+    The values are bit for bit those of a study with this run.
     """
     from cosim.log.editing.joining import open_joined
     from cosim.report.tables.console import print_json, print_section
@@ -45,19 +46,19 @@ def metrics(
         named = _NAMED.fullmatch(text)
         name, expression = (text, text) if named is None else named.groups()
         if name in texts:
-            raise UsageError(f"metric '{name}': given twice, needed once")
+            raise UsageError(f"metric '{name}': given twice")
         texts[name] = expression.strip()
     if not texts:
         raise UsageError(
-            "found no metric; needed an expression, such as 'rms(plant.y)', or --of, the dataset "
-            "of a study that has some"
+            "expected an expression, such as 'rms(plant.y)', or --of, the dataset of a study "
+            "with metrics"
         )
     parsed = parse_metrics(texts)
     opened = open_joined(log)
     values = parsed.of(opened)
     lacking = missing_rows(parsed, opened)
     if lacking:
-        print_notice(f"{lacking}; metrics of the whole run, as a study has them, may be others")
+        print_notice(f"{lacking}; metrics of the whole run, as in a study, may differ")
     if as_json:
         print_json(values)
         return
@@ -77,10 +78,9 @@ def _metrics_of(place: str, log: str) -> dict[str, str]:
     try:
         check_is_of_scenario(log, load_scenario(study.scenario))
     except CosimError as error:
-        print_notice(f"these may be no metrics of a member of {place}: {error}")
+        print_notice(f"these may not be metrics of a member of {place}: {error}")
     if not texts:
         raise UsageError(
-            f"--of {place}: this study has no metrics; its columns are what the result of a run "
-            "says, which 'cosim info LOG' shows"
+            f"--of {place}: this study has no metrics, only results of runs; see 'cosim info LOG'"
         )
     return texts

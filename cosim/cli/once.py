@@ -29,5 +29,5 @@ class OnceCommand(TyperCommand):
             count = given.count(parameter)
             if count > 1:
                 name = max(parameter.opts, key=len)
-                raise UsageError(f"{name}: given {count} times, needed once")
+                raise UsageError(f"{name}: expected once, given {count} times")
         return super().parse_args(ctx, args)

@@ -26,7 +26,7 @@ ScenarioArgument = Annotated[
 ]
 
 LogArgument = Annotated[
-    Path, typer.Argument(metavar="LOG", help="A log that 'cosim run' wrote (.mcap).")
+    Path, typer.Argument(metavar="LOG", help="A log written by 'cosim run' (.mcap).")
 ]
 
 SetOption = Annotated[
@@ -35,7 +35,7 @@ SetOption = Annotated[
         "--set",
         metavar="COMPONENT.PARAMETER=VALUE",
         autocompletion=completion.complete_setting,
-        help="Set a value, such as observer.filter_rate=500, or one in a list, such as "
+        help="Set a value, such as observer.filter_rate=500 or, in a list, "
         "delta.terms[0].theta=-0.2. Repeatable.",
     ),
 ]
@@ -46,9 +46,9 @@ SwapOption = Annotated[
         "--swap",
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
-        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded component "
-        "(.mcap) or samples with their times (.csv, .parquet, an .mcap of another tool). "
-        "Repeatable.",
+        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded "
+        "component (.mcap) or time-stamped samples (.csv, .parquet, .mcap of other "
+        "tools). Repeatable.",
     ),
 ]
 
@@ -58,7 +58,8 @@ MapOption = Annotated[
         "--map",
         metavar="PORT=NAME",
         autocompletion=completion.complete_map,
-        help="Ports of the replacing component: observer.y=out1, plant.x=[s1,s2]. Repeatable.",
+        help="Map ports to those of the replacing component: observer.y=out1, "
+        "plant.x=[s1,s2]. Repeatable.",
     ),
 ]
 
@@ -80,8 +81,7 @@ PlotOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Plot the estimates with truth and errors, or the outputs, to a file "
-        "(.png, .svg, .pdf).",
+        help="Plot estimates with truth and errors, or outputs, to a file (.png, .svg, .pdf).",
     ),
 ]
 
@@ -105,7 +105,7 @@ def read_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
             missing = "no name" if equals else "no '='"
-            raise UsageError(f"{option(name)} {quoted(text)}: found {missing}, needed NAME=VALUE")
+            raise UsageError(f"{option(name)} {quoted(text)}: expected NAME=VALUE, got {missing}")
         pairs[key.strip()] = value.strip()
     return pairs
 
@@ -118,7 +118,7 @@ def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
         count = keys.count(key)
         if count > 1:
             remedy = "; 'cosim compare' runs several plants" if name == "swap" else ""
-            raise UsageError(f"{option(name, key)}: given {count} times, needed once{remedy}")
+            raise UsageError(f"{option(name, key)}: expected once, given {count} times{remedy}")
     return pairs
 
 
@@ -132,7 +132,7 @@ def read_numbers(texts: list[str] | None, name: str) -> dict[str, float] | None:
             numbers[signal] = float(text)
         except ValueError as error:
             raise UsageError(
-                f"{option(name, signal)}: found {quoted(text)}, needed a number"
+                f"{option(name, signal)}: expected a number, got {quoted(text)}"
             ) from error
     return numbers
 
@@ -155,7 +155,7 @@ def read_edits(
     for key, value in given_values(options or {}).items():
         if key in edits:
             name = key.removeprefix("scenario.")
-            raise UsageError(f"found both --{name} and --set {key}; needed one of them")
+            raise UsageError(f"--{name} and --set {key} set the same; omit one of them")
         edits[key] = value
     return edits
 
@@ -172,7 +172,7 @@ def check_plot(plot: Path | None, out: Path | None) -> None:
     picture = Path(os.path.realpath(plot))
     target = Path(os.path.realpath(out))
     if target == picture or (file_type(target) == "log" and target in picture.parents):
-        raise UsageError(f"--plot {plot}: found the path of the log, --out {out}; needed another")
+        raise UsageError(f"--plot {plot}: is the path of the log, --out {out}; choose another")
 
 
 def check_out(place: str | None) -> None:
@@ -185,8 +185,8 @@ def check_out(place: str | None) -> None:
     """
     if place is not None and place.startswith("memory://"):
         raise UsageError(
-            f"{option('out')}: found {quoted(place)}, which is lost when this command ends; needed "
-            "a folder, or a URL such as s3://bucket/x"
+            f"{option('out')}: expected a folder, or a URL such as s3://bucket/x; {quoted(place)} "
+            "is lost when this command ends"
         )
 
 

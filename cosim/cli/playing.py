@@ -21,21 +21,21 @@ HostOption = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Address that viewers connect to; default: 127.0.0.1, this machine alone.",
+        help="Address for viewers; default: 127.0.0.1, this machine only.",
     ),
 ]
 
 PortOption = Annotated[
     int | None,
-    typer.Option(metavar="NUMBER", help="Its port; default: 8765. 0: any free one."),
+    typer.Option(metavar="NUMBER", help="Port for viewers; default: 8765. 0: any free port."),
 ]
 
 LiveOption = Annotated[
     bool,
     typer.Option(
         "--live",
-        help="Show the run in Foxglove or Lichtblick while it goes on, in addition to the log; "
-        "with --realtime at the pace of the wall clock.",
+        help="Stream the run to Foxglove or Lichtblick in addition to the log; with "
+        "--realtime at the pace of the wall clock.",
     ),
 ]
 
@@ -44,7 +44,7 @@ ShowOption = Annotated[
     typer.Option(
         "--show",
         metavar="SIGNAL",
-        help="With --live: a component, signal or pattern to show; default: all. Repeatable.",
+        help="With --live: component, signal or pattern to stream; default: all. Repeatable.",
     ),
 ]
 
@@ -55,30 +55,28 @@ def play(
         list[str] | None,
         typer.Argument(
             metavar="[SIGNAL]...",
-            help="Components, signals or patterns such as '*.delta' to show, with the channels "
-            "that contain them as a whole; default: all.",
+            help="Components, signals or patterns, such as '*.delta'; their whole channels are "
+            "played. Default: all.",
         ),
     ] = None,
     speed: Annotated[
         float, typer.Option(metavar="FACTOR", help="Simulated time per wall time.")
     ] = 1.0,
-    loop: Annotated[
-        bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")
-    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Repeat until Ctrl-C.")] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a viewer before playing.")] = False,
     host: HostOption = None,
     port: PortOption = None,
     layout: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Write the log's layout of plots, for viewers to import (.json)."
+            metavar="FILE", help="Write the plot layout of the log for import by viewers (.json)."
         ),
     ] = None,
 ) -> None:
     """Play a log in Foxglove or Lichtblick in real time.
 
-    Both connect to the printed address as a Foxglove WebSocket. At the end it prints how late it
-    was.
+    Connect the viewer to the printed address (Foxglove WebSocket). Prints at the end how late the
+    playback was.
     """
     from cosim.live.playback import Playback
     from cosim.log import open_log
@@ -113,7 +111,7 @@ def shown_live(
     if not wanted:
         for name, value in (("--host", host), ("--port", port), ("--show", signals)):
             if value is not None and value != []:
-                raise UsageError(f"{name} is about --live; needed both, or neither")
+                raise UsageError(f"{name} needs --live")
         yield None
         return
     with _server(host, port, signals, notice=print_notice) as server:

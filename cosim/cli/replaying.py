@@ -41,11 +41,12 @@ VerifyOption = Annotated[
     bool,
     typer.Option(
         "--verify",
-        help="Check the log's content hash, and compare everything that is computed again with the "
-        "log: every signal, bit for bit, and what the log says about its run (truth, "
-        "connections, schedule, times, component tables, overrides, substeps, warnings, last "
-        "row, verdicts). Exits with 1 if something differs, and shows the first difference of "
-        "every component. A log is not signed: the log of another run passes in its place.",
+        help="Check the content hash of the log and compare everything recomputed with the "
+        "log: every signal bit for bit, and the records of the run (truth, connections,"
+        " schedule, times, component tables, overrides, substeps, warnings, last row, "
+        "verdicts). Shows the first difference of each component; exit 1 if there is "
+        "one. Logs are not signed: replacing one by the log of another run is not "
+        "detected.",
     ),
 ]
 
@@ -53,10 +54,9 @@ AllowCodeOption = Annotated[
     bool,
     typer.Option(
         "--allow-code",
-        help="Compute components of kind python, too: import the classes that the log names, from "
-        "this folder or from where Python finds modules, and run their code. Without it they "
-        "are taken from the log. Their sources have to be those of the run. With --rerun, run "
-        "FMUs, too.",
+        help="Run user code: recompute components of kind python from their classes, found "
+        "in this folder or on sys.path, instead of taking them from the log. Their "
+        "sources must be those of the run. With --rerun also run FMUs.",
     ),
 ]
 
@@ -64,9 +64,9 @@ RerunOption = Annotated[
     bool,
     typer.Option(
         "--rerun",
-        help="Compute plants, too, so that --verify verifies them: those made from models and, "
-        "with --allow-code, FMUs, from the log (run --embed) or from their original paths. "
-        "Each has to be the one of the run, by its SHA-256. Without both flags no FMU runs.",
+        help="Also recompute plants, so that --verify covers them: models and, with --allow-"
+        "code, FMUs, taken from the log (run --embed) or from their original paths and "
+        "checked by SHA-256. Without both flags no FMU runs.",
     ),
 ]
 
@@ -76,8 +76,7 @@ WindowBeginOption = Annotated[
         "--from",
         metavar="T0",
         help="Record, or compare with --verify, only from this communication point on [s]. "
-        "Everything is computed from the start, because a log does not contain the states of "
-        "components: the rows are those of the whole replay.",
+        "The replay still computes from the start, as logs contain no internal states.",
     ),
 ]
 
@@ -86,8 +85,7 @@ WindowEndOption = Annotated[
     typer.Option(
         "--to",
         metavar="T1",
-        help="Record, or compare, only up to this communication point [s]; nothing after it is "
-        "computed.",
+        help="Record, or compare, only up to this communication point [s]; the replay ends there.",
     ),
 ]
 
@@ -96,7 +94,7 @@ ComponentOption = Annotated[
     typer.Option(
         "--component",
         metavar="NAME",
-        help="Compute only this component, and take the others from the log. Repeatable.",
+        help="Recompute only this component and take the others from the log. Repeatable.",
     ),
 ]
 
@@ -104,8 +102,8 @@ FieldScenarioOption = Annotated[
     str | None,
     typer.Option(
         metavar="SCENARIO",
-        help="Scenario for a recording of another tool, which carries none: a shipped scenario by "
-        "name, or a .toml file. The components that --map names are taken from the recording.",
+        help="Scenario for a recording of another tool: a shipped scenario by name, or a "
+        ".toml file. Components named by --map are taken from the recording.",
         autocompletion=completion.complete_scenario,
     ),
 ]
@@ -115,9 +113,9 @@ VaryOption = Annotated[
     typer.Option(
         "--vary",
         metavar="COMPONENT.PARAMETER=V1,V2,...",
-        help="Replay with each of these values, and show what the results say as a table. "
-        "Repeatable, for every combination, at most 1000. All are checked before the first "
-        "one runs. Nothing is written, unless --out names a folder for the logs.",
+        help="Replay with each of these values and print a table of the results. Repeatable:"
+        " all combinations, at most 1000. All are checked before the first one runs. "
+        "Logs are only written with --out FOLDER.",
     ),
 ]
 
@@ -142,9 +140,9 @@ def replay(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a log's scenario again on its recorded plant.
+    """Run the scenario of a log again on its recorded plant.
 
-    Only the log is needed; for a recording of another tool, --scenario and --map, too.
+    Needs only the log; for a recording of another tool also --scenario and --map.
     """
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.replay import replayed_once, replays_of
@@ -210,12 +208,12 @@ def _check_choices(
         If two of them do not.
     """
     if verify and stop is not None:
-        raise UsageError("--verify compares the whole log; leave out --stop")
+        raise UsageError("--verify compares the whole log; omit --stop")
     if verify and any(change.startswith("scenario.stop=") for change in changes or ()):
-        raise UsageError("--verify compares the whole log; leave out --set scenario.stop")
+        raise UsageError("--verify compares the whole log; omit --set scenario.stop")
     if vary and (verify or plot is not None):
         name = "--verify" if verify else "--plot"
-        raise UsageError(f"found --vary, many replays, and {name} of one; needed one of them")
+        raise UsageError(f"{name} is for one replay; omit it or --vary")
 
 
 def _replay_each(

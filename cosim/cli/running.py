@@ -62,8 +62,8 @@ EmbedOption = Annotated[
     bool,
     typer.Option(
         "--embed",
-        help="Put the FMUs of components into the log: 'cosim replay LOG --rerun --allow-code' "
-        "then runs them again from the log alone.",
+        help="Embed the FMUs in the log, so that 'cosim replay LOG --rerun --allow-code' "
+        "runs them from the log alone.",
     ),
 ]
 
@@ -71,8 +71,8 @@ CertifyOption = Annotated[
     bool,
     typer.Option(
         "--certify",
-        help="Run with half the step and a quarter, too, and show how large the error of the step "
-        "is, signal by signal: seven times the work.",
+        help="Also run with half and a quarter of the step and estimate the time-step error "
+        "of each signal. Takes seven times as long.",
     ),
 ]
 
@@ -81,10 +81,10 @@ FindStepOption = Annotated[
     typer.Option(
         "--find-step",
         metavar="SIGNAL=TOLERANCE",
-        help="Run with the largest step with which the error of the step in a signal is within a "
-        "tolerance, in its unit, such as observer.delta=1e-4; implies --certify. The search "
-        "begins with the largest step that divides all times, whatever the scenario's own step is; "
-        "--step beside it is refused. Repeatable.",
+        help="Run with the largest step that keeps the time-step error of a signal within a "
+        "tolerance, in the unit of the signal, such as observer.delta=1e-4; implies "
+        "--certify, excludes --step. The search starts from the largest step that "
+        "divides all times of the scenario. Repeatable.",
     ),
 ]
 
@@ -93,8 +93,8 @@ RealTimeOption = Annotated[
     typer.Option(
         "--realtime",
         metavar="FACTOR",
-        help="Keep the pace of the wall clock, 1.0, or of FACTOR times it, in blocks of about "
-        "10 ms; shows how late the run was.",
+        help="Run at FACTOR times the pace of the wall clock, in blocks of about 10 ms, and "
+        "report how late the run was.",
     ),
 ]
 
@@ -102,8 +102,8 @@ FlushOption = Annotated[
     float | None,
     typer.Option(
         metavar="SECONDS",
-        help="Wall time after which a row is in the log at the latest. A run that is killed leaves "
-        "a log that opens, without the rows of that time. [default: 1.0]",
+        help="Longest wall time until a row is written to the log; a killed run loses at "
+        "most these rows. [default: 1.0]",
     ),
 ]
 
@@ -111,7 +111,7 @@ SyncOption = Annotated[
     bool,
     typer.Option(
         "--sync",
-        help="Wait for the disk at every flush: then the log survives a loss of power, too.",
+        help="Wait for the disk at every flush, so that the log survives a power failure.",
     ),
 ]
 
@@ -119,9 +119,9 @@ RotateOption = Annotated[
     str | None,
     typer.Option(
         metavar="LIMIT",
-        help="Continue in a next file, x.part2.mcap, x.part3.mcap, ..., when the log reaches this "
-        "size (B, kB, MB, GB, TB, KiB, MiB, GiB) or simulated time (s, min, h), such as 1GB "
-        "or 1h. Each file opens alone; 'cosim merge' joins them.",
+        help="Continue in a new file, x.part2.mcap, x.part3.mcap, ..., when the log reaches "
+        "this size (B, kB, MB, GB, TB, KiB, MiB, GiB) or simulated time (s, min, h), "
+        "such as 1GB or 1h. Each file opens on its own; 'cosim merge' joins them.",
     ),
 ]
 
@@ -129,9 +129,9 @@ DryRunOption = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Check the scenario and compare swapped components with the replaced; do not run. "
-        "FMUs are loaded and initialized, classes of kind python are imported and initialized: "
-        "that runs their code, in a process of its own.",
+        help="Check the scenario and compare swapped components with the replaced ones; do "
+        "not run. FMUs and Python classes are loaded and initialized, which runs their "
+        "code, in a separate process.",
     ),
 ]
 
@@ -172,9 +172,7 @@ def run(
     if dry_run:
         _check_dry_run(find_step, certify=certify)
     if find_step and step is not None:
-        raise UsageError(
-            "found both --find-step and --step; needed one of them: the search chooses the step"
-        )
+        raise UsageError("--find-step chooses the step itself; omit --step")
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
@@ -192,7 +190,7 @@ def run(
         _dry_run(edited, as_json=as_json)
         return
     if force and out is None:
-        raise UsageError("--force replaces the log at --out; needed both, or neither")
+        raise UsageError("--force replaces the log at --out; give --out too")
     path = out or Path("logs") / f"{edited.name}.mcap"
     check_plot(plot, out)
     if rotate is not None:
@@ -235,16 +233,14 @@ def _check_dry_run(find_step: list[str] | None, *, certify: bool) -> None:
     """Check that nothing is asked for beside a dry run that only a run shows."""
     if certify or find_step:
         name = "--certify" if certify else "--find-step"
-        raise UsageError(f"found --dry-run, which runs nothing, and {name}; needed one of them")
+        raise UsageError(f"--dry-run runs nothing; omit it or {name}")
 
 
 def _check_rotated(plot: Path | None, *, profile: bool) -> None:
     """Check that nothing is asked for that is shown of a log of one file only."""
     if plot is not None or profile:
         name = "--profile" if plot is None else "--plot"
-        raise UsageError(
-            f"found both --rotate and {name}, which shows a log of one file; needed one of them"
-        )
+        raise UsageError(f"{name} needs a log in one file; omit it or --rotate")
 
 
 def _dry_run_in_child(

@@ -17,5 +17,7 @@ def stopped_text(place: str, *, new: bool) -> str:
         return f"stopped; {error}"
     recorded = f"stopped: {len(stopped)} of {stopped.planned} members are recorded in {place}"
     if new:
-        return f"{recorded}; the command without --new goes on with these, with it they are removed"
-    return f"{recorded}; the same command goes on"
+        return (
+            f"{recorded}; the same command without --new resumes from them, with --new deletes them"
+        )
+    return f"{recorded}; the same command resumes"

@@ -49,8 +49,8 @@ study = typer.Typer(
     cls=StudyCommands,
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Run a scenario many times.\n\nWith other values each time, and show what comes of it. "
-    "'cosim study STUDY' is 'cosim study run STUDY'.",
+    help="Run a scenario many times with varied values.\n\n"
+    "Also shows, verifies and plots the results. 'cosim study STUDY' is 'cosim study run STUDY'.",
 )
 
 DatasetArgument = Annotated[
@@ -63,9 +63,10 @@ VariationsOption = Annotated[
         "--vary",
         metavar="COMPONENT.PARAMETER=VALUES",
         autocompletion=completion.complete_setting,
-        help="What is varied: a grid, such as observer.filter_rate=log:10:1e4:25, linear:0:1:11 or "
-        "1,2,3; a distribution, such as uniform:0:1, normal:0:0.1 or tolerance:0.05; or plants, "
-        "plant=[a.fmu,b.fmu]. Repeatable; grids are combined, distributions drawn together.",
+        help="Vary a key over a grid, such as observer.filter_rate=log:10:1e4:25, "
+        "linear:0:1:11 or 1,2,3, a distribution, such as uniform:0:1, normal:0:0.1 or "
+        "tolerance:0.05, or over plants, plant=[a.fmu,b.fmu]. Repeatable: grids are "
+        "combined, distributions sampled jointly.",
     ),
 ]
 
@@ -74,8 +75,8 @@ MetricOption = Annotated[
     typer.Option(
         "--metric",
         metavar="NAME=EXPRESSION",
-        help="What is kept of every member, such as error='rms(observer.delta - delta.y)'. "
-        "Without metrics it is what the result of a run says. Repeatable.",
+        help="Metric of every member, such as error='rms(observer.delta - delta.y)'; "
+        "default: the results of the run. Repeatable.",
     ),
 ]
 
@@ -86,8 +87,8 @@ def run(
         str,
         typer.Argument(
             metavar="STUDY",
-            help="A study file (.toml with [study]), a scenario, a shipped one by name, or a log "
-            "(.mcap), which is replayed.",
+            help="A study file (.toml with [study]), a scenario (.toml or the name of a shipped "
+            "one), or a log (.mcap) to replay.",
             autocompletion=completion.complete_scenario,
         ),
     ],
@@ -104,7 +105,7 @@ def run(
     vary: VariationsOption = None,
     metric: MetricOption = None,
     samples: Annotated[
-        int | None, typer.Option(help="How often the distributions are drawn.")
+        int | None, typer.Option(help="Number of samples of the distributions.")
     ] = None,
     sampling: Annotated[
         str | None,
@@ -114,26 +115,22 @@ def run(
         int | None, typer.Option(help="Seed of all random numbers. [default: 0]")
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(help="How many seeds each noise source gets.")
+        int | None, typer.Option(help="Number of seeds for each noise source.")
     ] = None,
     cases: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Table of members (.csv, .parquet), with a column for each key."
-        ),
+        typer.Option(metavar="FILE", help="Table of members (.csv, .parquet), one column per key."),
     ] = None,
     replay: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="LOG", help="Logs that members replay, such as 'field-*.mcap'. Repeatable."
-        ),
+        typer.Option(metavar="LOG", help="Logs to replay, such as 'field-*.mcap'. Repeatable."),
     ] = None,
     allow_code: Annotated[
         bool | None,
         typer.Option(
             "--allow-code",
-            help="In replays compute components of kind python, too: import the classes that the "
-            "logs name, and run their code, as 'cosim replay --allow-code' does.",
+            help="Run user code in replays: recompute components of kind python, as 'cosim "
+            "replay --allow-code' does.",
         ),
     ] = None,
     changes: SetOption = None,
@@ -144,55 +141,53 @@ def run(
         bool | None,
         typer.Option(
             "--results/--no-results",
-            help="Keep what the result of a run says beside the metrics: estimates, errors, "
-            "verdicts.",
+            help="Also keep the results of the run: estimates, errors, verdicts.",
         ),
     ] = None,
     keep: Annotated[
         str | None,
         typer.Option(
             metavar="MEMBERS",
-            help="Members whose logs are kept: failed, all, 'worst 5 of METRIC', 'best 5 of "
-            "METRIC', or numbers, 3,14.",
+            help="Keep the logs of these members: failed, all, 'worst 5 of METRIC', 'best 5 of "
+            "METRIC', or numbers, such as 3,14.",
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes at a time. [default: one a processor]")
+        int | None, typer.Option(help="Parallel processes. [default: one per processor]")
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Run members on a cluster of dask.distributed, such as tcp://host:8786.",
+            help="Run members on a dask.distributed cluster, such as tcp://host:8786.",
         ),
     ] = None,
     timeout: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Wall time after which a member has failed. [default: 10 times the longest of "
-            "the first ones, at least 60 s]",
+            help="Wall time limit of a member [s]. [default: 10 times the longest of the first "
+            "members, at least 60 s]",
         ),
     ] = None,
     new: Annotated[
-        bool, typer.Option("--new", help="Remove the dataset that is there, and begin anew.")
+        bool, typer.Option("--new", help="Delete the existing dataset and start again.")
     ] = False,
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
-            help="Check everything, time a few members, and show what the study will take; record "
-            "nothing.",
+            help="Check everything, time a few members and estimate the duration; record nothing.",
         ),
     ] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a study, or what is missing of it.
+    """Run a study, or its missing members.
 
-    Members run in processes of their own: one that crashes or hangs costs itself. A study that was
-    stopped goes on with the same command; one that has grown runs what is new. Exits with 1 if a
-    member failed.
+    Members run in separate processes: a crash or hang affects only that member. The same command
+    resumes a stopped study and runs new members of one that was extended. Exit 1 if a member
+    failed.
     """
     from cosim.studies.document.reading import read_study
     from cosim.studies.running.studying import default_place
@@ -222,8 +217,8 @@ def run(
     if dry_run:
         if scheduler is not None:
             raise UsageError(
-                "found both --dry-run and --scheduler; the time that --dry-run shows is that of "
-                "workers on this machine: leave out --scheduler"
+                "--dry-run and --scheduler: --dry-run measures workers on this machine; omit "
+                "--scheduler"
             )
         _dry_run(file, workers, None if new else place, as_json=as_json)
         return
@@ -269,7 +264,7 @@ def _kept(text: str | None) -> str | list[int] | None:
         return [int(part) for part in text.split(",")]
     except ValueError as error:
         raise UsageError(
-            f"{option('keep')}: found {quoted(text)}; needed numbers with commas between them"
+            f"{option('keep')}: expected comma-separated numbers, got {quoted(text)}"
         ) from error
 
 
@@ -296,13 +291,16 @@ def show(
     member: Annotated[
         int | None,
         typer.Option(
-            metavar="NUMBER", help="Show everything about one member, and the command that runs it."
+            metavar="NUMBER",
+            help="Show everything about one member, with the command that runs it.",
         ),
     ] = None,
     metrics: Annotated[
         list[str] | None,
         typer.Option(
-            "--metric", metavar="NAME", help="All figures of a metric with intervals. Repeatable."
+            "--metric",
+            metavar="NAME",
+            help="Show all statistics of a metric, with confidence intervals. Repeatable.",
         ),
     ] = None,
     conditions: Annotated[
@@ -310,25 +308,25 @@ def show(
         typer.Option(
             "--pass",
             metavar="CONDITION",
-            help="The share of members that pass it, such as 'error < 0.1'. Repeatable.",
+            help="Show the share of members that pass, such as 'error < 0.1'. Repeatable.",
         ),
     ] = None,
     by: Annotated[
         str,
-        typer.Option(metavar="KEY", help="Statistics for each value of a varied key."),
+        typer.Option(metavar="KEY", help="Show statistics for each value of a varied key."),
     ] = "",
     sobol: Annotated[
-        bool, typer.Option("--sobol", help="Sobol indices, of a study with sampling saltelli.")
+        bool, typer.Option("--sobol", help="Show Sobol indices (sampling saltelli).")
     ] = False,
     worst: Annotated[
         int,
         typer.Option(
-            help="How many members with the largest values are named; of a tuning, the best."
+            help="Number of members to list: those with the largest values; of a tuning, the best."
         ),
     ] = 3,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a study came to, also while it runs."""
+    """Show the results of a study, also while it runs."""
     from cosim.studies.tables.show import ShownParts
 
     parts = ShownParts(
@@ -365,25 +363,26 @@ def verify(
     place: DatasetArgument,
     members: Annotated[
         list[int] | None,
-        typer.Option("--member", metavar="NUMBER", help="Run this one again. Repeatable."),
+        typer.Option("--member", metavar="NUMBER", help="Member to run again. Repeatable."),
     ] = None,
     sample: Annotated[
         int | None,
         typer.Option(
-            help="Run so many again, spread over all. [default: 10, where no member is given]"
+            help="Number of members to run again, spread evenly. [default: 10 if no --member is "
+            "given]"
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes at a time. [default: one a processor]")
+        int | None, typer.Option(help="Parallel processes. [default: one per processor]")
     ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Run members again, each alone, and compare bit for bit.
 
-    Each runs from the parameters in its row, as 'cosim run' or 'cosim replay' runs it. A dataset
-    whose scenario, FMUs, tables or metrics have changed, by their SHA-256, is refused. Exits with 1
-    if a metric, the status or the steps of a member differ.
+    Each member runs with the parameters of its row, as with 'cosim run' or 'cosim replay'. Refused
+    if the scenario, FMUs, tables or metrics have changed (SHA-256). Exit 1 if a metric, the status
+    or the steps of a member differ.
     """
     from cosim.studies.running.studying import worker_count
     from cosim.studies.tables.verification import print_verification
@@ -414,23 +413,21 @@ def plot(
         str | None,
         typer.Option(
             help="histogram, distribution, convergence, line, map, scatter, sobol or search; "
-            "default: what fits the design."
+            "default: by the design of the study."
         ),
     ] = None,
     metrics: Annotated[
         list[str] | None,
-        typer.Option(
-            "--metric", metavar="NAME", help="Metric that is drawn; default: all. Repeatable."
-        ),
+        typer.Option("--metric", metavar="NAME", help="Metric to draw; default: all. Repeatable."),
     ] = None,
     keys: Annotated[
         list[str] | None,
-        typer.Option("--key", metavar="KEY", help="Varied key that is shown. Repeatable."),
+        typer.Option("--key", metavar="KEY", help="Varied key to show. Repeatable."),
     ] = None,
     size: SizeOption = None,
     title: TitleOption = None,
 ) -> None:
-    """Draw what a study came to."""
+    """Plot the results of a study."""
     from cosim.report.plots import PictureOptions
     from cosim.studies.analysis.results import results_of_study
     from cosim.studies.dataset.study import open_study

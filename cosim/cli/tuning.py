@@ -41,80 +41,86 @@ def tune(
         str,
         typer.Argument(
             metavar="SCENARIO",
-            help="A shipped scenario by name, a path to a .toml file, or a log (.mcap), which is "
-            "replayed.",
+            help="A shipped scenario by name, a .toml file, or a log (.mcap) to replay.",
             autocompletion=completion.complete_scenario,
         ),
     ],
     minimize: Annotated[
         str | None,
-        typer.Option(metavar="METRIC", help="What to minimize: 'rms(observer.delta - delta.y)'."),
+        typer.Option(metavar="METRIC", help="Metric to minimize: 'rms(observer.delta - delta.y)'."),
     ] = None,
     maximize: Annotated[
-        str | None, typer.Option(metavar="METRIC", help="What to maximize instead.")
+        str | None, typer.Option(metavar="METRIC", help="Metric to maximize instead.")
     ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUES",
-            help="What to vary, between which values: observer.filter_rate=log:10:1e4, "
-            "plant.R=0.5:2; with optuna lists too: plant=[a.fmu,b.fmu]. Repeatable.",
+            help="Parameter and its range: observer.filter_rate=log:10:1e4, plant.R=0.5:2; with "
+            "optuna also lists: plant=[a.fmu,b.fmu]. Repeatable.",
         ),
     ] = None,
-    members: Annotated[int, typer.Option(metavar="N", help="Runs at most.")] = 200,
+    members: Annotated[int, typer.Option(metavar="N", help="Largest number of runs.")] = 200,
     method: Annotated[
         SearchMethod,
         typer.Option(
-            help="cobyqa and nelder-mead search locally from several starts, global by "
-            "differential evolution, optuna by models of what was good."
+            help="cobyqa and nelder-mead: local search from several starts; global: differential"
+            " evolution; optuna: model-based search."
         ),
     ] = SearchMethod.COBYQA,
-    starts: Annotated[int, typer.Option(metavar="N", help="Starts of a local search.")] = 4,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of starts and random points.")] = 1,
+    starts: Annotated[
+        int, typer.Option(metavar="N", help="Starting points of a local search.")
+    ] = 4,
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Seed of starting points and random samples.")
+    ] = 1,
     standard_errors: Annotated[
         bool,
         typer.Option(
-            "--standard-errors", help="Standard errors of values fitted by the rms of a residual."
+            "--standard-errors",
+            help="Standard errors of the values, if the metric is the rms of a residual.",
         ),
     ] = False,
     samples: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="Independent samples of the residual; all that the rms has by default.",
+            help="Number of independent samples of the residual; default: all samples of the rms.",
         ),
     ] = None,
     out: Annotated[
         str | None,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Dataset of all runs; what it has is not run again."
+            "--out", "-o", metavar="DIR", help="Dataset of all runs; its runs are not repeated."
         ),
     ] = None,
-    new: Annotated[bool, typer.Option("--new", help="Begin the dataset anew.")] = False,
+    new: Annotated[
+        bool, typer.Option("--new", help="Delete the existing dataset and start again.")
+    ] = False,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Processes; one a processor by default.")
+        int | None,
+        typer.Option(metavar="N", help="Parallel processes; default: one per processor."),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Run trials on a cluster of dask.distributed, such as tcp://host:8786: of the "
-            "methods global and optuna, which try many at a time.",
+            help="Run trials on a dask.distributed cluster, such as tcp://host:8786 (methods "
+            "global and optuna, which run many at a time).",
         ),
     ] = None,
     timeout: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Wall time that a run may take.")
+        float | None, typer.Option(metavar="SECONDS", help="Wall time limit of a run [s].")
     ] = None,
     replay: Annotated[
         list[str] | None,
-        typer.Option(metavar="LOG", help="Log that every trial replays."),
+        typer.Option(metavar="LOG", help="Log to replay in every trial."),
     ] = None,
     allow_code: Annotated[
         bool,
         typer.Option(
             "--allow-code",
-            help="In replays run the code of the classes that the log names, as 'cosim replay "
-            "--allow-code' does.",
+            help="Run user code in replays, as 'cosim replay --allow-code' does.",
         ),
     ] = False,
     changes: SetOption = None,
@@ -124,9 +130,9 @@ def tune(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Search the parameters with the best metric.
+    """Search for the parameters with the best metric.
 
-    A tuning that was stopped goes on where it was when it is started again with the same --out.
+    A stopped tuning resumes when started again with the same --out.
     """
     import json
 
@@ -135,9 +141,7 @@ def tune(
 
     check_out(out)
     if quiet and out is None and not as_json:
-        raise UsageError(
-            "found --quiet without --out: nothing would be shown or kept; needed --out, or --json"
-        )
+        raise UsageError("--quiet without --out would show and keep nothing; add --out or --json")
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
         try:
             result = run_tuning(
@@ -198,7 +202,7 @@ def _variation(key: str, text: str) -> Any:
         raise UsageError(f"{option('vary', key)}: {error}") from error
     if not isinstance(values, list) or len(values) < 2:
         raise UsageError(
-            f"{option('vary', key)}: found {quoted(text)}; needed LOWER:UPPER, log:LOWER:UPPER or "
-            "values with a comma between them"
+            f"{option('vary', key)}: expected LOWER:UPPER, log:LOWER:UPPER or comma-separated "
+            f"values, got {quoted(text)}"
         )
     return values

@@ -111,9 +111,9 @@ class StepCertificate(Mapping[str, SignalCertificate]):
                 return entry
         names = list(self)
         elements = [name for name in names if name.startswith(f"{signal}[")]
-        suggestion = f"it has: {listing(elements)}" if elements else nearest(str(signal), names)
+        suggestion = f"available: {listing(elements)}" if elements else nearest(str(signal), names)
         reason = f": {self.problem}" if self.problem else f"; {suggestion}"
-        raise UnknownSignalError(f"the certificate has no {signal!r}{reason}")
+        raise UnknownSignalError(f"no error estimate of {signal!r}{reason}")
 
     def __iter__(self) -> Iterator[str]:
         return (entry.signal for entry in self.signals)
@@ -140,7 +140,8 @@ def certificate(recording: Recording) -> StepCertificate:
     content = certificate_of(recording, summarize(recording))
     if content is None:
         raise LogError(
-            f"{recording.label} has no certificate; needed {command('run')} with {flag('certify')}"
+            f"{recording.label} has no error estimate; {command('run')} with {flag('certify')} "
+            "makes one"
         )
     return content
 

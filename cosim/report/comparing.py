@@ -284,8 +284,8 @@ def _paths(
     if len(swap) != 1:
         names = ", ".join(swap) or "none"
         raise UsageError(
-            f"{option('swap')}: found alternatives of {names}; "
-            "needed those of one component, such as a.fmu and b.fmu of plant"
+            f"{option('swap')}: expected alternatives of one component, such as a.fmu and b.fmu "
+            f"of plant, got alternatives of {names}"
         )
     (component, paths), *_ = swap.items()
     if component not in loaded.specs:
@@ -295,12 +295,12 @@ def _paths(
         )
     if isinstance(paths, str) or not isinstance(paths, Sequence):
         raise UsageError(
-            f"{option('swap', component)}: found {quoted(paths)}; needed a list of paths"
+            f"{option('swap', component)}: expected a list of paths, got {quoted(paths)}"
         )
     if len(paths) + base < 2:
         raise UsageError(
-            f"{option('swap', component)}: found one plant, needed two to compare; "
-            f"give another, or leave out {flag('base', False)}"
+            f"{option('swap', component)}: expected two plants to compare, got one; "
+            f"give another, or omit {flag('base', False)}"
         )
     listed = [marked_path(str(path_argument("swap", path))) for path in paths]
     _check_paths(component, listed)

@@ -205,11 +205,11 @@ def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
             suggestion = nearest(str(name), [*known, ALL])
             raise UsageError(f"{option('estimators')}: no method {quoted(name)}; {suggestion}")
         if known[name] in methods:
-            raise UsageError(f"{option('estimators')}: {name} is given twice; needed once")
+            raise UsageError(f"{option('estimators')}: {name} is given twice")
         methods.append(known[name])
     if not methods:
         raise UsageError(
-            f"{option('estimators')}: found none; needed {ALL}, or some of: {tuple(METHODS)}"
+            f"{option('estimators')}: expected {ALL}, or some of: {tuple(METHODS)}; got none"
         )
     return methods
 
@@ -220,8 +220,7 @@ def _identifier(scenario: Scenario) -> str:
     if len(names) != 1:
         found = ", ".join(names) or "none"
         raise UsageError(
-            f"{option('estimators')}: found identifiers: {found}; needed one component of kind "
-            "'identifier'"
+            f"{option('estimators')}: expected one component of kind 'identifier', got {found}"
         )
     return names[0]
 

@@ -82,7 +82,7 @@ def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matr
     wanted_unit = signal_of(recording, like).measure
     convert = conversion(unit, wanted_unit)
     if convert is None:
-        raise LogError(f"{port!r} has another kind of unit than {like!r}")
+        raise LogError(f"{port!r} has a unit incompatible with {like!r}")
     return convert(rows)
 
 

@@ -167,8 +167,8 @@ def schedule_of(name: str) -> GraphSchedule:
     if graph is None:
         unknown = sorted(described.scenario.specs.keys() - described.components.keys())
         raise UsageError(
-            f"{name}: the ports of {', '.join(unknown)} are known to code of users alone, which is "
-            f"not imported here; {command('run')} shows the schedule of such a scenario in its log"
+            f"{name}: the ports of {', '.join(unknown)} are defined by user code, which is not "
+            f"imported here; {command('run')} writes the schedule to its log"
         )
     stages = tuple(_stage(number, stage) for number, stage in enumerate(graph.stages, start=1))
     components = []

@@ -67,8 +67,8 @@ _ALWAYS_COMPARED = (
     "warnings",
 )
 NOT_COMPARED = (
-    "designs, gains of loops, certificates, why the run ended, its machine, what FMUs and files "
-    "say of themselves"
+    "gains of controllers and observers, error growth of loops, error estimates, stop reason, "
+    "machine, metadata of FMUs and files"
 )
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
@@ -96,8 +96,8 @@ class Contradiction:
 
     def __str__(self) -> str:
         place, found, expected = _first_difference(self.found, self.expected)
-        text = f"{self.statement}{place}: found {quoted(found)}"
-        return f"{text}, the replay has {quoted(expected)}"
+        text = f"{self.statement}{place}: {quoted(found)} in the log"
+        return f"{text}, {quoted(expected)} in the replay"
 
 
 def _first_difference(found: Any, expected: Any) -> tuple[str, Any, Any]:
@@ -152,7 +152,7 @@ def compared_statements(source: Log, again: Log | Memory) -> str:
         names.append("verdicts")
     text = ", ".join(names)
     if not statements.has_all:
-        text += f"; all as far as they are about {', '.join(again.channels)}"
+        text += f"; as far as they concern {', '.join(again.channels)}"
     return text
 
 
@@ -271,9 +271,9 @@ class _Statements:
         expected = component_table(self._again, name)
         for key in {**expected, **recorded}:
             value = recorded.get(key)
-            needed = expected.get(key)
-            if key not in EIGENVALUE_FIGURES or not _are_close(value, needed):
-                yield f"{key} of {name!r}", value, needed
+            other = expected.get(key)
+            if key not in EIGENVALUE_FIGURES or not _are_close(value, other):
+                yield f"{key} of {name!r}", value, other
 
     def _of_messages(self) -> Iterator[_Statement]:
         warnings = self._own(recorded_warnings(self._source))
@@ -337,9 +337,9 @@ class _Statements:
         names = {**expected, **recorded} if self.has_all else expected
         for name in names:
             computed = _parameters(recorded.get(name))
-            needed = _parameters(expected.get(name))
-            if not _agree(computed, needed):
-                yield f"verdicts on {name!r}", computed, needed
+            replayed = _parameters(expected.get(name))
+            if not _agree(computed, replayed):
+                yield f"verdicts on {name!r}", computed, replayed
             if name in recorded and name in expected:
                 yield from _beside_verdicts(name, recorded[name], expected[name])
 
@@ -379,14 +379,14 @@ def _beside_verdicts(
     """Yield amplitudes and guaranteed intervals that differ, where the log has some."""
     if recorded.amplitudes:
         computed = _amplitudes(recorded)
-        needed = _amplitudes(expected)
-        if not _agree(computed, needed):
-            yield f"amplitudes of {name!r}", computed, needed
+        replayed = _amplitudes(expected)
+        if not _agree(computed, replayed):
+            yield f"amplitudes of {name!r}", computed, replayed
     if recorded.irregular is not None:
         computed = _guaranteed(recorded)
-        needed = _guaranteed(expected)
-        if not _agree(computed, needed, rtol=_GUARANTEED_RTOL):
-            yield f"guaranteed intervals of {name!r}", computed, needed
+        replayed = _guaranteed(expected)
+        if not _agree(computed, replayed, rtol=_GUARANTEED_RTOL):
+            yield f"guaranteed intervals of {name!r}", computed, replayed
 
 
 def _guaranteed(record: IdentificationRecord) -> list[dict[str, Any]]:
@@ -410,22 +410,22 @@ def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:
 
 def _agree(
     computed: Sequence[dict[str, Any]],
-    needed: Sequence[dict[str, Any]],
+    replayed: Sequence[dict[str, Any]],
     *,
     rtol: float = _ESTIMATE_RTOL,
 ) -> bool:
     """Return whether verdicts are equal and their numbers equal but for rounding."""
-    if len(computed) != len(needed):
+    if len(computed) != len(replayed):
         return False
-    for verdict, needed_verdict in zip(computed, needed, strict=True):
-        if verdict.keys() != needed_verdict.keys():
+    for verdict, expected_verdict in zip(computed, replayed, strict=True):
+        if verdict.keys() != expected_verdict.keys():
             return False
         for key, value in verdict.items():
-            expected = needed_verdict[key]
-            if isinstance(value, float) and isinstance(expected, float):
-                if not math.isclose(value, expected, rel_tol=rtol, abs_tol=1e-12):
+            other = expected_verdict[key]
+            if isinstance(value, float) and isinstance(other, float):
+                if not math.isclose(value, other, rel_tol=rtol, abs_tol=1e-12):
                     return False
-            elif value != expected:
+            elif value != other:
                 return False
     return True
 

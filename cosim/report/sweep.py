@@ -254,7 +254,7 @@ def _folder(out: str | Path, count: int) -> Path:
     folder = path_argument("out", out)
     if file_type(folder) is not None or (folder.exists() and not folder.is_dir()):
         raise UsageError(
-            f"{option('out')}: found {quoted(str(out))}; needed a folder for {count} logs"
+            f"{option('out')}: expected a folder for {count} logs, got {quoted(str(out))}"
         )
     return folder
 

@@ -77,21 +77,21 @@ def _status(
     if recorded is None or recorded.is_whole(name, source.channels):
         return "equal", ""
     if name not in source.channels:
-        return "unrecorded", "the log has no signal of it"
+        return "unrecorded", "no signal in the log"
     missing = recorded.missing(source.channels).get(name)
     if missing:
-        return "partial", f"the log does not have its {listing(missing)}"
-    return "partial", f"the log has one of its rows in {source.channels[name].period} steps"
+        return "partial", f"without {listing(missing)}"
+    return "partial", f"one row in {source.channels[name].period} steps"
 
 
 def _why_copied(again: Log | Memory, name: str, origin: ReplayOrigin) -> str:
     if name in origin.left_out:
-        return "other components were chosen"
+        return "not chosen"
     if name in origin.uncomputed:
         return origin.uncomputed[name]
     code = component_record(again, name).code
     if code is not None:
-        return f"{flag('allow_code')} computes it, which runs {code.class_name}"
+        return f"{flag('allow_code')} runs {code.class_name}"
     return "a replay takes plants, FMUs and files from the log"
 
 
@@ -118,8 +118,8 @@ def _compared(source: Log, again: Log | Memory) -> Sequence[str]:
     shared = [signal for signal in source if signal in again.signals]
     if not shared:
         raise LogError(
-            f"{source.label}: nothing of it can be verified: the log is partial, it was recorded "
-            f"with {source.partial.selection}, and a replay has none of that"
+            f"{source.label}: nothing to verify: the partial log was recorded with "
+            f"{source.partial.selection}, and a replay has none of these signals"
         )
     return shared
 
@@ -207,8 +207,8 @@ def _check_selection(source: Log, again: Log | Memory) -> None:
     has_signals = selection.signals in (None, ("*",), of_log.signals)
     if not has_signals or of_log.every % selection.every:
         raise UsageError(
-            f"a verification compares all that {source.label} has; found a replay that records "
-            f"{selection} alone; leave that out"
+            f"a verification compares all signals of {source.label}, but the replay records only "
+            f"{selection}; omit that"
         )
 
 

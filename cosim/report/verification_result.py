@@ -11,11 +11,11 @@ from cosim.log.comparison.difference import ElementDifference, LogDifference, Si
 from cosim.report.statements import NOT_COMPARED, Contradiction
 
 _MOST_SHOWN = 8  # contradictions, or components
-_HASH_FITS = "the content hash is the recorded one"
-_NO_HASH = "no content hash to check: the log is unfinished, as its run was killed or still goes on"
+_HASH_FITS = "the content hash is as recorded"
+_NO_HASH = "no content hash: the log is unfinished (its run was killed or is still running)"
 _NOT_WHOLE: Final[Mapping[str, str]] = {
-    "partial": "verified only as far as the log, which is partial, has it",
-    "absent": "not verified, as the log, which is partial, has neither it nor what computes it",
+    "partial": "verified only in part, as the log is partial",
+    "absent": "not verified, as the partial log has neither it nor its inputs",
 }
 VerificationStatus: TypeAlias = Literal[
     "equal", "differs", "copied", "partial", "unrecorded", "absent"
@@ -69,12 +69,12 @@ class CopiedSubsteps:
 
     def __str__(self) -> str:
         text = (
-            f"not computed, but copied from the log: the substeps of the loop of "
-            f"{listing(self.loop)} in /cosim/step: which were taken or refused, their estimated "
-            f"errors, the inputs at their ends and there the outputs of {listing(self.copied)}"
+            f"taken from the log, not recomputed: the substeps of the loop of "
+            f"{listing(self.loop)} in /cosim/step (accepted, rejected, estimated errors, inputs, "
+            f"outputs of {listing(self.copied)})"
         )
         if len(self.copied) < len(self.loop):
-            text += "; the other outputs there were compared"
+            text += "; its other outputs were compared"
         return text
 
 
@@ -152,46 +152,42 @@ class Verification:
     @property
     def lines(self) -> list[str]:
         """What has been proven, in words."""
-        equal = (
-            f"the replay equals the log bit for bit: {len(self.computed)} signals computed again"
-        )
+        equal = f"the replay equals the log bit for bit: {len(self.computed)} signals recomputed"
         if not self.computed:
-            equal = "the replay computed no signal again that the log has, so that none is verified"
+            equal = "the replay recomputed no signal of the log, so none is verified"
         lines = [_HASH_FITS if self.recorded_hash is not None else _NO_HASH]
         if self.window is None:
             lines.append(equal)
-            lines.append(
-                f"what the log says of its run is what the replay computes: {self.statements}"
-            )
+            lines.append(f"the records of the run agree with the replay: {self.statements}")
         else:
             begin, end = self.window
             lines.append(f"{equal}, and all events, from {begin} s to {end} s")
         if self.code:
             names = ", ".join(self.code)
             lines.append(
-                f"not verified, as nothing computed it: {names}; {flag('allow_code')} does, which "
-                "runs the code of its user"
+                f"not verified, as not recomputed: {names}; {flag('allow_code')} recomputes it, "
+                "which runs user code"
             )
         if self.left_out:
             names = ", ".join(self.left_out)
-            lines.append(f"not verified, as other components were chosen: {names}")
+            lines.append(f"not verified, as not chosen: {names}")
         known = {*self.code, *self.left_out}
         others = [name for name in self.copied if name not in known]
         if others:
             names = ", ".join(others)
             lines.append(
-                f"not computed, but copied from the log: {names}; {flag('rerun')} computes plants, "
-                f"with {flag('allow_code')} FMUs, too; to compute all, run {self.scenario!r} again "
-                f"with the changes it had, and compare with {command('diff')}"
+                f"taken from the log, not recomputed: {names}; {flag('rerun')} recomputes plants, "
+                f"with {flag('allow_code')} also FMUs; to recompute everything, run "
+                f"{self.scenario!r} with the same changes and compare with {command('diff')}"
             )
         lines += self._of_partial_log
         lines += map(str, self.substeps)
         not_compared = NOT_COMPARED
         if self.window is not None:
-            not_compared = "the rows outside that window, what the log says of its run beside rows"
+            not_compared = "rows outside that window, records of the run"
         lines.append(
-            f"not compared: {not_compared}; nor is the log signed: a log of another run, put in "
-            "its place as a whole, passes"
+            f"not compared: {not_compared}; logs are not signed: replacing the whole log by one "
+            "of another run is not detected"
         )
         return lines
 
@@ -202,9 +198,7 @@ class Verification:
         unrecorded = [own.component for own in self.components if own.status == "unrecorded"]
         if unrecorded:
             names = ", ".join(unrecorded)
-            lines.append(
-                f"not verified, as the log, which is partial, has no signal of it: {names}"
-            )
+            lines.append(f"not verified, as the partial log has no signals of: {names}")
         for status, text in _NOT_WHOLE.items():
             named = [
                 f"{own.component} ({own.reason})" for own in self.components if own.status == status
@@ -219,8 +213,8 @@ class Verification:
         problems = []
         if not self._has_recorded_hash:
             problems.append(
-                "the rows, or what is declared of their signals, were changed after they were "
-                f"recorded: the content hash is {self.found_hash}, recorded {self.recorded_hash}"
+                "rows or declarations of signals were changed after recording: content hash "
+                f"{self.found_hash}, recorded {self.recorded_hash}"
             )
         if not self.difference.same_rows:
             problems.append(f"the replay differs from the log; first: {self._first}")
@@ -229,11 +223,11 @@ class Verification:
             problems.append(self._event_problem)
         what = "the log contradicts its scenario"
         if self.is_changed:
-            what = "the log differs from the replay, whose scenario was changed"
+            what = "the log differs from the replay with a changed scenario"
         problems += [f"{what}: {entry}" for entry in self.contradictions[:_MOST_SHOWN]]
         further = len(self.contradictions) - _MOST_SHOWN
         if further > 0:
-            problems.append(f"{what}: {further} times more")
+            problems.append(f"{what}: {further} more")
         return problems
 
     @property

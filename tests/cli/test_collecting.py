@@ -19,6 +19,7 @@ print(gc.isenabled(), gc.get_freeze_count() > 0, file=sys.stderr)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [["run", "academic", "--stop", "0.1"], ["list"]])
 def test_a_command_starts_the_collector_behind_its_imports(command, tmp_path):
     """What they made is frozen: the collector never walks over it."""

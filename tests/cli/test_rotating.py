@@ -1,9 +1,10 @@
 """``cosim run --rotate``, and what is done with its files."""
 
 import json
+import re
 
-RUN = ("run", "academic", "--stop", "2")
-ROTATED = (*RUN, "--rotate", "0.8s", "--out", "run.mcap")
+RUN = ("run", "academic", "--stop", "0.2")
+ROTATED = (*RUN, "--rotate", "0.08s", "--out", "run.mcap")
 
 
 def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
@@ -12,7 +13,7 @@ def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
     assert (code, err) == (0, "")
     lines = out.splitlines()
     assert lines[0] == "status\tcomplete"
-    assert lines[1] == "steps\t2000, up to 2.0 s"
+    assert lines[1] == "steps\t200, up to 0.2 s"
     names = ["run.mcap", "run.part2.mcap", "run.part3.mcap"]
     assert lines[3:6] == [f"log\t{name}" for name in names]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
@@ -23,14 +24,14 @@ def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
     assert call("replay", "run.part2.mcap", "--verify")[0] == 0
     code, out, _ = call("info", "run.part2.mcap")
     assert code == 0
-    assert "part 2 of its log, from 0.8 s to 1.599 s" in out
+    assert "part 2 of its log, from 0.08 s to 0.159 s" in out
 
 
 def test_json_has_the_results_of_the_whole_run(call):
     """With the files."""
     code, out, _ = call(*ROTATED, "--json")
     shown = json.loads(out)
-    assert (code, shown["status"], shown["steps"], shown["end"]) == (0, "complete", 2000, 2.0)
+    assert (code, shown["status"], shown["steps"], shown["end"]) == (0, "complete", 200, 0.2)
     assert shown["logs"] == ["run.mcap", "run.part2.mcap", "run.part3.mcap"]
     assert "u.y" in shown["results"]["last"]
     assert call(*ROTATED, "--force", "--quiet") == (0, "", "")
@@ -38,9 +39,9 @@ def test_json_has_the_results_of_the_whole_run(call):
 
 def test_a_run_within_the_limit_is_shown_as_ever(call, tmp_path):
     """It has one file."""
-    code, out, _ = call(*RUN, "--rotate", "3s", "--out", "run.mcap")
+    code, out, _ = call(*RUN, "--rotate", "0.3s", "--out", "run.mcap")
     assert code == 0
-    assert out.splitlines()[-1] == "log\t\t\trun.mcap"
+    assert out.splitlines()[-1] == "log\trun.mcap"
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
@@ -48,15 +49,15 @@ def test_wrong_use_of_rotate_exits_with_2(call):
     """One line on stderr, nothing on stdout."""
     call(*ROTATED, "--quiet")
     for options, text in [
-        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: expected a size in"),
-        (("a.mcap", "--rotate", "1s", "--plot", "a.png"), "found both --rotate and --plot"),
-        (("a.mcap", "--rotate", "1s", "--profile"), "found both --rotate and --profile"),
-        (("run.mcap", "--rotate", "1s"), "run.mcap exists; choose another path, or --force"),
-        (("a.mcap", "--rotate", "1s", "--rotate", "2s"), "--rotate: given 2 times, needed once"),
+        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: .*'1 MiBi'"),
+        (("a.mcap", "--rotate", "0.1s", "--plot", "a.png"), "--plot .*--rotate"),
+        (("a.mcap", "--rotate", "0.1s", "--profile"), "--profile .*--rotate"),
+        (("run.mcap", "--rotate", "0.1s"), r"run\.mcap exists; choose another path, or --force"),
+        (("a.mcap", "--rotate", "0.1s", "--rotate", "2s"), "--rotate: .*given 2 times"),
     ]:
         code, out, err = call(*RUN, "--out", *options)
         assert (code, out) == (2, "")
-        assert text in err
+        assert re.search(text, err)
         assert err.count("\n") == 1
 
 

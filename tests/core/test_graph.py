@@ -292,7 +292,7 @@ def test_a_definition_tells_what_a_name_does_not():
             "c.y -> d.u: 'ft' is not known, so values in 'ft' are taken as 'm', as they are",
         )
     ]
-    with pytest.raises(GraphError, match="unit = 'yd': 'yd' is not known; needed a product of"):
+    with pytest.raises(GraphError, match="unit = 'yd': 'yd' is not known"):
         Graph({"c": feet, "d": sink}, {"d.u": Connection("c.y", 2.0, unit="yd")})
     feet.interface = Interface(
         (), (Signal("y", 1, "ft", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),)

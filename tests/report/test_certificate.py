@@ -1,6 +1,7 @@
 """The certificate of a run as it is shown."""
 
 import json
+import re
 
 import pytest
 
@@ -36,16 +37,18 @@ def test_table_has_estimates_and_reasons(log):
     """cos 2t at 4 s is -0.1455; of the error of first order there, nearly all is the coupling."""
     _, output = log
     lines = output.splitlines()
-    title = "error of the step of 0.01 s, by runs with 0.005 s and 0.0025 s"
-    table = lines[lines.index(title) :]
-    assert table[1] == "\tlargest\tat t\tat the end\torder"
+    (title,) = [i for i, line in enumerate(lines) if line.endswith("with 0.005 s and 0.0025 s")]
+    assert "0.01 s" in lines[title]
+    table = lines[title:]
+    assert table[1] == "signal\tlargest\tat t\tat the end\torder"
     assert table[2].startswith("mass.y\t0.0337\t3.3 s\t")
     assert table[2].endswith("\t1.02")
-    reason = "late.y: jump.y jumps between communication points, or is not resolved by"
-    assert any(line.startswith(f"no estimate\t\t\t\t{reason}") for line in table)
-    assert "0\t\t\t\tthe same in all three runs: jump.y" in table
-    (share,) = [line for line in table if "is the coupling" in line]
-    assert share.startswith("mass.y\t\t\t")
+    reason = "late.y: jump.y jumps between communication points, or a quarter of the step does not"
+    assert any(line.startswith(f"no estimate\t{reason}") for line in table)
+    (equal,) = [line for line in table if line.startswith("no error\t")]
+    assert "jump.y" in equal
+    (share,) = [line for line in table if line.endswith("coupling error")]
+    assert re.match(r"mass\.y\terror \S+ at the end, of which \S+ \([89]\d %\)", share)
 
 
 def test_log_shows_it(log, capsys):
@@ -64,8 +67,7 @@ def test_ends_that_differ_are_named(tmp_path, capsys):
     scenario = write(tmp_path, certified.SPRING)
     setting = ("--set", "scenario.until=mass.y < 0")
     output = run(capsys, "run", scenario, "--certify", *setting, "--out", tmp_path / "a.mcap")
-    assert "note\t\t\t\tthe three runs ended at 0.79 s, 0.79 s, 0.7875 s; they" in output
-    assert "they are compared up to 0.7875 s" in output
+    assert re.search(r"note\t.*0\.79 s, 0\.79 s, 0\.7875 s.* up to 0\.7875 s\n", output)
 
 
 def test_json_has_it(tmp_path, capsys):
@@ -81,17 +83,17 @@ def test_table_and_log_have_the_steps_that_were_tried(tmp_path, capsys):
     path = tmp_path / "a.mcap"
     scenario = write(tmp_path, certified.SPRING)
     output = run(capsys, "run", scenario, "--find-step", "mass.y=0.02", "--out", path)
-    fine = "within mass.y 0.02: the largest step that is, of those that divide all given times"
-    assert f"step 0.005 s\t{fine}" in output.splitlines()
-    assert "step 0.00625 s\tthe error of mass.y is 0.02" in output
-    assert f"step 0.005 s\t{fine}" in run(capsys, "info", path)
+    fine = "step 0.005 s\twithin mass.y 0.02"
+    assert any(line.startswith(fine) for line in output.splitlines())
+    assert re.search(r"step 0\.00625 s\t.*mass\.y.*0\.02", output)
+    assert fine in run(capsys, "info", path)
 
 
 def test_a_tolerance_that_is_no_number_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         main(["run", str(write(tmp_path, certified.SPRING)), "--find-step", "mass.y=small"])
     assert left.value.code == 2
-    assert "--find-step mass.y: found 'small', needed a number" in capsys.readouterr().err
+    assert re.search(r"--find-step mass\.y: .*'small'", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("option", [["--certify"], ["--find-step", "mass.y=0.1"]])
@@ -99,8 +101,7 @@ def test_a_dry_run_certifies_nothing(tmp_path, capsys, option):
     with pytest.raises(SystemExit) as left:
         main(["run", str(write(tmp_path, certified.SPRING)), "--dry-run", *option])
     assert left.value.code == 2
-    text = f"found --dry-run, which runs nothing, and {option[0]}; needed one of them"
-    assert text in capsys.readouterr().err
+    assert re.search(f"--dry-run .*{option[0]}", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(

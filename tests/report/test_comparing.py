@@ -1,6 +1,7 @@
 """One scenario on several plants: their estimates, the differences, and one that fails."""
 
 import json
+import re
 from itertools import product
 
 import numpy as np
@@ -36,6 +37,7 @@ def four(folder):
     )
 
 
+@pytest.mark.slow
 def test_four_plants_are_one_scenario(four):
     """The co-simulation FMU and the log have the bits of the generated plant.
 
@@ -61,7 +63,8 @@ def test_four_plants_are_one_scenario(four):
     assert 0.0 < apart["observer.delta", "plant"] <= 1e-8
 
 
-def test_what_is_computed_of_the_runs_is_computed_once(four):
+@pytest.mark.slow
+def test_summaries_and_differences_are_computed_once(four):
     """Every access of a summary would read the whole logs again."""
     assert four.summaries is four.summaries
     assert four.differences is four.differences
@@ -77,6 +80,7 @@ def test_files_are_looked_into_for_a_map_alone(folder, monkeypatch):
     assert looked == []
 
 
+@pytest.mark.slow
 def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
     """It stands in the table with its reason; exit 1; the logs of the others are there."""
     swaps = []
@@ -122,15 +126,12 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     swaps = ("--swap", "plant=/dev/zero", "--swap", "plant=a.fmu", "--swap", "plant=a.fmu#xs")
     code, out, err = call("compare", "academic", *swaps)
     assert (code, out) == (2, "")
-    assert err.splitlines() == [
-        "cosim: --swap plant: found '/dev/zero', needed a path that ends in .fmu (an FMU), .mcap "
-        "(a recorded log) or .csv, .parquet or .mcap#samples (samples with their times)",
-        "cosim: --swap plant: found '#xs' after the path, needed '#me' (model exchange) or '#cs' "
-        "(co-simulation)",
-    ]
+    first, second = err.splitlines()
+    assert re.match(r"cosim: --swap plant: .*'/dev/zero'", first)
+    assert re.match(r"cosim: --swap plant: .*'#xs'", second)
 
 
-def test_what_no_alternative_can_be_is_refused_before_the_first_run(folder, monkeypatch):
+def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch):
     """A key that one of them has is set there, and the outcome of the others."""
     plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
     with monkeypatch.context() as patch:
@@ -182,13 +183,17 @@ def test_a_map_may_list_ports(folder):
         compare("academic", swap=plants, map={**MAP, "plant.x_a": ["s[0]", "q[1]"]})
 
 
+@pytest.mark.slow
 def test_a_picture_shows_all_of_them(four, tmp_path):
     """Estimates with truth on the left, differences on the right."""
-    pytest.importorskip("matplotlib")
     from cosim.report.plots import plot_comparison
 
-    plot_comparison(four, tmp_path / "c.png")
-    assert (tmp_path / "c.png").stat().st_size > 20_000
+    plot_comparison(four, tmp_path / "c.svg")
+    drawn = (tmp_path / "c.svg").read_text(encoding="utf-8")
+    for label in ("descriptor", "plant", "plant#cs", "log"):
+        assert f">{label}<" in drawn
+    for estimate in four.estimates:
+        assert estimate in drawn
 
 
 def test_problems_of_all_plants_are_raised_once(folder):
@@ -197,7 +202,7 @@ def test_problems_of_all_plants_are_raised_once(folder):
     with pytest.raises(ScenarioError, match=r"set\['observer\.filter_rat'\]: "):
         compare("academic", swap={"plant": [plant]}, set={"observer.filter_rat": 1.0})
     with pytest.raises(
-        UsageError, match="found alternatives of plant, observer; needed those of one component"
+        UsageError, match=r"swap: .*one component.* alternatives of plant, observer"
     ):
         compare("academic", swap={"plant": [plant], "observer": [plant]})
     with pytest.raises(
@@ -205,6 +210,6 @@ def test_problems_of_all_plants_are_raised_once(folder):
     ):
         compare("academic", swap={"plnt": [plant]})
     with pytest.raises(
-        UsageError, match=r"swap\['plant'\]: found one plant, needed two to compare"
+        UsageError, match=r"swap\['plant'\]: expected two plants to compare, got one"
     ):
         compare("academic", swap={"plant": [plant]}, base=False)

@@ -12,7 +12,7 @@ from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.kinds.methods import METHODS
 
 SHORT = {"scenario.stop": 15.0, "scenario.step": 5e-3, "observer.filter_rate": 100.0}
-EARLY = {**SHORT, "scenario.stop": 9.0}
+EARLY = {**SHORT, "scenario.stop": 8.0}
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +20,7 @@ def compared():
     return cosim.compare_estimators("academic-as-printed", set=SHORT)
 
 
+@pytest.mark.slow
 def test_every_method_estimates_from_the_same_data(compared):
     """Each replay has the recorded y, and the error is that of its last theta."""
     assert [result.method for result in compared.results] == list(METHODS)
@@ -33,6 +34,7 @@ def test_every_method_estimates_from_the_same_data(compared):
         np.testing.assert_array_equal(result.error, theta - np.array([-0.1, -0.3]))
 
 
+@pytest.mark.slow
 def test_a_standard_error_is_shown_where_a_method_has_one(compared):
     """Baselines without a theory of their error have none."""
     stated = {r.method for r in compared.results if r.standard_error is not None}
@@ -40,6 +42,7 @@ def test_a_standard_error_is_shown_where_a_method_has_one(compared):
     assert stated.isdisjoint({"least-squares", "projection", "rayleigh", "drem", "gradient"})
 
 
+@pytest.mark.slow
 def test_every_estimate_is_judged_by_the_data(compared):
     """A biased one is said to be so, whatever the method says of itself."""
     for result in compared.results:
@@ -50,12 +53,13 @@ def test_every_estimate_is_judged_by_the_data(compared):
     assert verdicts["least-squares"] == ["INCONSISTENT"] * 2
 
 
+@pytest.mark.slow
 def test_the_table_shows_half_of_the_intervals_that_the_verdicts_have(compared, capsys):
     """As the table of a run does; 1.96 standard errors, and none beside INCONSISTENT."""
     print_estimators(compared, as_json=False)
     lines = capsys.readouterr().out.splitlines()
     shown = {line.split("\t")[0]: line.split("\t") for line in lines[2:]}
-    assert any("half of the 95 % interval" in line for line in lines)
+    assert any("half width of the 95 % interval" in line for line in lines)
     for result in compared.results:
         assert shown[result.method][1].count("±") == np.isfinite(result.half_width).sum()
         for record, half_width in zip(result.verdicts, result.half_width, strict=True):
@@ -66,6 +70,7 @@ def test_the_table_shows_half_of_the_intervals_that_the_verdicts_have(compared, 
     assert f"± {found.half_width[0]:.2g}" in shown["output-error"][1]
 
 
+@pytest.mark.slow
 def test_theta_is_drawn_by_every_method(compared, tmp_path):
     """One line of the legend a method, and the truth."""
     path = tmp_path / "theta.svg"
@@ -76,6 +81,7 @@ def test_theta_is_drawn_by_every_method(compared, tmp_path):
     assert ">truth<" in drawn
 
 
+@pytest.mark.slow
 def test_keys_of_another_method_are_left_out():
     """P0 belongs to least squares: the others run without it, least squares with it."""
     found = cosim.compare_estimators(
@@ -94,7 +100,7 @@ def test_keys_of_another_method_are_left_out():
     [
         ({"estimators": "rayleih"}, r"no method 'rayleih'; did you mean 'rayleigh'\?"),
         ({"estimators": ["drem", "drem"]}, "drem is given twice"),
-        ({"estimators": []}, "found none"),
+        ({"estimators": []}, "got none"),
     ],
 )
 def test_unknown_methods_are_refused(options, text):
@@ -110,7 +116,7 @@ def test_a_scenario_needs_one_identifier(tmp_path):
         '[scenario]\nname = "one"\nstop = 1.0\nstep = 0.1\n'
         '[components.u]\nkind = "sine"\nrate = 1.0\n'
     )
-    with pytest.raises(UsageError, match="found identifiers: none"):
+    with pytest.raises(UsageError, match=r"identifier.* got none"):
         cosim.compare_estimators(path)
 
 
@@ -146,11 +152,11 @@ def test_estimators_and_plants_are_compared_one_after_the_other(call):
     """Several plants beside --estimators, or nothing to compare, is wrong use."""
     plants = ["--swap", "plant=a.fmu", "--swap", "plant=b.fmu"]
     code, _, err = call("compare", "academic", "--estimators", "all", *plants)
-    assert (code, "several plants in --swap plant" in err) == (2, True)
+    assert (code, "--swap plant" in err) == (2, True)
     code, _, err = call("compare", "academic", "--estimators", "all", "--no-base")
     assert (code, "--no-base" in err) == (2, True)
     code, _, err = call("compare", "academic")
-    assert (code, "neither --swap nor --estimators" in err) == (2, True)
+    assert (code, "--swap or --estimators" in err) == (2, True)
 
 
 @pytest.mark.parametrize(

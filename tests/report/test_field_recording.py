@@ -92,7 +92,7 @@ def test_fields_of_json_are_those_of_its_first_message(tmp_path):
     }
 
 
-def test_what_is_not_read_is_said(tmp_path, monkeypatch):
+def test_unread_topics_are_listed_with_the_problem(tmp_path, monkeypatch):
     """By topic, and it is no error; of very many fields the first are shown."""
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:
@@ -110,14 +110,15 @@ def test_what_is_not_read_is_said(tmp_path, monkeypatch):
     assert content["more fields"] == {"not shown": 1}
     assert content["topics"][1]["messages"] == 0
     problems = {row["topic"]: row["problem"] for row in content["not read"]}
-    assert problems["/odd"].endswith("got 'cbor' with no schema")
+    assert "'cbor'" in problems["/odd"]
+    assert "protobuf" in problems["/odd"]
     assert problems["/bad"].startswith("the message is not JSON")
 
 
 def test_times_beyond_63_bits_are_refused(tmp_path):
     """Nothing can be said of distances between them."""
     path = write_json(tmp_path / "log.mcap", {"/t": [(2**63, {"x": 1})]})
-    with pytest.raises(LogError, match="'/t': expected .* got 9223372036854775808 ns"):
+    with pytest.raises(LogError, match=r"'/t'.* 9223372036854775808 ns"):
         describe_recording(str(path))
 
 

@@ -52,27 +52,30 @@ def test_the_table_shows_what_was_recorded(logs, call):
     recorded = logs["first"].results[IDENTIFICATION]["identifier"]
     shown = rows(output)
     for parameter in recorded["parameters"]:
-        value, error, interval, text = shown[parameter["name"]]
+        value, error, interval, verdict = shown[parameter["name"]]
         assert float(value) == pytest.approx(parameter["value"], rel=1e-5)
         assert float(error) == pytest.approx(parameter["standard_error"], rel=0.05)
         low, high = map(float, interval.split(" to "))
         assert low == pytest.approx(parameter["lower"], rel=1e-5)
         assert high == pytest.approx(parameter["upper"], rel=1e-5)
-        verdict, _, reason = text.partition(": ")
         assert verdict == "IDENTIFIABLE"
-        assert reason == "no test contradicts the model; if it is right, the 95 % interval holds"
-    assert float(shown["correlation"][0]) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
-    assert float(shown["noise"][0]) == pytest.approx(1e-3, rel=0.1)
-    assert shown["whiteness"][3].startswith("passed: noise makes at most 55.1")
-    assert shown[str(logs["first"].path)][3].startswith("2001 samples; x(0) ")
+        assert shown[verdict] == [parameter["reason"]]
+    pair, correlation = shown["correlation"][0].split(": ")
+    assert pair == "theta[0], theta[1]"
+    assert float(correlation) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
+    assert float(shown["noise of y"][0].split(",")[0]) == pytest.approx(1e-3, rel=0.1)
+    assert shown["whiteness"][1:] == ["55.1", "passed"]
+    assert shown[str(logs["first"].path)][0].startswith("2001 samples; x(0) ")
     for amplitude in recorded["amplitudes"][0]:
-        value, error, _, text = shown[amplitude["name"]]
+        value, error, _, verdict = shown[amplitude["name"]]
         assert float(value) == pytest.approx(amplitude["value"], rel=1e-5)
         assert float(error) == pytest.approx(amplitude["standard_error"], rel=0.05)
         assert float(value) == pytest.approx(1.0, abs=4.0 * float(error))
-        assert text.startswith("IDENTIFIABLE: in amplitude[")
+        assert verdict == "IDENTIFIABLE"
+    assert shown["terms of delta"] == ["amplitude[0] exp(theta[0] t); amplitude[1] exp(theta[1] t)"]
 
 
+@pytest.mark.slow
 def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     """In the table of the run and in the JSON of its log, at t = 0 though it starts at 2 s.
 
@@ -96,14 +99,16 @@ def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     assert code == 0
     shown = rows(output)
     for name, true in (("amplitude[0]", 0.7), ("phase[0]", 0.4)):
-        value, half_width = map(float, shown[name][0].split(" ± "))
+        value = float(shown[name][0])
+        half_width = float(shown[name][1].removeprefix("± "))
         assert abs(value - true) < 2.0 * half_width < 0.02
-    assert shown["phase[0]"][2] == "IDENTIFIABLE: in rad at t = 0"
+    assert shown["phase[0]"][-1] == "IDENTIFIABLE"
+    assert "phase[0] in rad at t = 0" in shown["terms of delta"][0]
     assert shown["amplitude[1]"][0] == "no value"
     (log,) = json.loads(call("identify", "log.mcap", "--json")[1])["logs"]
     found = {one["name"]: one for one in log["amplitudes"]}
     assert list(found) == ["amplitude[0]", "phase[0]", "amplitude[1]"]
-    six_digits = float(shown["phase[0]"][0].split()[0])
+    six_digits = float(shown["phase[0]"][0])
     assert found["phase[0]"]["value"] == pytest.approx(six_digits, rel=1e-5)
     assert 0.0 < found["phase[0]"]["standard_error"] < 0.01
     assert found["amplitude[1]"]["value"] is None
@@ -136,11 +141,12 @@ def test_a_theta_that_does_not_hold_is_said_and_exits_with_1(logs, call):
     code, output, _ = call("identify", logs["first"].path, "--validate", logs["other"].path)
     assert code == 1
     shown = rows(output)
-    text = shown[f"validation {logs['other'].path}"][3]
-    assert text.startswith("FAILS: theta[0] is ")
+    assert f"validation {logs['other'].path}" in output.splitlines()
+    text = shown["FAILS"][0]
+    assert text.startswith("theta[0] is ")
     there, fitted = re.search(r"theta\[1\] is (\S+) \+- \S+ there, (\S+) \+- ", text).groups()
     assert (float(there), float(fitted)) == pytest.approx((-0.4, -0.3), abs=2e-3)
-    ratio = float(re.search(r"held: ([\d.]+) times", shown["deviation"][3])[1])
+    ratio = float(re.search(r", ([\d.]+) times", shown["residual"][0])[1])
     assert ratio > 1.2
 
 
@@ -158,6 +164,7 @@ def test_options_reach_the_fit(logs, call):
     assert fixed["parameters"][0]["standard_error"] < plain["parameters"][0]["standard_error"]
 
 
+@pytest.mark.slow
 def test_an_irregular_part_has_guaranteed_intervals(logs):
     """They contain the truth; the cost is said, and where the first order does not hold."""
     found = identify_records([identifier_record(logs["first"])])
@@ -178,11 +185,12 @@ def test_a_large_irregular_part_is_beyond_the_first_order(logs, call):
     assert "linear programs, which take seconds to minutes" in errors
     row = output.splitlines()[-1].split("\t")
     assert row[0] == "theta[1]"
-    low, high = map(float, row[3].split(" to "))
+    low, high = map(float, row[1].split(" to "))
     assert low < -0.3 < high
-    assert "which does not hold for so large a bound" in row[4]
+    assert "which does not hold for so large a bound" in row[2]
 
 
+@pytest.mark.slow
 def test_logs_of_different_theta_are_told_apart(logs, call):
     """Together they leave a residual that is not noise's; each is explained alone.
 
@@ -191,7 +199,8 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
     paths = [logs["first"].path, logs["other"].path]
     _, output, _ = call("identify", *paths)
     shown = rows(output)
-    assert shown["theta[1]"][3].startswith("INCONSISTENT: noise does not explain the residual")
+    assert shown["theta[1]"][3] == "INCONSISTENT"
+    assert "the residual is not what noise leaves" in shown["INCONSISTENT"][0]
     text = shown["contradiction"][3]
     for path in paths:
         assert f"{path} alone" in text
@@ -204,28 +213,28 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (("--bounds", "[[-1,0]]"), "needed [lower, upper] for each of the 2 parameters"),
+        (("--bounds", "[[-1,0]]"), r"bounds: .*2 parameters"),
         (
             ("--bounds", "[[0,-1],[-1,0]]"),
-            "bounds of theta[0]: the lower 0 is above the upper -1",
+            r"bounds of theta\[0\]: the lower 0 is above the upper -1",
         ),
-        (("--bounds", "[[-1,0],[nan,1]]"), "bounds of theta[1]: found [nan, 1]; needed two"),
-        (("--bounds", "[[-1,0],[true,1]]"), "bounds of theta[1]: found [True, 1]; needed two"),
-        (("--bounds", f"[[-1,0],[1,{10**400}]]"), "bounds of theta[1]: found [1, 1000"),
-        (("--bounds", "[[-1,0],[inf,inf]]"), "[inf, inf] has no number between"),
-        (("--bounds", "wide"), "bounds: expected [lower, upper]"),
-        (("--irregular", "-1"), "--irregular: found -1, needed a positive number"),
-        (("--irregular", "nan"), "--irregular: found nan, needed a positive number"),
+        (("--bounds", "[[-1,0],[nan,1]]"), r"bounds of theta\[1\]: .*\[nan, 1\]"),
+        (("--bounds", "[[-1,0],[true,1]]"), r"bounds of theta\[1\]: .*\[True, 1\]"),
+        (("--bounds", f"[[-1,0],[1,{10**400}]]"), r"bounds of theta\[1\]: .*\[1, 1000"),
+        (("--bounds", "[[-1,0],[inf,inf]]"), r"\[inf, inf\] has no number between"),
+        (("--bounds", "wide"), "bounds: .*wide"),
+        (("--irregular", "-1"), "--irregular: .*-1"),
+        (("--irregular", "nan"), "--irregular: .*nan"),
         (("--component", "observer"), "no identifier 'observer' with a model of y"),
-        (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), "theta[1] was not estimated"),
-        (("--plot", "a.txt"), "a.txt: found the ending '.txt'"),
+        (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), r"theta\[1\] was not estimated"),
+        (("--plot", "a.txt"), r"a\.txt: .*'\.txt'"),
     ],
 )
 def test_wrong_use_is_refused(logs, call, options, text):
     """Before anything is printed."""
     code, output, errors = call("identify", logs["first"].path, *options)
     assert (code, output) == (2, "")
-    assert text in errors
+    assert re.search(text, errors)
 
 
 @pytest.mark.parametrize("option", [(), ("--validate",)])
@@ -238,6 +247,7 @@ def test_no_data_count_twice(logs, call, option, tmp_path):
     assert "copy.mcap has the rows of" in errors
 
 
+@pytest.mark.slow
 def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, tmp_path):
     """With axes, units of time and frequency; of several logs each has its panels."""
     pytest.importorskip("matplotlib")
@@ -251,7 +261,11 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
 
 
 @pytest.mark.parametrize(
-    ("bounds", "verdict"), [(None, "IDENTIFIABLE"), ({1: (-0.5, -0.5)}, "INCONSISTENT")]
+    ("bounds", "verdict"),
+    [
+        (None, "IDENTIFIABLE"),
+        pytest.param({1: (-0.5, -0.5)}, "INCONSISTENT", marks=pytest.mark.slow),
+    ],
 )
 def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict):
     """Where noise does not explain the residual, the titles say why there is none."""
@@ -275,17 +289,19 @@ def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, ver
         assert texts.count(f"its error; {reason}") == 1
 
 
-def test_what_is_said_of_an_exact_residual_is_true(tmp_path, call):
+def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
     """It is at most as many times larger than its errors as the text says, with both numbers."""
     log = cosim.run("academic-noisy", out=tmp_path / "a.mcap", set={**FAST, "sensor.noise": 0.0})
     recorded = log.results[IDENTIFICATION]["identifier"]
     assert recorded["is_exact"]
-    text = rows(call("identify", log.path)[1])["noise"]
-    factor, allowed = re.search(r"at most ([\d.]+) times what .* allow, (\S+)", text[3]).groups()
-    assert float(text[0]) <= float(factor) * float(allowed)
-    assert float(allowed) == pytest.approx(recorded["accuracy"][0], rel=0.01)
+    (text,) = rows(call("identify", log.path)[1])["noise of y"]
+    numbers = re.search(r"(\S+): .* at most ([\d.]+) times what .* allow, (\S+)", text).groups()
+    deviation, factor, allowed = map(float, numbers)
+    assert deviation <= factor * allowed
+    assert allowed == pytest.approx(recorded["accuracy"][0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     """Without a truth there is no gray line, and the half width takes the place of the error."""
     pytest.importorskip("matplotlib")

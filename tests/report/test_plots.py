@@ -110,13 +110,13 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"size": (0.0, 5.0)}, "size: found 0 x 5 cm"),
-        ({"size": (5.0, float("nan"))}, "size: found 5 x nan cm"),
-        ({"start": 2.0, "stop": 1.0}, "found a picture from 2 s to 1 s; needed a later end"),
-        ({"stop": float("inf")}, "stop: .*got inf s"),
+        ({"size": (0.0, 5.0)}, "got 0 x 5 cm"),
+        ({"size": (5.0, float("nan"))}, "got 5 x nan cm"),
+        ({"start": 2.0, "stop": 1.0}, "stop: expected a time after start = 2 s, got 1 s"),
+        ({"stop": float("inf")}, "stop: expected a finite number, got inf s"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(options, text):
+def test_a_wrong_size_or_window_is_refused(options, text):
     """Before anything is drawn."""
     with pytest.raises(UsageError, match=re.escape(text)):
         PictureOptions(**options)
@@ -125,7 +125,7 @@ def test_what_cannot_be_drawn_is_refused(options, text):
 @pytest.mark.parametrize("window", [{"start": 2.0}, {"stop": -1.0}])
 def test_a_window_without_rows_is_refused(runs, tmp_path, window):
     """An empty picture says nothing; the message names the times that there are."""
-    with pytest.raises(UsageError, match="needed one within 0 s to 1 s"):
+    with pytest.raises(UsageError, match=r"start, stop: .*0 s to 1 s"):
         plot_signals(runs[0], ["a.y"], tmp_path / "a.svg", PictureOptions(**window))
 
 
@@ -144,6 +144,7 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(academic, tmp_pat
     assert np.array_equal(first.values, theta[:, 0] + 0.1, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_a_run_without_truth_has_a_picture_of_its_outputs(runs, tmp_path):
     """A panel for each; where there are many, the title says how many are shown."""
     plot_run(runs[0], tmp_path / "a.svg")
@@ -155,11 +156,11 @@ def test_a_run_without_truth_has_a_picture_of_its_outputs(runs, tmp_path):
     assert "lengths: the first 12 of 20 outputs" in texts(tmp_path / "b.svg")
 
 
-def test_every_format_is_written(academic, tmp_path):
+def test_every_format_is_written(runs, tmp_path):
     """PDF keeps text in fonts, too."""
     for suffix, begin in ((".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")):
         path = tmp_path / f"a{suffix}"
-        plot_run(academic, path)
+        plot_signals(runs[0], ["a.y"], path)
         assert path.read_bytes().startswith(begin)
 
 

@@ -97,14 +97,14 @@ def is_found_out(path):
 @pytest.mark.parametrize(
     ("old", "new", "statement"),
     [
-        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth: found"),
-        ("stop = 0.05", "stop = 0.06", "stop: found '0.05', the replay has '0.06'"),
-        ("stop = 0.05", "stop = 1e9", "stop: found"),
-        ("stop = 0.05", "", "stop: found"),
+        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth: "),
+        ("stop = 0.05", "stop = 0.06", "stop: '0.05' in the log, '0.06' in the replay"),
+        ("stop = 0.05", "stop = 1e9", "stop: "),
+        ("stop = 0.05", "", "stop: "),
         ('kind = "sine"\namplitude = 1.0\nrate = 1.0', 'kind = "fmu"\npath = "x.fmu"', "'u'"),
-        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "table of 'u': found"),
-        ('name = "academic"', 'name = "other"', "scenario: found 'academic'"),
-        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connection to 'observer.u': found"),
+        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "table of 'u': "),
+        ('name = "academic"', 'name = "other"', "scenario: 'academic'"),
+        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connection to 'observer.u': "),
     ],
 )
 def test_another_scenario_is_found(valid, tmp_path, old, new, statement):
@@ -125,6 +125,7 @@ def records(path):
             yield name, key
 
 
+@pytest.mark.slow
 def test_no_metadata_can_be_changed_that_a_replay_computes(valid, tmp_path):
     """Whatever entry is altered, with its checksum computed anew: the log fails."""
     unnoticed = []
@@ -197,7 +198,7 @@ def test_no_estimate_can_be_changed(judged, tmp_path, key, place, named):
         assert verification.passed is passes
         if not passes:
             (problem,) = verification.problems
-            assert f"{named} 'identifier': found" in problem
+            assert f"{named} 'identifier': " in problem
 
 
 @pytest.mark.parametrize("key", ["amplitudes", "irregular"])
@@ -218,7 +219,7 @@ def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
     count = len(verification.contradictions)
     assert count > 9
     assert len(verification.problems) == 9
-    assert verification.problems[-1].endswith(f"{count - 8} times more")
+    assert verification.problems[-1].endswith(f"{count - 8} more")
     assert len(verification.to_dict()["contradictions"]) == count
 
 
@@ -227,7 +228,7 @@ def test_an_end_before_the_stop_needs_a_reason(valid, tmp_path):
     changed = {"cosim.run": {"stop": "0.06"}}
     path = forged(valid, tmp_path / "b.mcap", text=("stop = 0.05", "stop = 0.06"), metadata=changed)
     (problem,) = verified(path).problems
-    assert "end of the run [ns]: found 50000000, the replay has 60000000" in problem
+    assert "end of the run [ns]: 50000000 in the log, 60000000 in the replay" in problem
 
 
 def test_declared_signals_are_compared(valid, tmp_path):
@@ -248,8 +249,8 @@ def test_declared_signals_are_compared(valid, tmp_path):
     path = forged(put_together(content, path), tmp_path / "c.mcap", attachments=attachments)
     problems = verified(path).problems
     assert len(problems) == 2
-    assert "signals of 'observer': found" in problems[0]
-    assert "kind of 'regressor': found 'identifier', the replay has 'regressor'" in problems[1]
+    assert "signals of 'observer': " in problems[0]
+    assert "kind of 'regressor': 'identifier' in the log, 'regressor' in the replay" in problems[1]
 
 
 def test_warnings_of_computed_components_are_compared(tmp_path):
@@ -260,11 +261,11 @@ def test_warnings_of_computed_components_are_compared(tmp_path):
     assert verified(valid).problems == []
     changed = {"cosim.run": {"warnings": "[]"}}
     (problem,) = verified(forged(valid, tmp_path / "b.mcap", metadata=changed)).problems
-    assert "warnings: found [], the replay has [('observer', " in problem
+    assert "warnings: [] in the log, [('observer', " in problem
     content = take_apart(valid)
     content.messages = [row for row in content.messages if b"do not trust delta" not in row[3]]
     (problem,) = verified(put_together(content, tmp_path / "c.mcap")).problems
-    assert "messages: found [], the replay has [('observer', " in problem
+    assert "messages: [] in the log, [('observer', " in problem
 
 
 @pytest.mark.parametrize(
@@ -285,7 +286,13 @@ def test_eigenvalues_are_compared_but_for_what_depends_on_the_processor(
     assert verified(path).passed is passes
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name == "compensation" else [])
+        for name in shipped()
+    ],
+)
 def test_a_log_and_the_log_of_its_replay_pass(name, tmp_path):
     """Of every shipped scenario: a replay says nothing else of a run than the run did."""
     path = tmp_path / "a.mcap"
@@ -326,10 +333,10 @@ def test_the_log_of_a_swapped_run_passes_without_what_was_swapped_in(valid, tmp_
 @pytest.mark.parametrize(
     ("found", "expected", "text"),
     [
-        ([1, 2, 3], [1, 7, 3], "what, entry 1: found 2, the replay has 7"),
-        ([1, 2, 3], [1], "what, from entry 1 on: found [2, 3], the replay has []"),
-        ([], [1], "what: found [], the replay has [1]"),
-        ("a", "b", "what: found 'a', the replay has 'b'"),
+        ([1, 2, 3], [1, 7, 3], "what, entry 1: 2 in the log, 7 in the replay"),
+        ([1, 2, 3], [1], "what, from entry 1 on: [2, 3] in the log, [] in the replay"),
+        ([], [1], "what: [] in the log, [1] in the replay"),
+        ("a", "b", "what: 'a' in the log, 'b' in the replay"),
     ],
 )
 def test_of_lists_the_first_difference_is_shown(found, expected, text):

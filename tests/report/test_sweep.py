@@ -41,6 +41,7 @@ def failing(tmp_path_factory):
     return cosim.run(folder / "failing.toml", out=folder / "f.mcap")
 
 
+@pytest.mark.slow
 def test_each_row_is_a_replay_of_its_own(log):
     """With the values of its row and those that all have; in the order of the product."""
     common = {"observer.filter_rate": 500.0}
@@ -104,6 +105,7 @@ def test_the_log_is_opened_and_read_once(log, monkeypatch):
     assert all(np.shares_memory(rows[0], other) for other in rows[1:])
 
 
+@pytest.mark.slow
 def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
     """As of one file; the sweep is called by the part that was named."""
     last = cosim.run("academic-as-printed", out=tmp_path / "a.mcap", set=END, rotate="5s")
@@ -118,7 +120,7 @@ def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
 def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
     """The message names the one that is wrong, and nothing was written."""
     folder = tmp_path / "out"
-    message = r"identifier.P0 = -1.0: .*P0: .*> 0, got -1.0"
+    message = r"identifier\.P0 = -1\.0: .*P0: .*-1\.0"
     with pytest.raises(UsageError, match=message):
         cosim.replay_sweep(log, vary={"identifier.P0": [1e3, -1.0]}, out=folder)
     with pytest.raises(UsageError, match=r"plant.solver = 'RK45': .*'plant' is taken from the rec"):
@@ -130,9 +132,9 @@ def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
     assert not folder.exists()
 
 
-def test_what_is_varied_cannot_be_set_too(log):
+def test_a_varied_key_cannot_be_set_too(log):
     """In whichever spelling."""
-    message = r"set\['identifier.P0'\] or vary\['identifier.P0'\], got both"
+    message = r"set\['identifier.P0'\] and vary\['identifier.P0'\]"
     with pytest.raises(UsageError, match=message):
         cosim.replay_sweep(
             log, vary={"components.identifier.P0": [1.0]}, set={"identifier.P0": 2.0}
@@ -163,9 +165,9 @@ def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
     with pytest.raises(UsageError, match="exists"):
         cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs")
     assert cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs", force=True).passed
-    with pytest.raises(UsageError, match=r"out: found '.*x\.mcap'; needed a folder for 2 logs"):
+    with pytest.raises(UsageError, match=r"out: .* a folder for 2 logs, got '.*x\.mcap'"):
         cosim.replay_sweep(failing, vary=vary, out=tmp_path / "x.mcap")
-    with pytest.raises(UsageError, match="force=True applies to a log"):
+    with pytest.raises(UsageError, match="force=True"):
         cosim.replay_sweep(failing, vary=vary, force=True)
 
 
@@ -180,6 +182,7 @@ def test_progress_is_that_of_all_replays(failing):
     assert seen[-1] == (0.4, 0.4)
 
 
+@pytest.mark.slow
 def test_the_command_line_shows_a_table(log, call):
     """Rows are the varied values, columns what the results say; --json has all of each."""
     command = ("replay", log.path, "--vary", "identifier.P0=1e3,1e9")
@@ -203,7 +206,7 @@ def test_the_command_line_shows_a_table(log, call):
     for option, value in (("--verify", ()), ("--plot", ("x.png",))):
         code, _, err = call(*command, option, *value)
         assert code == 2
-        assert f"found --vary, many replays, and {option} of one" in err
+        assert err == f"cosim: {option} is for one replay; omit it or --vary\n"
 
 
 def test_a_scenario_problem_keeps_its_place(failing):
@@ -229,7 +232,7 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         cosim.replay_sweep(
             path, vary={"model.time_constant": [0.1, -1.0]}, scenario=scenario, map=BOTH
         )
-    with pytest.raises(UsageError, match="has no scenario; expected scenario"):
+    with pytest.raises(UsageError, match="scenario"):
         cosim.replay_sweep(path, vary=vary, map=BOTH)
     with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)
@@ -240,6 +243,7 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
     assert len(out.splitlines()) == 4
 
 
+@pytest.mark.slow
 def test_plants_of_models_are_varied_in_a_rerun(log):
     """Nothing of them is taken from the log then."""
     vary = {"u.amplitude": [1.0, 2.0]}

@@ -66,7 +66,7 @@ def test_changed_rows_that_nothing_follows_from_are_found(valid, tmp_path, colum
     assert verification.difference.equal
     assert not verification.passed
     assert verification.found_hash != verification.recorded_hash
-    assert "were changed after they were recorded" in verification.problems[0]
+    assert "were changed after recording" in verification.problems[0]
 
 
 def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
@@ -76,8 +76,8 @@ def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     assert verification.passed
     assert verification.copied == COPIED
     assert not set(COPIED) & set(verification.computed)
-    assert "not computed, but copied from the log: plant.y, plant.x_a" in verification.lines[-2]
-    assert "a log of another run, put in its place as a whole, passes" in verification.lines[-1]
+    assert "taken from the log, not recomputed: plant.y, plant.x_a" in verification.lines[-2]
+    assert "logs are not signed" in verification.lines[-1]
     # y drives the observer: its rows do not follow from a changed y any more
     path = scaled(valid, tmp_path / "c.mcap", slice(2, 3), 2.0, forged=True)
     verification = verify(open_log(path), cosim.replay(path))
@@ -103,7 +103,7 @@ def test_the_command_line_says_what_was_proven(valid, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         main(["replay", str(path), "--verify"])
     assert left.value.code == 1
-    message = f"is {open_log(path).content_hash()}, recorded {log.recorded_hash}"
+    message = f"content hash {open_log(path).content_hash()}, recorded {log.recorded_hash}"
     assert message in capsys.readouterr().err
 
 
@@ -217,11 +217,13 @@ def forge(results):
 
 def statements_line(verification):
     """Return what is said of the statements that were compared."""
-    (line,) = [line for line in verification.lines if line.startswith("what the log says")]
+    (line,) = [
+        line for line in verification.lines if line.startswith("the records of the run agree")
+    ]
     return line
 
 
-def test_what_a_partial_replay_does_not_compute_is_not_said_to_agree(tmp_path):
+def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     """Between rows that were left out no observer is computed: its forged values are unseen."""
     settings = {"scenario.stop": 8.0, "scenario.step": 0.01, "record.every": 7}
     cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
@@ -231,7 +233,7 @@ def test_what_a_partial_replay_does_not_compute_is_not_said_to_agree(tmp_path):
     line = statements_line(verification)
     assert "verdicts" not in line
     assert "truth" not in line
-    assert line.endswith("all as far as they are about u, delta")
+    assert line.endswith("as far as they concern u, delta")
 
 
 def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_path):
@@ -258,7 +260,7 @@ def test_a_part_is_not_said_to_have_the_last_row_of_the_replay(identified, tmp_p
 def test_a_replay_that_records_less_than_its_log_verifies_nothing(valid, changes):
     """What it left out would pass unseen."""
     again = cosim.replay(valid, set=changes)
-    with pytest.raises(UsageError, match=r"compares all that .* has; found a replay that records"):
+    with pytest.raises(UsageError, match=r"compares all signals of .* records only"):
         verify(open_log(valid), again)
 
 
@@ -267,7 +269,7 @@ def test_a_changed_scenario_is_not_called_that_of_the_log(valid):
     again = cosim.replay(valid, set={"observer.filter_rate": 500.0})
     problems = "\n".join(verify(open_log(valid), again).problems)
     assert "contradicts its scenario" not in problems
-    assert "differs from the replay, whose scenario was changed: table of 'observer'" in problems
+    assert "differs from the replay with a changed scenario: table of 'observer'" in problems
 
 
 def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, capsys):
@@ -275,4 +277,4 @@ def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, capsys):
     with pytest.raises(SystemExit) as left:
         main(["replay", str(valid), "--verify", "--set", "scenario.stop=0.02"])
     assert left.value.code == 2
-    assert "leave out --set scenario.stop" in capsys.readouterr().err
+    assert "omit --set scenario.stop" in capsys.readouterr().err

@@ -62,7 +62,7 @@ class Curve:
         largest = float(np.abs(finite).max(initial=0.0))
         if largest > LARGEST_DRAWN:
             raise UsageError(
-                f"{self.name}: found {largest:g}, too large to be drawn; needed at most "
+                f"{self.name}: {largest:g} is too large to be drawn; expected at most "
                 f"{LARGEST_DRAWN:g}"
             )
         drawstyle = "steps-post" if self.held else "default"

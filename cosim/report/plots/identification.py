@@ -140,7 +140,7 @@ def _draw_disturbance(
     try:
         smoothed = identification.smoothed(index)
     except AssumptionError as error:  # of an unstable plant
-        _set_title(left, "disturbance by what was found")
+        _set_title(left, "estimated disturbance")
         left.text(0.5, 0.5, str(error), transform=left.transAxes, ha="center", wrap=True)
         return
     style = {"color": COLORS[0], "linewidth": WIDTH}
@@ -154,7 +154,7 @@ def _draw_disturbance(
     widths = [] if missing else [width.within(options)]
     draw_bands(left, [drawn], widths, [style])
     draw(left, [drawn], styles=[style])
-    title = "disturbance by what was found" + "; gray: truth" * (true is not None)
+    title = "estimated disturbance" + "; gray: truth" * (true is not None)
     _set_title(left, f"{title}\n{missing}" if missing else title)
     if true is not None:
         values = smoothed.disturbance - _true_disturbance(record, true)

@@ -54,15 +54,15 @@ class PictureOptions:
             width, height = self.size
             if not all(SMALLEST <= length <= LARGEST for length in (width, height)):
                 raise UsageError(
-                    f"size: found {width:g} x {height:g} cm, needed {SMALLEST:g} to {LARGEST:g} cm "
-                    "each"
+                    f"size: expected {SMALLEST:g} to {LARGEST:g} cm each, "
+                    f"got {width:g} x {height:g} cm"
                 )
         for name, time in (("start", self.start), ("stop", self.stop)):
             if time is not None and not math.isfinite(time):
-                raise UsageError(f"{name}: found {time} s, needed a number")
+                raise UsageError(f"{name}: expected a finite number, got {time} s")
         if self.start is not None and self.stop is not None and self.stop <= self.start:
             raise UsageError(
-                f"found a picture from {self.start:g} s to {self.stop:g} s; needed a later end"
+                f"stop: expected a time after start = {self.start:g} s, got {self.stop:g} s"
             )
 
     def check_shows(self, times: Vector) -> None:
@@ -79,8 +79,8 @@ class PictureOptions:
         too_early = self.stop is not None and self.stop < times[0]
         if too_late or too_early:
             raise UsageError(
-                f"found a picture of a time without rows; needed one within {times[0]:g} s to "
-                f"{times[-1]:g} s"
+                "start, stop: no rows in this interval; expected a part of "
+                f"{times[0]:g} s to {times[-1]:g} s"
             )
 
 
@@ -96,7 +96,7 @@ def need_plot(out: Path) -> None:
     formats = _new_figure().canvas.get_supported_filetypes()
     if _format(out) not in formats:
         known = ", ".join(sorted(formats))
-        raise UsageError(f"{out}: found the ending {out.suffix!r}, needed one of: {known}")
+        raise UsageError(f"{out}: unknown file type {out.suffix!r}; available: {known}")
     try:
         check_writable(out)
     except OSError as error:
@@ -175,8 +175,8 @@ class Picture:
             if problems:
                 width, height = self._figure.get_size_inches() / CENTIMETER
                 raise UsageError(
-                    f"size: found {width:g} x {height:g} cm; needed more for the names at the axes "
-                    "of this picture"
+                    f"size: {width:g} x {height:g} cm is too small for the axis labels of this "
+                    "picture"
                 )
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_bytes(picture.getvalue())

@@ -45,7 +45,7 @@ def plot_signals(
     """
     need_plot(out)
     if not signals or not all(isinstance(signal, str) for signal in signals):
-        raise UsageError(f"found {signals!r}, needed names of signals, such as 'plant.y'")
+        raise UsageError(f"expected names of signals, such as 'plant.y', got {signals!r}")
     runs = list(recordings) if isinstance(recordings, Sequence) else [recordings]
     labels = short_labels(runs)
     picture = Picture(len(signals), 1, options)

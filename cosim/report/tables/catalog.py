@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cosim.scenario.user_kinds.installed_kinds import InstalledClass
 
 INSTALLED_TITLE = "component kinds of installed packages, by entry points 'cosim.components'"
-KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explains the parameters"
+KINDS_TITLE = "component kinds ([optional] parameters; details: cosim list KIND)"
 
 
 def print_catalog(*, as_json: bool) -> None:
@@ -54,8 +54,8 @@ def print_catalog(*, as_json: bool) -> None:
         table.add_row(name, description or name)
     print_table(table)
     print_table(_parameters_table("keys of [scenario]", parameters_of(Settings)))
-    print_table(_parameters_table("keys of a table of [models]", parameters_of(ModelTable)))
-    print_table(_parameters_table("keys of an entry of [[actions]]", parameters_of(ActionTable)))
+    print_table(_parameters_table("keys of a model in [models]", parameters_of(ModelTable)))
+    print_table(_parameters_table("keys of an action in [[actions]]", parameters_of(ActionTable)))
     print_table(_parameters_table("keys of [record]", parameters_of(RecordTable)))
     table = new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"))
     for name, kind in KINDS.items():

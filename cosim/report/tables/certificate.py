@@ -11,32 +11,32 @@ from cosim.report.tables.console import new_table
 
 
 def certificate_tables(certificate: StepCertificate | None) -> list[Table]:
-    """Return the tables: what was tried where a step was searched for, then the errors.
-
-    None: there are none.
-    """
+    """Return the tables: the search for the step where there was one, the errors, and notes."""
     if certificate is None:
         return []
-    tables = [_search_table(certificate)] if certificate.trials else []
-    return [*tables, _error_table(certificate)]
-
-
-def _search_table(certificate: StepCertificate) -> Table:
-    """Return the steps that were tried, with what was found, from the largest to the smallest."""
-    table = new_table("steps that were tried", ("", ""))
-    for step, text in search_rows(certificate):
-        table.add_row(step, text)
-    return table
-
-
-def _error_table(certificate: StepCertificate) -> Table:
-    """Return the table: estimates first, then signals without one, by the reason."""
+    tables = []
+    if certificate.trials:
+        search = new_table("search for the communication step", ("", ""))
+        for step, text in search_rows(certificate):
+            search.add_row(step, text)
+        tables.append(search)
     finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
-    title = f"error of the step of {certificate.step:g} s, by runs with {finer}"
-    table = new_table(title, ("", "largest", "at t", "at the end", "order"))
+    title = f"error of the communication step {certificate.step:g} s, from runs with {finer}"
+    errors = new_table(title, ("signal", "largest", "at t", "at the end", "order"))
+    for signal in certificate.signals:
+        if signal.largest is not None and signal.order is not None:
+            _add_estimate(errors, signal)
+    below = new_table("" if errors.rows else title, ("", ""))
+    for label, text in _notes_below(certificate):
+        below.add_row(label, text)
+    return [*tables, *(table for table in (errors, below) if table.rows)]
+
+
+def _notes_below(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
+    """Yield signals without an estimate by the reason, shares of errors, then notes."""
     if certificate.problem:
-        table.add_row("no estimate", "", "", "", certificate.problem)
-        return table
+        yield "no estimate", certificate.problem
+        return
     equal: list[str] = []
     reasons: dict[str, list[str]] = {}
     for signal in certificate.signals:
@@ -44,17 +44,14 @@ def _error_table(certificate: StepCertificate) -> Table:
             reasons.setdefault(signal.reason, []).append(signal.signal)
         elif signal.order is None:
             equal.append(signal.signal)
-        else:
-            _add_estimate(table, signal)
     if equal:
-        table.add_row("0", "", "", "", f"the same in all three runs: {', '.join(equal)}")
+        yield "no error", f"{', '.join(equal)}: identical in all three runs"
     for reason, signals in reasons.items():
-        table.add_row("no estimate", "", "", "", f"{', '.join(signals)}: {reason}")
+        yield "no estimate", f"{', '.join(signals)}: {reason}"
     for share in certificate.shares:
-        table.add_row(share.estimate, "", "", _number(share.coupling), share_text(share))
+        yield share.estimate, share_text(share)
     for note in notes(certificate):
-        table.add_row("note", "", "", "", note)
-    return table
+        yield "note", note
 
 
 def search_rows(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
@@ -65,7 +62,7 @@ def search_rows(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
         if not text:
             text = f"within {wanted}"
             if trial.step == certificate.step:
-                text += ": the largest step that is, of those that divide all given times"
+                text += ": the largest such step that divides all given times"
         yield f"step {trial.step:g} s", text
 
 
@@ -86,12 +83,13 @@ def _number(value: float | None) -> str:
 
 def share_text(share: CouplingShare) -> str:
     """Return in words how much of an error is the coupling."""
-    if share.coupling is None:
-        return f"of its error, {share.error:+.3g} at the end, no part is known to be the coupling"
     if not share.error:
-        return "it has no error at the end"
+        return "no error at the end"
+    text = f"error {share.error:+.3g} at the end"
+    if share.coupling is None:
+        return f"{text}; the share of the coupling is not known"
     part = 100.0 * share.coupling / share.error
-    return f"of its error, {share.error:+.3g} at the end: {part:.2g} % is the coupling"
+    return f"{text}, of which {share.coupling:+.3g} ({part:.2g} %) is coupling error"
 
 
 def notes(certificate: StepCertificate) -> list[str]:
@@ -99,11 +97,11 @@ def notes(certificate: StepCertificate) -> list[str]:
     texts = []
     if certificate.solvers:
         names = ", ".join(certificate.solvers)
-        texts.append(f"errors of the solvers inside {names} are in these figures, too")
+        texts.append(f"includes the solver errors of {names}")
     if len(set(certificate.ends)) > 1:
         ends = ", ".join(f"{end:g} s" for end in certificate.ends)
         first = f"{min(certificate.ends):g} s"
-        texts.append(f"the three runs ended at {ends}; they are compared up to {first}")
+        texts.append(f"the three runs ended at {ends}; compared up to {first}")
     if certificate.every > 1:
-        texts.append(f"compared at one communication point in {certificate.every}")
+        texts.append(f"compared at every {certificate.every}th communication point")
     return texts

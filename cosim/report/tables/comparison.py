@@ -33,7 +33,7 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     if as_json:
         print_json(difference.to_dict())
         return
-    columns = ["signal", "", "largest |a - b|", "largest |a|", "ratio", "first outside"]
+    columns = ["signal", "", "max |a - b|", "max |a|", "ratio", "first outside"]
     if difference.tol:
         columns.insert(2, "tolerance")
     table = new_table("", columns)
@@ -52,15 +52,15 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     if fewer:
         rows_a, rows_b, both = fewer[0].rows
         print_line(
-            f"note: compared where both have rows: {fewer[0].signal} at {both} instants, of "
-            f"{rows_a} in a and {rows_b} in b"
+            f"note: compared only where both logs have rows: {fewer[0].signal} at {both} instants "
+            f"({rows_a} in a, {rows_b} in b)"
         )
     if any(difference.events.events):
         print_line(_events_text(difference.events))
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
         print_line(
-            "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; "
-            "give it a tolerance of its own"
+            "note: a reconstructed disturbance amplifies rounding errors of y by filter_rate; "
+            "give it its own --tol"
         )
 
 
@@ -82,7 +82,7 @@ def _events_text(difference: EventsDifference) -> str:
         "no jump" if jump is None else f"{jump.cause} {jump.value!r}" for jump in (first.a, first.b)
     )
     return (
-        f"{text}{difference.outside} of {difference.jumps} jumps of elements differ; first "
+        f"{text}{difference.outside} of {difference.jumps} jumps differ; first "
         f"{first.signal} at {first.time_ns / 1e9} s: {values}"
     )
 
@@ -101,7 +101,7 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     if not reports.refusals:
         for component, text in reports.warnings:
             print_line(f"warning: {component}: {text}", error=True)
-        print_line("dry run: the scenario can run")
+        print_line("dry run: no problems found")
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:
@@ -122,8 +122,8 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     print_table(table)
     if not comparison.estimates:
         print_line(
-            "no estimates to compare: the scenario has no [truth]; 'cosim diff' compares all "
-            "signals of two logs, which --out keeps"
+            "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
+            "'cosim diff' compares all their signals"
         )
     for outcome in failures:
         for line in outcome.error.splitlines():
@@ -146,8 +146,8 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
         ratio = _number(result.time_ratio)
         table.add_row(result.method, _estimate(result), error, ratio, verdicts)
     print_table(table)
-    print_line("±: half of the 95 % interval, of methods and verdicts that have one")
-    print_line("time: of the identifier, over that of all other components in the run")
+    print_line("±: half width of the 95 % interval, where there is one")
+    print_line("time / rest: computing time of the identifier over that of all other components")
     for result in comparison.results:
         for line in result.failure.splitlines():
             print_line(f"{result.method}: failed: {line}", error=True)

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from textwrap import TextWrapper
 from typing import Any, Final
 
@@ -36,8 +36,8 @@ def print_table(table: Table) -> None:
     """Print a table.
 
     In a terminal its columns are aligned; texts wrap between words. Where the words of a row do not
-    fit side by side, its cells stand below each other. In a file or a pipe every row is one line,
-    with a tab between its cells.
+    fit side by side, its cells stand below each other; columns without any text are omitted. In a
+    file or a pipe every row is one line, with a tab between its cells.
     """
     width = terminal_width()
     title = "" if table.title is None else str(table.title)
@@ -45,6 +45,7 @@ def print_table(table: Table) -> None:
     if width is None:
         _print_lines(title, rows)
         return
+    rows = _without_empty_columns(rows)
     console = Console(highlight=False, markup=False, emoji=False, width=width)
     if title:
         console.print(printable(title), style="bold", soft_wrap=True)
@@ -53,6 +54,14 @@ def print_table(table: Table) -> None:
         _print_records(rows, width)
     else:
         console.print(_aligned(table, rows, widths))
+
+
+def print_tables(tables: Iterable[Table]) -> None:
+    """Print tables one below the other, in a terminal with a blank line between them."""
+    for i, table in enumerate(tables):
+        if i and terminal_width() is not None:
+            typer.echo()
+        print_table(table)
 
 
 def terminal_width() -> int | None:
@@ -80,6 +89,13 @@ def _rows_of(table: Table) -> list[list[str]]:
         cells = [str(cell) for cell in (column.header, *column.cells)]
         columns.append([printable(cell) for cell in cells])
     return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _without_empty_columns(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return rows without the columns in which no row below the header has a text."""
+    columns = list(zip(*rows, strict=True))
+    kept = [cells for cells in columns if any(cells[1:])]
+    return [list(row) for row in zip(*kept, strict=True)] if kept else [[*row] for row in rows]
 
 
 def _aligned(table: Table, rows: Sequence[Sequence[str]], widths: Sequence[int]) -> Table:
@@ -150,19 +166,27 @@ def _print_records(rows: Sequence[Sequence[str]], width: int) -> None:
 
 def print_section(title: str, content: Any) -> None:
     """Print rows, a list of mappings with the same keys, or one mapping; nothing if it is empty."""
-    if not content:
-        return
+    print_sections([(title, content)])
+
+
+def print_sections(sections: Iterable[tuple[str, Any]]) -> None:
+    """Print several sections, each a title and its content, as :func:`print_section` does."""
+    print_tables([_section_table(title, content) for title, content in sections if content])
+
+
+def _section_table(title: str, content: Any) -> Table:
     if isinstance(content, Mapping):
         table = new_table(title, ("", ""))
         for key, value in content.items():
-            table.add_row(key, _cell(value))
-    else:
-        columns = list(content[0])
-        table = new_table(title, columns)
-        for row in content:
-            cells = [_cell(row.get(column)) for column in columns]
-            table.add_row(*cells)
-    print_table(table)
+            if value is not None:
+                table.add_row(key, _cell(value))
+        return table
+    columns = list(content[0])
+    table = new_table(title, columns)
+    for row in content:
+        cells = [_cell(row.get(column)) for column in columns]
+        table.add_row(*cells)
+    return table
 
 
 def print_json(content: Any) -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from cosim.arguments import path_argument
 from cosim.errors import UsageError
 from cosim.files import file_type
-from cosim.report.tables.console import print_json, print_section
+from cosim.report.tables.console import print_json, print_sections
 
 
 def print_contents(source: str, *, as_json: bool) -> None:
@@ -26,8 +26,8 @@ def print_contents(source: str, *, as_json: bool) -> None:
     path = path_argument("source", source)
     if path.is_dir():
         raise UsageError(
-            f"{source}: is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv, "
-            ".parquet) or a scenario"
+            f"{source}: expected a log (.mcap), an FMU (.fmu), samples (.csv, .parquet) or a "
+            "scenario, got a folder"
         )
     source_type = file_type(path)
     match source_type:
@@ -44,11 +44,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
     elif source_type == "FMU":
         print_fmu(content)
     else:
-        for title, section in content.items():
-            if title == "differences":
-                _print_differences(section)
-            else:
-                print_section(title, section)
+        print_sections(_sections(content))
 
 
 def _describe_mcap(source: str) -> dict[str, Any]:
@@ -64,10 +60,14 @@ def _describe_mcap(source: str) -> dict[str, Any]:
     return describe_log(source)
 
 
-def _print_differences(differences: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    """Print what differs between swapped components and those that they replaced."""
+def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the sections; differences between swapped and replaced components by component."""
     from cosim.scenario.swapping.swap_report import row_texts
 
-    for component, rows in differences.items():
-        texts = [row_texts(row, whole=row["port"] == component) for row in rows]
-        print_section(f"{component}: differences from the replaced component", texts)
+    for title, section in content.items():
+        if title != "differences":
+            yield title, section
+            continue
+        for component, rows in section.items():
+            texts = [row_texts(row, whole=row["port"] == component) for row in rows]
+            yield f"{component}: differences from the replaced component", texts

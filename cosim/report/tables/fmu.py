@@ -10,7 +10,7 @@ from cosim.report.tables.console import (
     new_table,
     print_json,
     print_line,
-    print_section,
+    print_sections,
     print_table,
 )
 from cosim.units import BASE
@@ -34,21 +34,25 @@ def print_fmu(content: Row) -> None:
     for key, value in content["fmu"].items():
         if value not in (None, [], 0):
             about[_words(key)] = ", ".join(value) if isinstance(value, list) else value
-    print_section("fmu", about)
     capabilities = {}
     for interface_type, names in content["capabilities"].items():
         capabilities[INTERFACE_TYPE_NAMES[interface_type]] = _capability_names(names)
-    print_section("capabilities", capabilities)
-    print_section("units in SI", {name: _si(base) for name, base in content["units"].items()})
     vectors = {name: listing(parts) for name, parts in content["vectors"].items()}
-    print_section("signals of several variables, their elements numbered from 0", vectors)
     dependencies = content["dependencies"]
     states = content["fmu"]["states"]
     variables = content["variables"]
-    print_section("variables", [_variable_row(row, states, dependencies) for row in variables])
-    print_section("initial dependencies", _initial_rows(variables, content["initial_dependencies"]))
-    if content["residual_form"]:
-        print_section("residual form", _residual_form_rows(content["residual_form"]))
+    initial = _initial_rows(variables, content["initial_dependencies"])
+    residual_form = content["residual_form"]
+    sections = {
+        "fmu": about,
+        "capabilities": capabilities,
+        "units in SI": {name: _si(base) for name, base in content["units"].items()},
+        "vector signals": vectors,
+        "variables": [_variable_row(row, states, dependencies) for row in variables],
+        "initial dependencies": initial,
+        "residual form": _residual_form_rows(residual_form) if residual_form else {},
+    }
+    print_sections(sections.items())
 
 
 def _initial_rows(

@@ -34,13 +34,11 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
     print_table(table)
     end = recovery.end_ns / NANOSECONDS
     if not recovery.end_is_known:
-        print_line(f"rows after {end} s, if there were any, are lost, too: the file has no end")
+        print_line(f"any rows after {end} s are lost, too: the file has no end")
     if not recovery.has_all_messages:
-        print_line(
-            "messages, events or substeps are lost, too, or nothing says how many there were"
-        )
+        print_line("messages, events or substeps are lost, too, or their number is unknown")
     if not recovery.has_scenario:
-        print_line("its scenario is lost: it can be read, but not replayed")
+        print_line("the scenario is lost: the log can be read, but not replayed")
     log = recovery.log
     whole_ns = recovery.whole_until_ns
     if log.status == PARTIAL_STATUS and whole_ns is not None and not log.begins_late:

@@ -46,8 +46,8 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
         table.add_row("log", path)
     print_table(table)
     print_line(
-        "every file has a part of the run; 'cosim merge' joins them to its log, and 'cosim replay' "
-        "of the last one replays the run"
+        "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the last "
+        "one replays the run"
     )
 
 

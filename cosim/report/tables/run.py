@@ -20,14 +20,15 @@ from cosim.report.summary import (
     DeltaReconstruction,
     GuaranteedSummary,
     Identification,
-    ParameterSummary,
+    SignalError,
     Summary,
     numbers_text,
     span,
     summarize,
 )
 from cosim.report.tables.certificate import certificate_tables
-from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.report.tables.console import new_table, print_json, print_line, print_tables
+from cosim.report.tables.estimates import estimate_notes, estimate_rows, estimate_table
 from cosim.report.tables.lateness import lateness_text
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.kinds.initial_states import change_text
@@ -41,7 +42,7 @@ from cosim.scenario.recorded_metadata import (
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
 
-LONGEST_PRIMES = 4  # of a derivative
+ORDINALS: Final = {1: "first", 2: "second", 3: "third"}
 
 MOST_GAINS: Final = 5  # after actions, in a table
 
@@ -87,16 +88,16 @@ def print_summary(
         print_line(f"warning: {component}: {text}", error=True)
     for component, changes in recorded_state_changes(recording).items():
         print_line(f"warning: {component}: {change_text(changes)}", error=True)
-    table = _summary_table(summary, recording)
-    table.add_section()
-    _add_wall_time(table, wall, simulated=summary.end - summary.start)
+    facts = _facts_table(summary, recording, see="--certify" if certificate is None else "below")
+    _add_wall_time(facts, wall, simulated=summary.end - summary.start)
     if path is not None:
-        table.add_row("log", "", "", str(path))
-    print_table(table)
-    for certified in certificate_tables(certificate):
-        print_table(certified)
+        facts.add_row("log", str(path))
+    tables = [*_value_tables(summary, recording), facts, *certificate_tables(certificate)]
     if profile is not None:
-        print_table(_profile_table(profile))
+        tables.append(_profile_table(profile))
+    simulated = span(summary.start, summary.end)
+    tables[0].title = f"{summary.scenario}: {simulated} in {summary.steps} steps"
+    print_tables(tables)
 
 
 def _path_of(recording: Recording) -> Path | None:
@@ -106,187 +107,172 @@ def _path_of(recording: Recording) -> Path | None:
     if recording.is_at_its_path:
         return recording.path
     state = "holds the log of another run by now" if recording.path.exists() else "was removed"
-    text = f"warning: {recording.path} {state}; what is shown is of this run, whose log is lost"
+    text = f"warning: {recording.path} {state}; shown is this run, whose log is lost"
     print_line(text, error=True)
     return None
 
 
-def _summary_table(summary: Summary, recording: Recording) -> Table:
-    simulated = span(summary.start, summary.end)
-    title = f"{summary.scenario}: {simulated} in {summary.steps} steps"
-    if summary.signals or summary.values:
-        table = _error_table(title, summary)
-    else:
-        table = _last_value_table(title, summary, recording)
-    if summary.reason:
-        table.add_row("stop reason", "", "", summary.reason)
-    _add_conditions(table, summary)
-    for change in summary.changed_states:
-        text = f"x0 has {change.before:.6g}; consistent with u and delta at the start"
-        label = f"{change.component}.{change.entry}"
-        table.add_row(label, f"{change.after:.6g}", "", text)
-    for reconstruction in summary.reconstructions:
-        single = len(summary.reconstructions) == 1
-        _add_reconstruction(table, reconstruction, single=single)
-    for identification in summary.identifications:
-        single = len(summary.identifications) == 1
-        _add_identification(table, identification, recorded_start(recording), single=single)
-    for compensation in summary.compensations:
-        _add_compensation(table, compensation)
-    _add_loops(table, summary)
-    if summary.lateness is not None:
-        table.add_row("real time", "", "", lateness_text(summary.lateness))
-    for component, class_name in summary.copied_code.items():
-        text = f"taken from the log; {flag('allow_code')} computes it, which runs {class_name}"
-        table.add_row(component, "", "", text)
-    if recorded_window(recording) is not None:
-        text = f"rows from {summary.start:.12g} s on; computed from {recorded_start(recording):g} s"
-        table.add_row("window", "", "", text)
+def _value_tables(summary: Summary, recording: Recording) -> list[Table]:
+    """Return the tables of numbers: signals, then constants and parameters; none that is empty."""
+    tables = []
+    if summary.signals:
+        tables.append(_signal_table(summary.signals))
+    elif summary.last:
+        tables.append(_final_value_table(summary, recording))
+    rows = estimate_rows(summary)
+    if rows:
+        tables.append(estimate_table(rows))
+    return tables
+
+
+def _signal_table(signals: Sequence[SignalError]) -> Table:
+    """Return the table of estimated signals beside the true ones."""
+    begins = {signal.since for signal in signals}
+    since = f" for t >= {begins.pop():g} s" if len(begins) == 1 else ""
+    table = new_table("", ("signal", "truth", f"largest error{since}", "error at the end"))
+    for signal in signals:
+        largest = "no value" if math.isnan(signal.largest) else f"{signal.largest:.3g}"
+        if not since:
+            largest += f" for t >= {signal.since:g} s"
+        last = "" if math.isnan(signal.last) else f"{signal.last:.3g}"
+        table.add_row(signal.estimate, signal.truth, largest, last)
     return table
 
 
-def _add_loops(table: Table, summary: Summary) -> None:
+def _final_value_table(summary: Summary, recording: Recording) -> Table:
+    """Return the final values of the outputs, for a run without a truth to compare with."""
+    units = {name: signal_of(recording, name).unit for name in summary.last}
+    has_units = any(units.values())
+    table = new_table("", ("signal", "final value", "unit" if has_units else ""))
+    for name, last in summary.last.items():
+        values = last if isinstance(last, list) else [last]
+        text = " ".join(f"{value:.6g}" for value in values)
+        table.add_row(name, text, units[name] or "")
+    return table
+
+
+def _facts_table(summary: Summary, recording: Recording, *, see: str) -> Table:
+    """Return the table of all that is said of a run in words, each with its subject.
+
+    Parameters
+    ----------
+    summary : Summary
+    recording : Recording
+    see : str
+        What shows how large a coupling error is.
+    """
+    table = new_table("", ("", ""))
+    if summary.reason:
+        table.add_row("stop reason", summary.reason)
+    _add_conditions(table, summary)
+    for change in summary.changed_states:
+        label = f"{change.component}.{change.entry}"
+        text = (
+            f"initial value {change.after:.6g} instead of {change.before:.6g} (x0): consistent "
+            "with u and delta at the start"
+        )
+        table.add_row(label, text)
+    for signal in summary.signals:
+        if signal.lag:
+            text = (
+                f"lags by {signal.lag:g} s; compared with {signal.truth} {signal.lag:g} s earlier"
+            )
+            table.add_row(signal.estimate, text)
+    _add_estimation(table, summary, recorded_start(recording))
+    _add_loops(table, summary, see)
+    if summary.lateness is not None:
+        table.add_row("real time", lateness_text(summary.lateness))
+    for component, class_name in summary.copied_code.items():
+        text = f"replayed from the log; {flag('allow_code')} runs {class_name} instead"
+        table.add_row(component, text)
+    if recorded_window(recording) is not None:
+        text = f"rows from {summary.start:.12g} s on; computed from {recorded_start(recording):g} s"
+        table.add_row("window", text)
+    return table
+
+
+def _add_estimation(table: Table, summary: Summary, start: float) -> None:
+    """Add what identifications, reconstructions and compensations rest on."""
+    for label, text in estimate_notes(summary):
+        table.add_row(label, text)
+    for identification in summary.identifications:
+        single = len(summary.identifications) == 1
+        _add_identification(table, identification, start, single=single)
+    for reconstruction in summary.reconstructions:
+        single = len(summary.reconstructions) == 1
+        _add_reconstruction(table, reconstruction, single=single)
+    for compensation in summary.compensations:
+        single = len(summary.compensations) == 1
+        _add_compensation(table, compensation, single=single)
+
+
+def _add_loops(table: Table, summary: Summary, see: str) -> None:
     for loop in summary.loops:
-        text = "step by step, so with an error of first order in the step; --certify shows it"
+        text = f"coupling error: first order (see {see})"
         if summary.substeps:
-            text = "step by step, first order, in substeps"
-        table.add_row("loop", "", "", f"{loop}: {text}")
+            text = "coupling error: first order, in substeps"
+        table.add_row("loop", f"{loop}: {text}")
     for counts, interpolated in zip(summary.substeps, summary.interpolated, strict=True):
-        table.add_row("substeps", "", "", _substeps_text(counts, interpolated))
+        table.add_row("substeps", _substeps_text(counts, interpolated))
     after_actions = [gain for gain in summary.gains if gain.action]
     for gain in [gain for gain in summary.gains if not gain.action] + after_actions[:MOST_GAINS]:
         where = ", ".join(gain.components)
         if gain.action:
             where += f" {gain.action}"
-        table.add_row("loop gain", "", "", f"{where}: {gain_text(gain)}")
+        table.add_row("error growth", f"{where}: {gain_text(gain)}")
     if len(after_actions) > MOST_GAINS:
-        text = f"{len(after_actions) - MOST_GAINS} more after actions; --json shows them"
-        table.add_row("loop gain", "", "", text)
+        text = f"{len(after_actions) - MOST_GAINS} more after actions; see --json"
+        table.add_row("error growth", text)
 
 
 def _substeps_text(counts: SubstepCounts, interpolated: Sequence[str]) -> str:
-    """Return how many substeps a loop took, and what their errors do not tell of."""
+    """Return how many substeps a loop took, and which errors their control does not see."""
     text = (
-        f"{', '.join(counts.components)}: {counts.accepted}, the shortest "
-        f"{counts.shortest:g} s; {counts.rejected} parts of a step were refused"
+        f"{', '.join(counts.components)}: {counts.accepted} substeps, shortest "
+        f"{counts.shortest:g} s; {counts.rejected} rejected"
     )
     if counts.events:
-        text += f"; {counts.events} end where an event was found"
+        text += f"; {counts.events} end at an event"
     if counts.missed:
-        text += f"; {counts.missed} miss the tolerance, at worst by {counts.worst_error:.3g} times"
+        text += f"; {counts.missed} exceed the tolerance, at worst {counts.worst_error:.3g} times"
     if interpolated:
-        names = listing(interpolated)
-        text += f"; interpolated over a step, an error that is not estimated: {names}"
+        text += f"; interpolated over a step, error not estimated: {listing(interpolated)}"
     return text
 
 
 def _add_conditions(table: Table, summary: Summary) -> None:
-    """Add the conditions of the run that never came true."""
+    """Add the conditions of the run that were never met."""
     if summary.until_came_true is False:
-        text = f"{quoted(summary.until)} never came true up to the end of the run"
-        table.add_row("until", "", "", text)
+        table.add_row("until", f"{quoted(summary.until)} was never met")
     for text in summary.never_came_true:
-        words = f"{quoted(text)} never came true, so that its actions were not performed"
-        table.add_row("when", "", "", words)
-
-
-def _error_table(title: str, summary: Summary) -> Table:
-    table = new_table(title, ("", "estimate", "truth", "error"))
-    for signal in summary.signals:
-        window = f"largest for t >= {signal.since:g} s; at the end {signal.last:.3g}"
-        if signal.lag:
-            window += f"; compared with {signal.lag:g} s before, its lag"
-        error = f"{signal.largest:.3g}  ({window})"
-        if math.isnan(signal.largest):
-            error = f"no value for t >= {signal.since:g} s"
-            if signal.lag:
-                error += f", as it lags by {signal.lag:g} s"
-        table.add_row(signal.estimate, "", signal.truth, error)
-    for outcome in summary.values:
-        value = "no value" if outcome.value is None else f"{outcome.value:+.6f}"
-        error = "" if outcome.error is None else f"{outcome.error:.3g}"
-        table.add_row(outcome.estimate, value, f"{outcome.truth:+g}", error)
-    return table
-
-
-def _last_value_table(title: str, summary: Summary, recording: Recording) -> Table:
-    """Return the last values of the outputs, for a run without a truth to compare with."""
-    table = new_table(title, ("", "last value", "", ""))
-    for name, last in summary.last.items():
-        values = last if isinstance(last, list) else [last]
-        text = " ".join(f"{value:.6g}" for value in values)
-        table.add_row(name, text, "", signal_of(recording, name).unit or "")
-    return table
-
-
-def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, single: bool) -> None:
-    """Add what delta costs: noise, bias and lag."""
-    label = "reconstruction of delta"
-    if not single:
-        label += f" of {reconstruction.component}"
-    parameters = [f"{name} {value:g}" for name, value in reconstruction.parameters.items()]
-    if reconstruction.filter == "first-order":
-        parameters = []  # the scenario has it
-    kind = ", ".join([reconstruction.filter, *parameters])
-    gains = ", ".join(f"{gain:.3g}" for gain in reconstruction.noise_gain)
-    text = f"{kind}: white noise of y x {gains} 1/s; bias {_bias(reconstruction.bias)}"
-    if not reconstruction.bias["coefficient"]:
-        text = f"{kind}: white noise of y x {gains}; no derivative of y, and no bias by one"
-    if reconstruction.lag:
-        text += f"; lag {reconstruction.lag:g} s"
-    table.add_row(label, "", "", text)
-    choice = reconstruction.choice
-    if choice is not None:
-        noise = ", ".join(f"{deviation:.3g}" for deviation in choice["noise"])
-        text = (
-            f"chosen for noise of {noise} in y and delta of {choice['amplitude']:.3g} up to "
-            f"{choice['bandwidth']:.3g} rad/s: expected error {choice['error_by_noise']:.2g} by "
-            f"noise, {choice['error_by_bias']:.2g} by bias; {choice['assumption']}"
-        )
-        table.add_row("", "", "", text)
-
-
-def _bias(bias: Mapping[str, Any]) -> str:
-    """Return the leading error as text: ``-0.001 G w''``."""
-    order = bias["derivative"]
-    mark = "'" * order if order <= LONGEST_PRIMES else f"^({order})"
-    return f"{bias['coefficient']:.3g} {bias['of']}{mark}"
+        table.add_row("when", f"{quoted(text)} was never met; its actions were not performed")
 
 
 def _add_identification(
     table: Table, identification: Identification, start: float, *, single: bool
 ) -> None:
-    table.add_section()
-    label = "identification start time T_id"
-    if not single:
-        label += f" of {identification.component}"
+    """Add when an identification starts and why, what its data determine, and their noise."""
+    of_component = "" if single else f" of {identification.component}"
     times = identification.times
     origin = "given"
     if "T_id" in times:
-        terms = f"T_obs {times['T_obs']:.4f} + T_f {times['T_f']:.4f} + D_max {times['D_max']:g}"
-        since = f"start {start:g} + " if start else ""
-        origin = f"{since}{terms} = {start + times['T_id']:.4f} s (36)"
-    table.add_row(label, f"{identification.start_time:g} s", "", origin)
+        since = f"start {start:g} s + " if start else ""
+        origin = (
+            f"{since}observer {times['T_obs']:.4f} s + filter {times['T_f']:.4f} s + longest delay "
+            f"{times['D_max']:g} s"
+        )
+    text = f"from {identification.start_time:g} s ({origin})"
+    table.add_row(f"identification{of_component}", text)
     if identification.eigenvalues:
         eigenvalues = ", ".join(f"{value:.3g}" for value in identification.eigenvalues)
-        table.add_row("information matrix", "", "", f"eigenvalues {eigenvalues}")
+        table.add_row("information matrix", f"eigenvalues {eigenvalues}")
     for text in (identification.verdict, *identification.notes):
         if text:
-            table.add_row("", "", "", text)
-    _add_estimates(table, identification)
-
-
-def _add_estimates(table: Table, identification: Identification) -> None:
-    """Add what is said of theta, of amplitudes and phases, and of the noise."""
-    for parameter in identification.parameters:
-        _add_parameter(table, parameter.estimate, parameter)
-    for parameter in identification.reference:
-        _add_parameter(table, f"{parameter.estimate} by output error", parameter)
-    for amplitude in identification.amplitudes:
-        _add_parameter(table, amplitude.estimate, amplitude)
+            table.add_row("", text)
     if identification.noise:
         deviation = numbers_text(identification.deviation)
-        table.add_row("noise", deviation, "", identification.noise)
+        text = f"{deviation}: {identification.noise}" if deviation else identification.noise
+        table.add_row("noise of y", text.replace(": of y,", ",", 1))
     if identification.guaranteed is not None:
         _add_guaranteed(table, identification.guaranteed)
 
@@ -295,56 +281,79 @@ def _add_guaranteed(table: Table, guaranteed: GuaranteedSummary) -> None:
     """Add the intervals that hold for an irregular part within a bound."""
     label = f"|delta_0| <= {guaranteed.bound:g}"
     if guaranteed.problem:
-        table.add_row(label, "", "", guaranteed.problem)
+        table.add_row(label, guaranteed.problem)
         return
     chance = ""
     if guaranteed.confidence < 1.0:
-        chance = f", noise within its bounds with {guaranteed.confidence:g}"
-    table.add_row(label, "", "", f"guaranteed intervals by output error{chance}")
+        chance = f", noise within its bounds with probability {guaranteed.confidence:g}"
+    table.add_row(label, f"guaranteed intervals by output error{chance}:")
     for effect in guaranteed.effects:
         interval = interval_text(
             effect["lower"], effect["upper"], is_explained=effect["is_explained"]
         )
         reach = reach_text(effect["first_order"], holds=effect["holds"])
-        table.add_row(effect["estimate"], interval, "", reach)
+        table.add_row(effect["estimate"], f"{interval}; {reach}")
 
 
-def _add_parameter(table: Table, label: str, parameter: ParameterSummary) -> None:
-    """Add an estimate with its 95 % interval and its verdict."""
-    text = "no value"
-    if parameter.value is not None:
-        text = f"{parameter.value:+.6g}"
-        if parameter.half_width is not None:
-            text = f"{text} ± {parameter.half_width:.2g}"
-    table.add_row(label, text, "", f"{parameter.verdict}: {parameter.reason}")
+def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, single: bool) -> None:
+    """Add what delta costs: noise, bias and lag."""
+    label = "reconstruction" if single else f"reconstruction by {reconstruction.component}"
+    parameters = [f"{name} {value:g}" for name, value in reconstruction.parameters.items()]
+    if reconstruction.filter == "first-order":
+        parameters = []  # the scenario has it
+    kind = ", ".join([f"{reconstruction.filter} filter", *parameters])
+    gains = ", ".join(f"{gain:.3g}" for gain in reconstruction.noise_gain)
+    text = f"{kind}: noise gain {gains} 1/s; bias {_bias(reconstruction.bias)}"
+    if not reconstruction.bias["coefficient"]:
+        text = f"{kind}: noise gain {gains}; y is not differentiated, no bias"
+    if reconstruction.lag:
+        text += f"; lag {reconstruction.lag:g} s"
+    table.add_row(label, text)
+    choice = reconstruction.choice
+    if choice is not None:
+        noise = ", ".join(f"{deviation:.3g}" for deviation in choice["noise"])
+        text = (
+            f"chosen for noise of {noise} in y and delta of {choice['amplitude']:.3g} up to "
+            f"{choice['bandwidth']:.3g} rad/s; expected error {choice['error_by_noise']:.2g} from "
+            f"noise, {choice['error_by_bias']:.2g} from bias; {choice['assumption']}"
+        )
+        table.add_row("", text)
 
 
-def _add_compensation(table: Table, compensation: CompensationSummary) -> None:
+def _bias(bias: Mapping[str, Any]) -> str:
+    """Return the leading error as text."""
+    order = bias["derivative"]
+    ordinal = ORDINALS.get(order, f"{order}th")
+    signal = "the measurement" if bias["of"] == "G w" else bias["of"]
+    return f"{bias['coefficient']:.3g} x {ordinal} derivative of {signal}"
+
+
+def _add_compensation(table: Table, compensation: CompensationSummary, *, single: bool) -> None:
     """Add when the internal model became active, and what is left of the regulated error."""
-    table.add_section()
-    label = f"internal model of {compensation.component}"
+    label = "internal model" if single else f"internal model of {compensation.component}"
     before = numbers_text(compensation.before)
     if compensation.active_since is None:
-        text = f"not active: {compensation.reason}; regulated error {before} rms"
-        table.add_row(label, "", "", text)
+        text = f"not active: {compensation.reason}"
+        table.add_row(label, text)
+        table.add_row("regulated error", f"{before} rms")
         return
-    text = "active from then on"
+    text = f"active from {compensation.active_since:g} s"
     if compensation.theta:
         first = ", ".join(f"{value:.6g}" for value in compensation.theta)
         last = ", ".join(f"{value:.6g}" for value in compensation.last_theta)
-        text += f", with theta = {first}, at the end {last}; the loop is proven to be stable for "
+        text += f" with theta = {first}, at the end {last}; loop proven stable for theta in "
         text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in compensation.interval)
-    table.add_row(label, f"{compensation.active_since:g} s", "", text)
+    table.add_row(label, text)
     after = numbers_text(compensation.after)
-    text = f"{before} rms before, {after} for t >= {compensation.since:.4g} s, as measured"
-    table.add_row("regulated error", "", "", text)
+    text = f"{before} rms before, {after} rms for t >= {compensation.since:.4g} s"
+    table.add_row("regulated error", text)
 
 
 def _add_wall_time(table: Table, wall: Mapping[str, float], *, simulated: float) -> None:
     total = sum(wall.values())
     parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
     speed = f"{simulated / total:.3g} x real time"
-    table.add_row("wall time", f"{total:.2f} s", "", f"{parts}: {speed}")
+    table.add_row("wall time", f"{total:.2f} s ({parts}), {speed}")
 
 
 def _profile_table(profile: Mapping[str, float]) -> Table:

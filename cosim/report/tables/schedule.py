@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.report.schedule import GraphSchedule, ScheduledComponent, ScheduledStage
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import new_table, print_json, print_tables
 
 
 def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
@@ -11,11 +11,11 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
     if as_json:
         print_json(schedule.to_dict())
         return
-    title = f"{schedule.scenario}: stages in their order, communication step {schedule.step:g} s"
+    title = f"{schedule.scenario}: stages in order, communication step {schedule.step:g} s"
     table = new_table(title, ("", "components", "advance"))
     for stage in schedule.stages:
         table.add_row(str(stage.number), ", ".join(stage.members), stage_text(stage))
-    print_table(table)
+    tables = [table]
     table = new_table("components", ("", "stage", "kind", "outputs change", "direct feedthrough"))
     for component in schedule.components:
         table.add_row(
@@ -25,37 +25,37 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
             component.rate,
             feedthrough_text(component),
         )
-    print_table(table)
+    tables.append(table)
     table = new_table("connections", ("from", "to", "within a step"))
     for connection in schedule.connections:
         table.add_row(connection.source, connection.to, COURSES[connection.course])
-    print_table(table)
+    print_tables([*tables, table])
 
 
 COURSES = {
     "linear": "linear interpolation",
     "linear over period": "linear interpolation over its period",
     "zero-order hold": "zero-order hold",
-    "sampled": "zero-order hold of its samples, over its period",
-    "delayed": "late, and nothing lost: its value at the start of the step is what counts",
-    "extrapolated": "extrapolated: its value at the start of the step",
-    "solved": "solved for",
+    "sampled": "zero-order hold of its samples",
+    "delayed": "delayed, so its value at the start of the step is exact",
+    "extrapolated": "extrapolated: held from the start of the step",
+    "solved": "solved",
 }
 
 
 def stage_text(stage: ScheduledStage) -> str:
     """Return how the components of a stage advance."""
     if not stage.coupling:
-        return "a block at once"
+        return "in blocks of steps"
     text = f"step by step, {stage.coupling}: {', '.join(stage.operations)}"
     if stage.solved:
-        text += f"; solved for in every step: {', '.join(stage.solved)}"
+        text += f"; solved in every step: {', '.join(stage.solved)}"
     if stage.is_first_order:
-        text += "; error of first order in the step"
+        text += "; coupling error: first order"
     if stage.shortest_substep is not None:
         some = len(stage.substeps) < len(stage.members)
         names = f"{', '.join(stage.substeps)} " if some else ""
-        text += f"; {names}in substeps of {stage.shortest_substep:g} s or more"
+        text += f"; {names}in substeps of at least {stage.shortest_substep:g} s"
     return text
 
 

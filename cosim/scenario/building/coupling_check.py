@@ -291,15 +291,14 @@ def described_gains(graph: Graph, clock: Clock) -> tuple[LoopGain, ...]:
 def gain_text(gain: LoopGain) -> str:
     """Return the gain of a loop in words."""
     if gain.unknown:
-        return f"not known, as {listing(gain.unknown)} cannot be linearized"
+        return f"not known: {listing(gain.unknown)} cannot be linearized"
     if gain.rho is None:
         return f"not known: {gain.reason}"
     own = _own(gain)
-    text = f"{_number(gain.rho)} a step, the loop itself {own}"
-    if gain.parts > 1:
-        text = f"{_number(gain.rho)} a substep of {gain.h:g} s, the shortest; the loop itself {own}"
+    per = "step" if gain.parts == 1 else f"substep of {gain.h:g} s, the shortest"
+    text = f"{_number(gain.rho)} per {per} (continuous system {own})"
     if gain.exponent > math.log(NOTED):
-        text += f"; an error grows by {_growth(gain.exponent)} over {_span(gain)} beyond it"
+        text += f"; coupling errors grow by {_growth(gain.exponent)} over {_span(gain)}"
     return text
 
 

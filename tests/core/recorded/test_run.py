@@ -157,7 +157,7 @@ def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
     log, _ = two_rates
     with pytest.raises(UsageError, match=r"t1: .*seconds, got (nan|inf)"):
         log.window(0.0, value)
-    with pytest.raises(UsageError, match="t0: found 'a'; needed a number"):
+    with pytest.raises(UsageError, match=r"t0: .*'a'"):
         log.window("a", 1.0)
 
 

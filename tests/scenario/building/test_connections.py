@@ -210,7 +210,7 @@ def test_units_that_cannot_be_converted_are_refused(units):
 def test_a_unit_that_is_not_known_is_refused_where_it_is_written(units, key, value, name):
     """In a table, by port, and in a connection; with what would do."""
     units.write_text(UNITS.format(readout="degF"))
-    text = f"{name!r} is not known; needed a product of units, such as mm, kN.m, W/(m2.K), degC"
+    text = f"{name!r} is not known; expected a product of units, such as mm, kN.m, W/(m2.K), degC"
     with pytest.raises(ScenarioError, match=re.escape(text)):
         cosim.run(units, set={key: value})
 

@@ -125,9 +125,9 @@ def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
         cosim.run("academic", set=set_, certify=True)
     )
     assert json.loads(log.attachment("result.json"))["certificate"]["step"] == 1e-3
-    with pytest.raises(LogError, match=r"has no certificate; needed cosim.run with certify=True"):
+    with pytest.raises(LogError, match=r"cosim\.run with certify=True"):
         cosim.certificate(plain)
-    with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; "):
+    with pytest.raises(LogError, match=r"no error estimate of 'observer\.x'; "):
         cosim.certificate(log)["observer.x"]
 
 
@@ -169,7 +169,7 @@ def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number, ends
     reason = "a run with a smaller step did not complete: interrupted by the user"
     assert (certificate.problem, list(certificate.ends)) == (reason, ends)
     assert list(certificate) == []
-    with pytest.raises(UnknownSignalError, match=f"the certificate has no 'plant.y': {reason}"):
+    with pytest.raises(UnknownSignalError, match=f"no error estimate of 'plant.y': {reason}"):
         certificate["plant.y"]
 
 
@@ -217,7 +217,7 @@ def test_a_certificate_is_a_mapping():
         assert error is certificate[name]
         assert error.signal == name
     assert certificate.get("plant.z") is None
-    text = r"no 'plant\.x_a'; it has: plant\.x_a\[0\], plant\.x_a\[1\]$"
+    text = r"no 'plant\.x_a'; available: plant\.x_a\[0\], plant\.x_a\[1\]$"
     with pytest.raises(UnknownSignalError, match=text):
         certificate["plant.x_a"]
     with pytest.raises(UnknownSignalError, match=r"no 'plant\.yy'; did you mean 'plant\.y'\?"):
@@ -244,7 +244,7 @@ def test_memory_is_bounded_and_the_estimate_nearly_the_same(monkeypatch):
     assert thinned.every == 5
     assert thinned["mass.y"].largest == pytest.approx(whole["mass.y"].largest, rel=0.01)
     assert thinned["mass.y"].last == pytest.approx(whole["mass.y"].last, rel=0.01)
-    assert "compared at one communication point in 5" in notes(thinned)
+    assert any("every 5th" in note for note in notes(thinned))
 
 
 # --- where the confident sentence would be false ---
@@ -612,5 +612,5 @@ def test_a_run_that_fails_has_no_figures(tmp_path):
 
 
 def test_certify_is_true_or_false():
-    with pytest.raises(UsageError, match="certify: found 1; needed True or False"):
+    with pytest.raises(UsageError, match=r"certify: .* 1$"):
         cosim.run("academic", certify=1)

@@ -213,7 +213,7 @@ def test_the_command_prints_a_table_or_json(call):
     assert len(content["bound"]) == 2
     assert {one["choice"] for one in content["designs"]} >= {"scenario", "delays", "step"}
     assert call("design", "academic", *short)[0] == 2
-    assert "needed a number, or a list" in call("design", "academic", "--noise", "x", *short)[2]
+    assert "expected a number, or a list" in call("design", "academic", "--noise", "x", *short)[2]
 
 
 def test_the_table_shows_the_best_of_every_choice(designed, capsys):

@@ -86,7 +86,7 @@ def test_the_command_line_says_it_on_both_streams(call, tmp_path):
     for arguments in (["run", "x.toml", "--out", "x.mcap"], ["replay", "x.mcap"]):
         _, out, err = call(*arguments)
         assert "warning: plant: x0 does not fulfill the algebraic equations" in err
-        assert "plant.x[2]\t-1\t\tx0 has 5; consistent with u and delta" in out
+        assert "plant.x[2]\tinitial value -1 instead of 5 (x0)" in out
     _, out, _ = call("replay", "x.mcap", "--json")
     (change,) = json.loads(out)["changed_states"]
     assert change == {"component": "plant", "entry": "x[2]", "before": 5.0, "after": -1.0}

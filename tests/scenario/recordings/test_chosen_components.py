@@ -120,7 +120,7 @@ def test_an_impossible_choice_is_refused(tmp_path):
         cosim.replay(log, components=["observer", "plant"])
     with pytest.raises(UsageError, match=r"components: expected at least one .*; got none"):
         cosim.replay(log, components=[])
-    with pytest.raises(UsageError, match="components: found 'observer'; needed a list of strings"):
+    with pytest.raises(UsageError, match=r"components: .*'observer'"):
         cosim.replay(log, components="observer")
 
 
@@ -164,7 +164,7 @@ def test_the_command_line_names_what_was_not_verified(tmp_path, call):
     cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
     code, out, _ = call("replay", "a.mcap", "--component", "observer", "--verify")
     assert code == 0
-    assert "not verified, as other components were chosen: u.y, delta.y, regressor.mu" in out
+    assert "not verified, as not chosen: u.y, delta.y, regressor.mu" in out
     command = ("replay", "a.mcap", "--component", "observer", "--component", "u", "--verify")
     _, out, _ = call(*command, "--json")
     found = {entry["component"]: entry for entry in json.loads(out)["components"]}

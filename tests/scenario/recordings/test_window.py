@@ -145,11 +145,11 @@ def test_a_window_is_verified_alone(log, tmp_path, call):
     outside = verify(cosim.open_log(changed), cosim.replay(changed, window=(0.07, 0.1)))
     assert outside.difference.equal
     assert not outside.passed
-    assert "were changed after they were recorded" in outside.problems[0]
+    assert "were changed after recording" in outside.problems[0]
     code, out, _ = call("replay", log.path, "--from", 0.05, "--to", 0.1, "--verify")
     assert code == 0
-    assert "signals computed again, and all events, from 0.05 s to 0.1 s" in out
-    assert "not compared: the rows outside that window" in out
+    assert "signals recomputed, and all events, from 0.05 s to 0.1 s" in out
+    assert "not compared: rows outside that window" in out
     code, out, _ = call("replay", changed, "--from", 0.05, "--to", 0.1, "--verify", "--json")
     assert code == 1
     assert json.loads(out)["window"] == [0.05, 0.1]

@@ -412,9 +412,12 @@ def test_a_wrong_entry_of_the_file_is_reported_with_its_line(swap, text):
     [
         (
             ["--swap", "plant=a.fmu", "--swap", "plant=b.fmu"],
-            "--swap plant: given 2 times, needed once; 'cosim compare' runs several plants",
+            "--swap plant: expected once, given 2 times; 'cosim compare' runs several plants",
         ),
-        (["--map", "plant.u=a", "--map", "plant.u=b"], "--map plant.u: given 2 times, needed once"),
+        (
+            ["--map", "plant.u=a", "--map", "plant.u=b"],
+            "--map plant.u: expected once, given 2 times",
+        ),
     ],
 )
 def test_a_name_is_given_once(options, text, capsys):

@@ -301,7 +301,7 @@ def test_a_choice_is_drawn(tmp_path):
         ),
         ({"cases": "x.csv"}, r"file '.*x.csv' cannot be read"),
         ({"replay": "field-*.mcap"}, r"--replay: no file matches '.*field-\*.mcap'; needed logs"),
-        ({"replay": __file__}, r"--replay: .*: needed a log \(.mcap\)"),
+        ({"replay": __file__}, r"--replay: .*: expected a log \(.mcap\)"),
         (
             {"vary": {**THETA, "delta.terms": [[]]}, "samples": 2},
             r"found both 'delta.terms' and 'delta.terms\[0\].theta'; needed one of them",

@@ -17,7 +17,7 @@ from tests.fmi.small import able, compiled
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 
 RUNNER = "cosim.studies.members.runner:open_runner"
-CHANGED = r"{} has changed since this study began: .*put it back as it was, and .* new=True"
+CHANGED = r"{} has changed since this study began: .*put it back as it was .* new=True"
 SCENARIO = """
 scenario = { name = "x", stop = 0.1, step = 0.01 }
 [components]
