@@ -65,8 +65,7 @@ class PythonKind(UserKind):
     kind: Literal["python"]
     class_: Annotated[StrictStr, AfterValidator(_check_class_name)] = Field(
         alias="class",
-        description='"package.module:Class"; every other key is a parameter of its constructor, by '
-        "name and annotation",
+        description='"package.module:Class"; all other keys are parameters of its constructor',
     )
 
     @property
