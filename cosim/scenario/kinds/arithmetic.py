@@ -63,7 +63,7 @@ class GainKind(ExportableKind):
 
 
 class ProductKind(ExportableKind):
-    """y = u1 u2 ..., or divided by some of them, element by element."""
+    """y = u1 u2 ... or u1/u2 ..., element by element."""
 
     ports: ClassVar[str] = "u1, u2, ... -> y"
     is_static: ClassVar[bool] = True
@@ -81,7 +81,7 @@ class ProductKind(ExportableKind):
 
 
 class LimitKind(ExportableKind):
-    """y = u within lower and upper."""
+    """y = u, limited to lower and upper."""
 
     ports: ClassVar[str] = "u -> y"
     is_static: ClassVar[bool] = True

@@ -64,7 +64,7 @@ LARGEST_ERROR = 0.05
 
 
 class CompensatorKind(Kind):
-    """State feedback, feedforward of delta, and an internal model that the estimate switches on."""
+    """State feedback with feedforward of delta and an internal model of the disturbance."""
 
     ports: ClassVar[str] = "x_a, delta, y, theta, standard_error, r -> u, w, active, model_theta"
     kind: Literal["compensator"]

@@ -189,7 +189,7 @@ class DiscreteStateSpaceKind(SampledKind, ExportableKind):
 
 
 class PidKind(SampledKind, ExportableKind):
-    """PID controller in ISA form with limits and anti-windup; with a period: a digital one."""
+    """PID controller in ISA form with limits and anti-windup; with a period: sampled."""
 
     ports: ClassVar[str] = "setpoint, measurement -> y, integral"
     tunable: ClassVar[tuple[str, ...]] = (

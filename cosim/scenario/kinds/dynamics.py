@@ -49,7 +49,7 @@ class LagKind(LinearKind):
 
 
 class IntegratorKind(LinearKind):
-    """y' = u; with lower or upper y stops there, until u points inwards again."""
+    """y' = u; with optional limits of y."""
 
     ports: ClassVar[str] = "u -> y"
     tunable: ClassVar[tuple[str, ...]] = ("lower", "upper")

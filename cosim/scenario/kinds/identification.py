@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 
 
 class IdentifierKind(PeriodicKind, ExportableKind):
-    """Identifier of theta, by output error, least squares (33)-(35), or another method."""
+    """Identification of theta by output error, least squares, or other methods."""
 
     ports: ClassVar[str] = (
         "regressor, [alpha], delta, y, u -> theta, standard_error, deviation, amplitude"

@@ -21,7 +21,7 @@ Points = tuple[list[Vector], Matrix]  # of each input, and the values on their g
 
 
 class LookUpTableKind(Kind):
-    """y = f(u) or f(u1, u2), linear between given points: arrays, or a CSV file."""
+    """y = f(u) or f(u1, u2), linear between breakpoints from arrays or a CSV file."""
 
     ports: ClassVar[str] = "u, or u1, u2 -> y"
     kind: Literal["look-up-table"]

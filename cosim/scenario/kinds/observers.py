@@ -119,7 +119,7 @@ class DesignedObserver(NamedTuple):
 
 
 class UnknownInputObserverKind(ExportableKind):
-    """Unknown-input observer with disturbance reconstruction (18)-(20)."""
+    """Unknown-input observer with reconstruction of the disturbance delta."""
 
     ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q, or x, delta, z, q of a general model"
     tunable: ClassVar[tuple[str, ...]] = ("L", "filter_rate")

@@ -150,7 +150,7 @@ def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> No
 
 
 class FmuKind(PlantKind, PeriodicKind):
-    """A real FMU, FMI 1.0, 2.0 or 3.0."""
+    """An FMU of FMI 1.0, 2.0 or 3.0."""
 
     ports: ClassVar[str] = "those of the FMU"
     is_rerun: ClassVar[bool] = True
@@ -294,7 +294,7 @@ def _continuous_outputs(description: Description) -> list[str]:
 
 
 class RecordingKind(PlantKind):
-    """A component out of a recorded log."""
+    """A component of a recorded log."""
 
     ports: ClassVar[str] = "-> outputs of the recording"
     is_recorded: ClassVar[bool] = True

@@ -293,7 +293,7 @@ def _design_of_element(
 
 
 class RegressorKind(ExportableKind):
-    """From delta to the known signals mu of the regression (21)-(25)."""
+    """Regressor: the known signals mu of the regression, from delta."""
 
     ports: ClassVar[str] = "delta, [alpha] -> mu"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: ALPHA_WAY_OUT}

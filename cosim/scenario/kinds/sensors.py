@@ -21,7 +21,7 @@ EACH = ", one number or one per element"
 
 
 class SensorKind(PeriodicKind):
-    """y = u after delay and jitter, bias, noise, limits, quantization, dropouts, in this order."""
+    """y = u with delay, jitter, bias, noise, limits, quantization, dropouts, in this order."""
 
     ports: ClassVar[str] = "u -> y, valid, y_samples, sample_times"
     kind: Literal["sensor"]

@@ -162,7 +162,7 @@ class ChirpKind(Kind):
 
 
 class ExpressionKind(Kind):
-    """y = expressions in t, and over signals of other components."""
+    """y = expressions in t and in signals of other components."""
 
     ports: ClassVar[str] = "[u1], [u2], ... -> y"
     kind: Literal["expression"]
@@ -252,7 +252,7 @@ class ExpressionKind(Kind):
 
 
 class TableKind(Kind):
-    """y = given points, interpolated: arrays, or a CSV file with a header line."""
+    """y = interpolated points from arrays or a CSV file with a header line."""
 
     ports: ClassVar[str] = "-> y"
     is_function_of_time: ClassVar[bool] = True
@@ -324,7 +324,7 @@ class TableKind(Kind):
 
 
 class NoiseKind(PeriodicKind):
-    """y = Gaussian noise, a new value in every period, which holds over it."""
+    """y = Gaussian noise, held over each period."""
 
     ports: ClassVar[str] = "-> y"
     tunable: ClassVar[tuple[str, ...]] = ("deviation",)
@@ -347,7 +347,7 @@ class NoiseKind(PeriodicKind):
 
 
 class DisturbanceKind(Kind):
-    """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
+    """y = sum of alpha(t) f(theta, t): a disturbance of known form."""
 
     ports: ClassVar[str] = "[alpha] -> y"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: DISTURBANCE_WAY_OUT}

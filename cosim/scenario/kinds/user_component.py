@@ -57,7 +57,7 @@ class UserKind(Kind):
 
 
 class PythonKind(UserKind):
-    """A component of a Python class, found in the scenario's folder or on sys.path.
+    """A component of a Python class in the scenario's folder or on sys.path.
 
     Every other key is a parameter of its constructor.
     """
