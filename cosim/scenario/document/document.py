@@ -240,16 +240,16 @@ def _read_edits(text: str) -> dict[str, Any]:
     edits = json_table(text)
     for key, kind in (("source", str), ("swaps", dict), ("changes", dict)):
         if not isinstance(edits.get(key), kind):
-            raise ValueError(f"found {key} {quoted(edits.get(key))}")
+            raise ValueError(f"{key}: got {quoted(edits.get(key))}")
     maps = edits.setdefault("maps", {})
     if not isinstance(maps, dict):
-        raise ValueError(f"found maps {quoted(maps)}")
+        raise ValueError(f"maps: got {quoted(maps)}")
     for name, path in edits["swaps"].items():
         if not isinstance(path, str):
-            raise ValueError(f"found {quoted(path)} for {name!r}")
+            raise ValueError(f"{name!r}: expected a path, got {quoted(path)}")
     for port, names in maps.items():
         if not is_port_names(names):
-            raise ValueError(f"found {quoted(names)} for {port!r}")
+            raise ValueError(f"{port!r}: expected port names, got {quoted(names)}")
     return edits
 
 
