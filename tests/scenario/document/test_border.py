@@ -1,6 +1,7 @@
 """Whatever comes in at the border of the scenarios, a CosimError comes out, and soon."""
 
 import math
+import os
 import re
 import tomllib
 from contextlib import suppress
@@ -23,7 +24,7 @@ from tests.scenario.refusals import check_refused
 TEXT = find("academic").text
 SHORT = {"scenario.stop": 0.01}
 bounded = settings(
-    max_examples=25,
+    max_examples=1000 if os.environ.get("HYPOTHESIS_PROFILE") == "search" else 10,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
