@@ -350,9 +350,9 @@ def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
         return InstalledKind
     names = [*KINDS, *(name for name in installed if name not in KINDS)]
     if "kind" not in table:
-        raise TableProblems([((), f"'kind' is missing; needed one of: {', '.join(names)}")])
+        raise TableProblems([((), f"'kind' is missing; available: {', '.join(names)}")])
     if not isinstance(kind, str):
-        raise TableProblems([(("kind",), f"found {quoted(kind)}; needed a string")])
+        raise TableProblems([(("kind",), f"expected a string, got {quoted(kind)}")])
     text = f"unknown kind {quoted(kind)}; {nearest(kind, names)}"
     raise TableProblems([(("kind",), text)])
 
@@ -409,8 +409,8 @@ def _with_implied(
             elif implied.origin is None:
                 key = ("connections", str(given[to.whole]))
                 problems[key] = (
-                    f"'{to.whole}' is connected to what the table of {name!r} names; "
-                    "leave this connection out"
+                    f"'{to.whole}' has its source from the table of {name!r}; remove this "
+                    "connection"
                 )
     return result, origins, list(problems.items())
 

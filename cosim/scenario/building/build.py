@@ -286,9 +286,8 @@ class Builder:
         has_samples = any(spec.samples_of(signal.name) for signal in outputs)
         if has_samples and spec.recorded_period(period) > 1:
             raise UsageError(
-                f"cannot be taken from the log, which has one of its rows in {period} "
-                "communication steps, and not where it has no samples; choose it, too, as a "
-                "component to compute"
+                f"cannot be substituted from the log, which has a row only every {period} "
+                "communication steps and no marks of missing samples; recompute it, too"
             )
         return Replay(self._recording, name)
 
@@ -338,7 +337,7 @@ class Builder:
         if key in self.scenario.invalid:
             return
         if origin != to:
-            text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
+            text += f"; '{to}' has the source of '{origin}' by default"
         self.problems.append((key, text))
 
     def _check_until(self) -> None:
@@ -579,7 +578,7 @@ def _problem_of(error: CosimError) -> Problem:
 
 def out_of_range(error: Exception) -> str:
     """Return in words that a number has left the range of numbers."""
-    return f"a number is too large or too small to compute with: {error}"
+    return f"numeric overflow or underflow: {error}"
 
 
 def parse(document: Document) -> Scenario:

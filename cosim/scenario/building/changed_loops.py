@@ -92,7 +92,7 @@ def changed_loops(
         after, names = changes.of(action, beginning, AT_CONDITION)
         if names:
             behind = replace(loops, linearized=after.scaled())
-            text = f"after the action when {action.when!r}, taken as at the start"
+            text = f"after the action when {action.when!r}, linearized at the start"
             key = ("actions", number)
             yield ChangedLoops(key, text, False, names, behind, after.not_linearized)
 

@@ -86,7 +86,7 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
             warnings += report.refusals
             continue
         for text in report.refusals:
-            problems.append((key, f'{text}; coupling_check = "warn" runs it all the same'))
+            problems.append((key, f'{text}; coupling_check = "warn" runs it anyway'))
     if problems:
         raise experiment.scenario.document.report(problems)
     _note(experiment.graph, reports[0][1].gains)
@@ -146,7 +146,8 @@ def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
     for gain in gains:
         if gain.rho is not None:
             for name in gain.components:
-                graph.members[name].note += f" with a gain of {_number(gain.rho)} a {_step(gain)}"
+                amplification = f"{_number(gain.rho)} per {_step(gain)}"
+                graph.members[name].note += f" with an error amplification of {amplification}"
 
 
 def _watched(gains: tuple[LoopGain, ...], settings: Settings) -> frozenset[str]:
@@ -217,7 +218,7 @@ def _refusal(gain: LoopGain, loops: LinearizedLoops, number: int) -> str:
     way_out = ""
     if ways_out:
         *others, last = ways_out
-        way_out = f"; needed {' or '.join(filter(None, (', '.join(others), last)))}"
+        way_out = f"; use {' or '.join(filter(None, (', '.join(others), last)))}"
     return f"{_excess(gain)}, more than {REFUSED:g}{way_out}"
 
 
@@ -225,9 +226,9 @@ def _excess(gain: LoopGain) -> str:
     assert gain.rho is not None
     own = _own(gain)
     return (
-        f"{_loop(gain)}: coupling '{gain.coupling}' has a gain of {_number(gain.rho)} a "
-        f"{_step(gain)} of {gain.h:g} s, the loop itself one of {own}, and so "
-        f"multiplies an error by {_growth(gain.exponent)} over {_span(gain)}"
+        f"{_loop(gain)}: coupling '{gain.coupling}' amplifies an error by "
+        f"{_number(gain.rho)} per {_step(gain)} of {gain.h:g} s (the exact loop: {own}), by "
+        f"{_growth(gain.exponent)} over {_span(gain)}"
     )
 
 
@@ -246,9 +247,8 @@ def _span(gain: LoopGain) -> str:
 
 def _unstable(gain: LoopGain) -> str:
     return (
-        f"{_loop(gain)} is unstable itself, whatever couples it: it has a "
-        f"pole at {gain.rate:+.4g} /s, and multiplies an error by {_growth(gain.own_exponent)} "
-        f"over {_span(gain)}"
+        f"{_loop(gain)} is unstable with any coupling: pole at {gain.rate:+.4g} /s, errors "
+        f"grow by {_growth(gain.own_exponent)} over {_span(gain)}"
     )
 
 
@@ -291,14 +291,15 @@ def described_gains(graph: Graph, clock: Clock) -> tuple[LoopGain, ...]:
 def gain_text(gain: LoopGain) -> str:
     """Return the gain of a loop in words."""
     if gain.unknown:
-        return f"not known: {listing(gain.unknown)} cannot be linearized"
+        return f"unknown: no linearization of {listing(gain.unknown)}"
     if gain.rho is None:
-        return f"not known: {gain.reason}"
+        return f"unknown: {gain.reason}"
     own = _own(gain)
-    per = "step" if gain.parts == 1 else f"substep of {gain.h:g} s, the shortest"
-    text = f"{_number(gain.rho)} per {per} (continuous system {own})"
+    text = f"{_number(gain.rho)} per step (exact loop: {own})"
+    if gain.parts > 1:
+        text = f"{_number(gain.rho)} per shortest substep of {gain.h:g} s (exact loop: {own})"
     if gain.exponent > math.log(NOTED):
-        text += f"; coupling errors grow by {_growth(gain.exponent)} over {_span(gain)}"
+        text += f"; errors grow by an extra {_growth(gain.exponent)} over {_span(gain)}"
     return text
 
 

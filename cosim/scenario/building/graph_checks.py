@@ -36,11 +36,8 @@ def _how(source: Port, jumping: Sequence[Port]) -> str:
     """Return how a signal jumps."""
     jumps = "is discrete and jumps"
     if source.whole not in jumping:
-        jumps = f"jumps with {', '.join(map(str, jumping))}, which feeds through"
-    return (
-        f"{jumps}, and a signal that is interpolated linearly cannot: it would become a ramp of a "
-        "whole step"
-    )
+        jumps = f"jumps with {', '.join(map(str, jumping))} (direct feedthrough)"
+    return f"{jumps}; linear interpolation would turn the jump into a ramp over one step"
 
 
 def held_disturbances(scenario: Scenario, graph: Graph, step_ns: int) -> Iterator[tuple[str, str]]:

@@ -22,8 +22,8 @@ from cosim.scenario.kinds.terms import FamilyTerm, ValuedTerm
 from cosim.scenario.parsing import Scenario
 
 NOISE_NEEDED: Final = (
-    "found no noise of y; needed its deviation: that of a sensor which drives the observer "
-    "directly, the deviation of the identifier, or"
+    "the noise of y is unknown; expected a sensor with noise that drives the observer directly, "
+    "the deviation of the identifier, or"
 )
 
 
@@ -70,7 +70,7 @@ def _checked_deviations(given: float | Sequence[float]) -> Matrix:
     deviations = np.atleast_1d(np.asarray(given, np.float64))
     usable = (deviations > 0.0) & (deviations < math.inf)
     if deviations.ndim != 1 or not usable.all():
-        raise UsageError(f"noise: found {given}; needed positive finite deviations")
+        raise UsageError(f"noise: expected positive finite standard deviations, got {given}")
     return deviations
 
 
@@ -116,8 +116,8 @@ def parameters_by_term(
     places = _places(kind.terms, makes.terms)
     if places is None:
         raise UsageError(
-            f"the terms of {regressor!r} are not those of {disturbance!r}, which makes the "
-            "disturbance; needed the same alphas and families in both"
+            f"expected the same alphas and families in {regressor!r} and in {disturbance!r}, the "
+            "source of the disturbance, got different terms"
         )
     return [_values(makes.terms[place]) for place in places], places
 

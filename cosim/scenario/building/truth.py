@@ -97,7 +97,7 @@ class _Signals:
         match = self._match(port)
         if match is None:
             suggestion = nearest(str(port), self._names)
-            raise GraphError(f"there is no signal {str(port)!r}; {suggestion}")
+            raise GraphError(f"unknown signal {str(port)!r}; {suggestion}")
         signal, elements = match
         return ComparedSignal(signal, elements.stop - elements.start)
 
@@ -122,7 +122,7 @@ def _check_size(
         shown_truth = list(truth) if isinstance(truth, tuple) else truth
         raise GraphError(
             f"{estimate!r} has size {estimated.size}, "
-            f"its truth {shown_truth!r} has size {true_size}"
+            f"its true value {shown_truth!r} has size {true_size}"
         )
 
 
@@ -146,8 +146,8 @@ def _check_unit(
     true_unit = true.signal.measure
     if conversion(true_unit, unit) is None:
         raise GraphError(
-            f"{estimate!r} has unit {unit.name!r}, its truth {str(port)!r} has unit "
-            f"{true_unit.name!r}; needed units of one kind"
+            f"{estimate!r} has unit {unit.name!r}, its true value {str(port)!r} has unit "
+            f"{true_unit.name!r}; expected compatible units"
         )
     for text in incomparable(true_unit, unit):
         warn(Port.parse(estimate).component, f"{estimate}, its truth {port}: {text}")

@@ -351,10 +351,7 @@ class ScenarioBuildContext:
                     waiting += self._inputs(name)
         if len(lags) > 1:
             sources = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
-            raise UsageError(
-                f"{to.name!r} is driven by signals that lag behind differently: {sources}; "
-                "needed one lag"
-            )
+            raise UsageError(f"{to.name!r}: expected signals with equal lags, got {sources}")
         return next(iter(lags), 0.0)
 
     def _lag_of(self, spec: Kind, source: Port) -> float:
@@ -464,7 +461,7 @@ class ScenarioBuildContext:
             log_step = log.step_ns / 1e9
             step = self.step_ns / 1e9
             raise UsageError(
-                f"log {path!r} has steps of {log_step} s, the scenario of {step} s; needed the same"
+                f"log {path!r}: expected steps of {step} s as in the scenario, got {log_step} s"
             )
         return log
 

@@ -170,7 +170,7 @@ class ScenarioFmus:
                 linearization = Linearization.of(record["result"])
             except (KeyError, TypeError, ValueError, AttributeError) as error:
                 raise LogError(
-                    f"the recorded linearization of {path!r} cannot be understood: {error}"
+                    f"the recorded linearization of {path!r} is invalid: {error}"
                 ) from error
             self._linearized[name] = linearization
             self._records.add_metadata(name, {"linearization": record})
@@ -212,8 +212,8 @@ class ScenarioFmus:
         """
         if self._describes:
             raise UsageError(
-                f"{fmu} has to be run for its linearization, and only descriptions are read here; "
-                "'cosim run SCENARIO --dry-run' runs it, in a process of its own"
+                f"{fmu} must be run to be linearized; here only descriptions are read; "
+                "'cosim run SCENARIO --dry-run' runs it in a separate process"
             )
 
     def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:

@@ -14,14 +14,14 @@ from cosim.theory.plants.foreign_model import disturbance_columns, state_space_m
 
 LETTERS: Final = ("E", "A", "B", "Bu", "Bd", "C", "D", "Du", "Dd")
 PARTITIONED: Final = ("A", "Bu", "Bd", "C")
-OF_ZEROS: Final = "of zeros where it acts on y alone"
-# keys of columns, the matrix that these are of, and what is needed without it
+OF_ZEROS: Final = "zero if it acts on y only"
+# keys of columns, the matrix that these are of, and what is expected without it
 COLUMNS_OF: Final = MappingProxyType(
     {
-        "D": ("B", "B; with Bu and Bd it is Du and Dd"),
+        "D": ("B", "B (with Bu and Bd: Du and Dd)"),
         "disturbances": ("B", "B"),
-        "Du": ("Bu", f"Bu, {OF_ZEROS}"),
-        "Dd": ("Bd", f"Bd, {OF_ZEROS}"),
+        "Du": ("Bu", f"Bu ({OF_ZEROS})"),
+        "Dd": ("Bd", f"Bd ({OF_ZEROS})"),
     }
 )
 SPLIT_B: Final = ("Bu", "Bd", "Du", "Dd")
@@ -33,9 +33,9 @@ def form_problems(table: ModelTable) -> Iterator[tuple[str, str]]:
     if table.file is not None:
         for name in given:
             if name != "disturbances":
-                yield name, "found it beside file; needed all matrices in one of them"
+                yield name, "not allowed with file; give all matrices in one of them"
         if table.n_a is not None:
-            yield "n_a", "found it beside file, which has the general form; needed no n_a"
+            yield "n_a", "not allowed with file, which has the general form"
         return
     if table.n_a is not None:
         yield from _problems_of_partitioned(given)
@@ -49,12 +49,12 @@ def form_problems(table: ModelTable) -> Iterator[tuple[str, str]]:
 def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
     for name in PARTITIONED:
         if name not in given:
-            yield "", f"'{name}' is missing; needed {', '.join(PARTITIONED)} with n_a"
+            yield "", f"'{name}' is missing; expected {', '.join(PARTITIONED)} with n_a"
     for name in given:
         if name not in PARTITIONED:
             text = (
-                "found it beside n_a, which stands for E = diag(I, 0) and has A, Bu, Bd and C "
-                f"only; needed no {name}, or the general form: E in place of n_a"
+                "not allowed with n_a, the partitioned form of A, Bu, Bd and C with "
+                "E = diag(I, 0); for the general form give E in place of n_a"
             )
             yield name, text
 
@@ -62,28 +62,28 @@ def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
 def _problems_of_general(given: Sequence[str]) -> Iterator[tuple[str, str]]:
     for name in ("A", "C"):
         if name not in given:
-            yield "", f"'{name}' is missing; needed A and C (E, B or Bu and Bd, D as there are)"
+            yield "", f"'{name}' is missing; expected A and C (optional: E, B or Bu and Bd, D)"
     split = [name for name in SPLIT_B if name in given]
     if "B" in given and split:
-        cure = f"leave {', '.join(split)} out, or split B"
-        yield split[0], f"found it beside B; needed B and D, or Bu, Bd, Du and Dd: {cure}"
+        cure = f"remove {', '.join(split)}, or split B"
+        yield split[0], f"not allowed with B; expected B and D, or Bu, Bd, Du and Dd: {cure}"
         return
     yield from _problems_without_B(given)
 
 
 def _problems_without_B(given: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield the keys that are of columns of B, Bu or Bd which are not there."""
-    for name, (B, needed) in COLUMNS_OF.items():
+    for name, (B, expected) in COLUMNS_OF.items():
         if name in given and B not in given:
-            yield name, f"found it without {B}; needed {needed}"
+            yield name, f"not allowed without {B}; expected {expected}"
 
 
 def _problems_of_columns(unknown: Sequence[int], columns: int) -> Iterator[tuple[str, str]]:
     for column in unknown:
         if not 0 <= column < columns:
-            yield "disturbances", f"found {column}; B has the columns 0 to {columns - 1}"
+            yield "disturbances", f"expected a column of B, 0 to {columns - 1}, got {column}"
     if len(set(unknown)) < len(unknown):
-        yield "disturbances", f"found {list(unknown)}; needed each column once"
+        yield "disturbances", f"expected each column once, got {list(unknown)}"
 
 
 def system_of(name: str, table: ModelTable) -> DescriptorSystem:
@@ -184,11 +184,11 @@ def general_system(
     split = {name: matrices[name] for name in SPLIT_B if name in matrices}
     if "D" in matrices:
         n_y = len(matrices["C"])
-        needed = (n_y, matrices["B"].shape[1])
-        if matrices["D"].shape != needed:
+        expected = (n_y, matrices["B"].shape[1])
+        if matrices["D"].shape != expected:
             raise AssumptionError(
-                f"D has shape {matrices['D'].shape}; needed {needed}: one row per row of C, one "
-                "column per column of B"
+                f"D: expected shape {expected}, one row per row of C and one column per column of "
+                f"B, got {matrices['D'].shape}"
             )
     for name in ("B", "D"):
         if name in matrices:

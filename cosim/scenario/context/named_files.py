@@ -50,9 +50,8 @@ class NamedFiles:
         """
         if self._recording is not None and name not in self._allowed:
             raise UsageError(
-                f"a replay opens no file that only the log names: found {quoted(name)}, and what "
-                f"is needed of it is not in the log; name it yourself, {option('set')}, or run the "
-                "scenario"
+                f"{quoted(name)}: a replay opens no files that only the log names; name it "
+                f"yourself by {option('set')}, or run the scenario"
             )
         check_path(name)
         path = self._folder / name

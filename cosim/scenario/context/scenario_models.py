@@ -57,7 +57,7 @@ class ScenarioModels:
         """
         if name not in self._tables:
             known = nearest(name, self._tables)
-            raise UsageError(f"there is no model {name!r} in [models]; {known}")
+            raise UsageError(f"unknown model {name!r} in [models]; {known}")
 
     def system(self, name: str) -> DescriptorSystem:
         """Return a model that there is.

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from cosim.scenario.user_kinds.user_code import UserClass
 
 _NOT_IMPORTED: Final = (
-    "known to its class alone, which is not imported here; 'cosim run SCENARIO --dry-run' imports "
-    "it, in a process of its own"
+    "defined by its class, which is not imported here; 'cosim run SCENARIO --dry-run' imports it "
+    "in a separate process"
 )
 
 
@@ -126,6 +126,6 @@ def _other_code(name: str, recorded: CodeRecord | None, own: CodeRecord) -> Usag
     """Return the error about code in a replay that is not that of the recorded run."""
     entry = option("set", f"{name}.class", own.class_name)
     return UsageError(
-        f"found {own.difference(recorded)}; needed the same code: {entry} takes it as it is "
-        "now, for another replay than that of the log"
+        f"expected the recorded code, got {own.difference(recorded)}; {entry} uses the code as "
+        "it is now (no longer a replay of the recorded run)"
     )

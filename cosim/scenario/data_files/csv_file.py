@@ -80,16 +80,14 @@ def read_csv(path: Path) -> NamedColumns:
     names = _names(lines[0], file)
     rows = [line for line in lines[1:] if line.strip()]
     if not rows:
-        raise UsageError(
-            f"file {file} has no rows of numbers; needed a line of names and rows of numbers"
-        )
+        raise UsageError(f"file {file}: expected a header line and rows of numbers, got no rows")
     try:
         values = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None, quotechar='"')
     except ValueError:
         values = np.empty((0, 0))  # its message would quote the file
     if values.shape != (len(rows), len(names)):
         problem = _first_problem(lines, len(names))
-        raise UsageError(f"file {file} is no table of numbers separated by commas: {problem}")
+        raise UsageError(f"file {file}: expected comma-separated numbers: {problem}")
     _check_names(names, file)
     return NamedColumns(file, names, values)
 
@@ -110,29 +108,27 @@ def read_lines(path: Path, file: str) -> list[str]:
     except UnicodeDecodeError as error:
         # not "from error": that one holds the content
         raise UsageError(
-            f"file {file} is not UTF-8 text (byte {error.start}); save it in that encoding"
+            f"file {file}: expected UTF-8 text, got another encoding (byte {error.start})"
         ) from None
     if "\0" in text:
-        raise UsageError(f"file {file} is no text: it has the character 0; needed a table in UTF-8")
+        raise UsageError(f"file {file}: expected UTF-8 text, got a NUL character")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def _names(line: str, file: str) -> tuple[str, ...]:
     cells = _cells(line)
     if cells is None:
-        raise UsageError(
-            f"file {file} is no table of numbers separated by commas: line 1 cannot be split"
-        )
+        raise UsageError(f"file {file}: expected comma-separated numbers: line 1 cannot be split")
     if len(cells) > MOST_COLUMNS:
-        raise UsageError(f"file {file} has {len(cells)} columns; needed at most {MOST_COLUMNS}")
+        raise UsageError(f"file {file}: expected at most {MOST_COLUMNS} columns, got {len(cells)}")
     if len(cells) == 1:
         for separator, name in SEPARATORS.items():
             if separator in line:
                 raise UsageError(
-                    f"file {file} is no table of numbers separated by commas: line 1 has {name}; "
-                    "save it with commas, and points in the numbers"
+                    f"file {file}: expected comma-separated numbers: line 1 has {name}; save it "
+                    "with commas as separators and decimal points"
                 )
-        raise UsageError(f"file {file} has one column; needed at least two, separated by commas")
+        raise UsageError(f"file {file}: expected at least two comma-separated columns, got one")
     return tuple(cell.strip() for cell in cells)
 
 
@@ -140,13 +136,11 @@ def _check_names(names: tuple[str, ...], file: str) -> None:
     """Refuse rows of numbers without names that tell them apart."""
     if all(is_number(name) for name in names):
         raise UsageError(
-            f"file {file} has numbers in line 1; needed the names of its {len(names)} columns there"
+            f"file {file}: expected the names of {len(names)} columns in line 1, got numbers"
         )
     name, count = Counter(names).most_common(1)[0]
     if count > 1:
-        raise UsageError(
-            f"file {file} has {count} columns {name!r}; needed a name of its own for each"
-        )
+        raise UsageError(f"file {file}: expected unique column names, got {count} columns {name!r}")
 
 
 def _first_problem(lines: Sequence[str], columns: int) -> str:
@@ -155,7 +149,7 @@ def _first_problem(lines: Sequence[str], columns: int) -> str:
         if line.strip():
             for problem in _problems(line, columns):
                 return f"line {number}{problem}"
-    return "a cell reaches over several lines"
+    return "a cell spans several lines"
 
 
 def _problems(line: str, columns: int) -> Iterator[str]:
@@ -165,10 +159,10 @@ def _problems(line: str, columns: int) -> Iterator[str]:
         return
     for column, cell in enumerate(cells, start=1):
         if not is_number(cell):
-            found = "text" if cell.strip() else "nothing"
-            yield f", column {column} has {found}, needed a number"
+            found = "text" if cell.strip() else "an empty cell"
+            yield f", column {column}: expected a number, got {found}"
     if len(cells) != columns:
-        yield f" has {len(cells)} columns, line 1 has {columns}"
+        yield f": expected {columns} columns as in line 1, got {len(cells)}"
 
 
 def _cells(line: str) -> list[str] | None:

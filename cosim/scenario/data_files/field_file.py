@@ -103,7 +103,7 @@ def read_field_data(
             values[part.position] = []
     table.read(clock, stamps, values)
     if not stamps.t:
-        raise UsageError(f"{table.label} has no samples; needed rows of numbers")
+        raise UsageError(f"{table.label}: expected rows of numbers, got none")
     signals = []
     for name, parts in chosen.items():
         stacked = np.array([values[part.position] for part in parts]).T
@@ -138,7 +138,7 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
     for name, wanted in columns.items():
         listed[name] = [wanted] if isinstance(wanted, str) else list(wanted)
     if not all(listed.values()):
-        raise UsageError(f"columns: found {dict(columns)}; needed a column for each signal")
+        raise UsageError(f"columns: expected a column for each signal, got {dict(columns)}")
     return listed
 
 
@@ -180,13 +180,11 @@ class _Headers:
                 self.all.append(_Header.parse(text, position))
         if len(self.all) < 2:
             raise UsageError(
-                f"{table.label} has {len(self.all)} columns with a name; needed at least two, one "
-                f"of times and one of samples{table.hint}"
+                f"{table.label}: expected at least two named columns (times and samples), got "
+                f"{len(self.all)}{table.hint}"
             )
         if all(is_number(header.name) for header in self.all):
-            raise UsageError(
-                f"{table.label} has numbers in line 1; needed the names of its columns"
-            )
+            raise UsageError(f"{table.label}: expected column names in line 1, got numbers")
 
     def named(self, name: str) -> _Header:
         """Return a column, by its name or by all that its header says."""
@@ -199,8 +197,7 @@ class _Headers:
             raise UsageError(f"{self._label} has no column {name!r}; {nearest(name, names)}")
         if len(matches) > 1:
             raise UsageError(
-                f"{self._label} has {len(matches)} columns {name!r}; needed a name of its own for "
-                "each that is used"
+                f"{self._label}: expected a unique column {name!r}, got {len(matches)}"
             )
         return matches[0]
 
@@ -217,7 +214,7 @@ class _Headers:
         for name, parts in listed_columns(columns).items():
             signals[name] = [self.named(part) for part in parts]
         if not signals:
-            raise UsageError(f"columns: found {dict(columns)}; needed a column for each signal")
+            raise UsageError(f"columns: expected a column for each signal, got {dict(columns)}")
         return signals
 
 
@@ -225,7 +222,7 @@ def _unit_of(table: _FieldTable, name: str, parts: Sequence[_Header]) -> str | N
     units = {part.unit for part in parts}
     if len(units) > 1:
         listed = ", ".join(f"{part.name!r} in {part.unit}" for part in parts)
-        raise UsageError(f"{table.label}: {name!r} is made of {listed}; needed one unit")
+        raise UsageError(f"{table.label}: expected one unit in columns of {name!r}, got {listed}")
     return units.pop()
 
 
@@ -240,8 +237,8 @@ def _seconds(table: _FieldTable, clock: _Header, unit: str | None) -> Decimal:
     assert second is not None
     if meaning is None or meaning.exponents != second.exponents:
         raise UsageError(
-            f"{table.label}: the times, column {clock.name!r}, are in {name!r}; needed a unit of "
-            "time, such as ms; time names another column, time_unit another unit"
+            f"{table.label}: column {clock.name!r}: expected times in a unit of time, such as ms, "
+            f"got {name!r}; select another column by time, another unit by time_unit"
         )
     return Decimal(repr(meaning.factor))
 
@@ -262,11 +259,11 @@ class _TimeStamps:
             self._offset = stamp
         t = float((stamp - self._offset) * self._seconds)
         if not math.isfinite(t):
-            raise UsageError(f"{self._label}, {place}: the time is not finite")
+            raise UsageError(f"{self._label}, {place}: expected a finite time, got {t!r} s")
         if self.t and not t > self.t[-1]:
             raise UsageError(
-                f"{self._label}, {place}: the time is {t!r} s, and {self.t[-1]!r} s in "
-                f"{self._last}; needed times that ascend (time names another column)"
+                f"{self._label}, {place}: expected increasing times, got {t!r} s after "
+                f"{self.t[-1]!r} s in {self._last}; select another column by time"
             )
         self.t.append(t)
         self._last = place
@@ -297,13 +294,13 @@ class _CsvTable:
     def __init__(self, path: Path, separator: str | None, decimal: str) -> None:
         self.label = f"file {str(path)!r}"
         if decimal not in (".", ","):
-            raise UsageError(f'decimal: found {decimal!r}; needed "." or ","')
+            raise UsageError(f'decimal: expected "." or ",", got {decimal!r}')
         self._lines = read_lines(path, repr(str(path)))
         self._separator = self._likely_separator() if separator is None else separator
         if len(self._separator) != 1 or self._separator in f'{decimal}"\r\n' + "0123456789":
             raise UsageError(
-                f"separator: found {self._separator!r}, with the decimal sign {decimal!r}; needed "
-                "one other character"
+                f"separator: expected one character other than the decimal separator {decimal!r}, "
+                f"got {self._separator!r}"
             )
         self._decimal = decimal
         first = next(self._rows(), ("", []))
@@ -311,7 +308,7 @@ class _CsvTable:
         self.hint = f" (separated by {self._separator!r})" if any(self.names) else ""
         if len(self.names) > MOST_COLUMNS:
             raise UsageError(
-                f"{self.label} has {len(self.names)} columns; needed at most {MOST_COLUMNS}"
+                f"{self.label}: expected at most {MOST_COLUMNS} columns, got {len(self.names)}"
             )
 
     def _likely_separator(self) -> str:
@@ -333,7 +330,7 @@ class _CsvTable:
                 return
             if rows.line_num > number + 1:
                 raise UsageError(
-                    f"{self.label}: a cell from line {number + 1} on reaches over several lines"
+                    f"{self.label}: a cell spans several lines, from line {number + 1}"
                 )
             number = rows.line_num
             if any(cell.strip() for cell in cells):
@@ -348,12 +345,13 @@ class _CsvTable:
         for place, cells in rows:
             if len(cells) != len(self.names):
                 raise UsageError(
-                    f"{self.label}, {place}: {len(cells)} columns, and {len(self.names)} names; "
-                    "needed one number or an empty cell for each"
+                    f"{self.label}, {place}: expected {len(self.names)} cells, got {len(cells)}"
                 )
             stamp = self._number(cells, clock.position, place)
             if not stamp:
-                raise UsageError(f"{self._at(clock.position, place)} has no time; needed one")
+                raise UsageError(
+                    f"{self._at(clock.position, place)}: expected a time, got an empty cell"
+                )
             stamps.add(Decimal(stamp), place)
             for position, column in values.items():
                 column.append(self._measured(cells, position, place))
@@ -362,7 +360,7 @@ class _CsvTable:
         number = self._number(cells, position, place)
         value = float(number) if number else NAN
         if math.isinf(value):
-            raise UsageError(f"{self._at(position, place)} is not finite; needed a finite number")
+            raise UsageError(f"{self._at(position, place)}: expected a finite number, got {value}")
         return value
 
     def _number(self, cells: Sequence[str], position: int, place: str) -> str:
@@ -375,9 +373,10 @@ class _CsvTable:
         if text:
             way_out = ""
             if is_number(number):
-                way_out = f'; the decimal sign is {self._decimal!r}, decimal = "{other}" changes it'
+                way_out = f'; the decimal separator is {self._decimal!r}, see decimal = "{other}"'
             raise UsageError(
-                f"{self._at(position, place)} has text, needed a number or an empty cell{way_out}"
+                f"{self._at(position, place)}: expected a number or an empty cell, got text"
+                f"{way_out}"
             )
         return ""
 
@@ -396,8 +395,8 @@ class _ParquetTable:
             import pyarrow.parquet
         except ImportError as error:
             raise UsageError(
-                f"{self.label}: Parquet files need pyarrow; install it: pip install "
-                "'cosim[parquet]', or save the table as CSV"
+                f"{self.label}: reading Parquet requires pyarrow: pip install 'cosim[parquet]', "
+                "or save the table as CSV"
             ) from error
         self._arrow = pyarrow
         try:
@@ -411,8 +410,8 @@ class _ParquetTable:
             rows = self._file.metadata.num_rows
         if rows * max(1, len(self.names)) * _BYTES > LARGEST:
             raise UsageError(
-                f"{self.label} has {rows} rows of {len(self.names)} columns; needed at most "
-                f"{LARGEST // _BYTES} numbers"
+                f"{self.label}: expected at most {LARGEST // _BYTES} numbers, got {rows} rows of "
+                f"{len(self.names)} columns"
             )
 
     @contextmanager
@@ -420,7 +419,7 @@ class _ParquetTable:
         try:
             yield
         except (self._arrow.ArrowException, OSError) as error:
-            raise UsageError(f"{self.label} is no Parquet file, or damaged") from error
+            raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
     def time_unit(self, clock: _Header) -> str:
         column = self._schema.field(clock.position).type
@@ -430,15 +429,15 @@ class _ParquetTable:
     def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
         for row, stamp in enumerate(self._column(clock.position, is_time=True), start=1):
             if stamp is None or stamp != stamp:
-                raise UsageError(f"{self.label}, row {row} has no time; needed one")
+                raise UsageError(f"{self.label}, row {row}: expected a time, got none")
             stamps.add(Decimal(repr(stamp)), f"row {row}")
         for position, column in values.items():
             for row, value in enumerate(self._column(position), start=1):
                 number = NAN if value is None or value != value else float(value)
                 if math.isinf(number):
                     raise UsageError(
-                        f"{self.label}, row {row}, column {self.names[position]!r} is not finite; "
-                        "needed a finite number"
+                        f"{self.label}, row {row}, column {self.names[position]!r}: expected a "
+                        f"finite number, got {number}"
                     )
                 column.append(number)
 
@@ -449,8 +448,8 @@ class _ParquetTable:
         is_stamp = is_time and (types.is_timestamp(column_type) or types.is_duration(column_type))
         if not (types.is_integer(column_type) or types.is_floating(column_type) or is_stamp):
             raise UsageError(
-                f"{self.label}: column {self.names[position]!r} is of type {column_type}; "
-                "needed numbers"
+                f"{self.label}: column {self.names[position]!r}: expected numbers, got type "
+                f"{column_type}"
             )
         with self._only_parquet():
             column = self._file.read(columns=[self.names[position]]).column(0)

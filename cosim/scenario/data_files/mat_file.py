@@ -68,7 +68,7 @@ def read_variables(content: bytes) -> dict[str, Matrix | OtherVariable]:
     """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:HEADER])
     if order is None:
-        raise UsageError("it has not the header of a MAT-file of version 5 to 7")
+        raise UsageError("expected the header of a MAT-file of version 5 to 7")
     variables = {}
     try:
         for kind, data in _elements(content[HEADER:], order):
@@ -78,7 +78,7 @@ def read_variables(content: bytes) -> dict[str, Matrix | OtherVariable]:
                 name, value = _variable(data, order)
                 variables[name] = value
     except (ValueError, IndexError, StopIteration, struct.error, zlib.error) as error:
-        raise UsageError(f"it is damaged: {error or 'it ends too early'}") from error
+        raise UsageError(f"damaged: {error or 'truncated'}") from error
     return variables
 
 
@@ -87,7 +87,7 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
     position = 0
     while position < len(content):
         if position + 8 > len(content):
-            raise ValueError("it ends within an element")
+            raise ValueError("truncated within an element")
         kind, length = struct.unpack_from(f"{order}II", content, position)
         small = kind >> 16
         if small:
@@ -101,7 +101,7 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
             if kind != COMPRESSED:
                 position += -length % 8  # data end at a multiple of 8 bytes
         if begin + length > len(content):
-            raise ValueError(f"an element of {length} bytes goes beyond its end")
+            raise ValueError(f"an element of {length} bytes exceeds the file")
         yield kind, content[begin : begin + length]
 
 
@@ -109,7 +109,7 @@ def _decompressed(data: bytes) -> bytes:
     stream = zlib.decompressobj()
     content = stream.decompress(data, LARGEST)
     if not stream.eof:
-        raise ValueError("a compressed variable is too large, or ends too early")
+        raise ValueError("a compressed variable is too large, or truncated")
     return content
 
 
@@ -153,12 +153,12 @@ def _sparse(elements: Iterator[tuple[int, bytes]], order: str, rows: int, column
     values = _numbers(next(elements), order)
     counts = np.diff(starts)
     if len(starts) != columns + 1 or starts[0] != 0 or (counts < 0).any():
-        raise ValueError("the columns of a sparse matrix do not fit together")
+        raise ValueError("inconsistent columns of a sparse matrix")
     used = int(starts[-1])
     places = of_rows[:used]
     is_inside = (places >= 0) & (places < rows)
     if len(values) < used or len(places) < used or not is_inside.all():
-        raise ValueError("the entries of a sparse matrix do not fit together")
+        raise ValueError("inconsistent entries of a sparse matrix")
     matrix = np.zeros((rows, columns))
     matrix[places, np.repeat(np.arange(columns), counts)] = values[:used]
     return matrix
@@ -167,5 +167,5 @@ def _sparse(elements: Iterator[tuple[int, bytes]], order: str, rows: int, column
 def _numbers(element: tuple[int, bytes], order: str) -> Numbers:
     kind, data = element
     if kind not in NUMBERS:
-        raise ValueError(f"found an element of type {kind}; needed numbers")
+        raise ValueError(f"expected numbers, got an element of type {kind}")
     return np.frombuffer(data, order + NUMBERS[kind])

@@ -48,7 +48,7 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
         content = read_bounded(path, LARGEST)
     except OSError as error:
         raise UsageError(
-            f"file {path} cannot be read ({error.strerror}); needed a MAT-file (.mat)"
+            f"file {path} cannot be read ({error.strerror}); expected a MAT-file (.mat)"
         ) from error
     variables = _variables(path, content)
     matrices = {}
@@ -56,7 +56,7 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
         value = variables.pop(name, None)
         if isinstance(value, OtherVariable):
             raise UsageError(
-                f"file {path}: {name} is {value.what}; needed a matrix of real numbers"
+                f"file {path}: {name}: expected a matrix of real numbers, got {value.what}"
             )
         if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
             matrices[name] = value
@@ -66,15 +66,16 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
 
 def _variables(path: Path, content: bytes) -> dict[str, Matrix | OtherVariable]:
     if HDF5 in (content[: len(HDF5)], content[HEADER : HEADER + len(HDF5)]):
-        raise UsageError(f"file {path} is a MAT-file of version 7.3 (HDF5); {CURE}")
+        raise UsageError(
+            f"file {path}: expected a MAT-file of version 5 to 7, got 7.3 (HDF5); {CURE}"
+        )
     try:
         return read_variables(content)
     except UsageError as error:
-        raise UsageError(f"file {path} is no MAT-file: {error}; {CURE}") from error
+        raise UsageError(f"file {path}: not a valid MAT-file: {error}; {CURE}") from error
 
 
 def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:
     """Return what to say where a file lacks matrices of a model."""
-    names = listing([*content.matrices, *content.others]) or "nothing"
-    needed = " and ".join(missing)
-    return f"file {file} has no {needed}; it has: {names}; needed A and C, by these names"
+    names = listing([*content.matrices, *content.others]) or "none"
+    return f"file {file}: expected A and C, got no {' and '.join(missing)}; available: {names}"

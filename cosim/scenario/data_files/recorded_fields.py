@@ -62,8 +62,8 @@ def check_asked(path: Path, columns: Mapping[str, Sequence[str]]) -> None:
         return
     map_option = option("map", "PORT", "/topic.field")
     raise UsageError(
-        f"file {str(path)!r}: found no field to take; needed a map, {map_option}, or columns = "
-        "{ y = \"/topic.field\" }; 'cosim info' lists the fields"
+        f"file {str(path)!r}: expected a map, {map_option}, or columns = "
+        "{ y = \"/topic.field\" }, got neither; 'cosim info' lists the fields"
     )
 
 
@@ -106,8 +106,8 @@ def recorded_data(
     width = sum(found.values.shape[1] for found in used)
     if len(time_ns) * width > MOST_VALUES:
         raise UsageError(
-            f"{label}: {width} numbers at {len(time_ns)} times; needed at most {MOST_VALUES} "
-            "numbers, so fewer fields, or a shorter file"
+            f"{label}: expected at most {MOST_VALUES} numbers, got {width} at {len(time_ns)} "
+            "times; use fewer fields or a shorter file"
         )
     t = _seconds_since(label, time_ns, offset_ns)
     signals = []
@@ -134,7 +134,7 @@ def _unit_ns(label: str, name: str | None) -> int:
         if unit >= 1 and unit == unit.to_integral_value():
             return int(unit)
     raise UsageError(
-        f"{label}: found time_unit {name!r}; needed a unit of time of whole ns, such as ms"
+        f"{label}: time_unit: expected a unit of time of whole ns, such as ms, got {name!r}"
     )
 
 
@@ -158,8 +158,8 @@ def _seconds_since(label: str, time_ns: Instants, offset_ns: int) -> Vector:
     last = int(time_ns[-1]) - offset_ns
     if max(map(abs, (first, last, offset_ns))) >= MOST_NS:
         raise UsageError(
-            f"{label}: its times are from {first} ns to {last} ns after the offset; needed less "
-            'than 2**63 ns: offset = "first" makes the first one 0'
+            f"{label}: expected times within 2**63 ns of the offset, got {first} ns to {last} ns; "
+            'use offset = "first"'
         )
     seconds: Vector = (time_ns - offset_ns) / 1e9
     return seconds

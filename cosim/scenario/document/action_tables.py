@@ -67,28 +67,29 @@ def _problems(action: ActionTable) -> list[Problem]:
     """Return what is wrong with an action by itself."""
     problems: list[Problem] = []
     if (action.at is None) == (action.when is None):
-        found = "neither 'at' nor 'when'" if action.at is None else "both 'at' and 'when'"
-        problems.append(((), f"found {found}; needed a time [s], or a condition"))
+        found = "neither" if action.at is None else "both"
+        text = f"expected either 'at' (a time [s]) or 'when' (a condition), got {found}"
+        problems.append(((), text))
     of_components = [name for name in ("set", "swap") if getattr(action, name) is not None]
     if of_components and action.signal is not None:
-        text = f"found a signal beside '{of_components[0]}'; needed an action of its own"
+        text = f"not allowed with '{of_components[0]}'; write a separate action"
         problems.append((("signal",), text))
     if not of_components and not signals_of(action):
-        problems.append(((), "'signal' is missing; needed an input, such as plant.u"))
+        problems.append(((), "'signal' is missing; expected an input, such as plant.u"))
     effects = _effects(action)
     if len(effects) != 1:
-        found = " and ".join(effects) or "nothing that happens"
-        problems.append(((), f"found {found}; needed one of: {', '.join(EFFECTS)}"))
+        found = " and ".join(effects) or "none"
+        problems.append(((), f"expected exactly one of {', '.join(EFFECTS)}, got {found}"))
     if action.set == {}:
-        problems.append((("set",), "found nothing; needed a parameter and its value"))
+        problems.append((("set",), "expected a parameter and its value, got an empty table"))
     if action.swap == {}:
-        problems.append((("swap",), "found nothing; needed a component and its .fmu"))
+        problems.append((("swap",), "expected a component and its .fmu, got an empty table"))
     for name in SWITCHES:
         if getattr(action, name) is False:
-            problems.append(((name,), "found False; needed true, or another action"))
+            problems.append(((name,), "expected true, got False"))
     is_random = action.noise is not None or (
         action.drop is not None and not isinstance(action.drop, bool)
     )
     if action.seed is not None and not is_random:
-        problems.append((("seed",), "found a seed without random numbers; leave it out"))
+        problems.append((("seed",), "expected only with random numbers (noise, drop)"))
     return problems

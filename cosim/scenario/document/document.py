@@ -240,16 +240,16 @@ def _read_edits(text: str) -> dict[str, Any]:
     edits = json_table(text)
     for key, kind in (("source", str), ("swaps", dict), ("changes", dict)):
         if not isinstance(edits.get(key), kind):
-            raise ValueError(f"found {key} {quoted(edits.get(key))}")
+            raise ValueError(f"{key}: got {quoted(edits.get(key))}")
     maps = edits.setdefault("maps", {})
     if not isinstance(maps, dict):
-        raise ValueError(f"found maps {quoted(maps)}")
+        raise ValueError(f"maps: got {quoted(maps)}")
     for name, path in edits["swaps"].items():
         if not isinstance(path, str):
-            raise ValueError(f"found {quoted(path)} for {name!r}")
+            raise ValueError(f"{name!r}: expected a path, got {quoted(path)}")
     for port, names in maps.items():
         if not is_port_names(names):
-            raise ValueError(f"found {quoted(names)} for {port!r}")
+            raise ValueError(f"{port!r}: expected port names, got {quoted(names)}")
     return edits
 
 
@@ -264,7 +264,7 @@ def _checked_maps(maps: Mapping[str, PortNames]) -> dict[str, PortNames]:
     for port, names in maps.items():
         if not is_port_names(names):
             raise UsageError(
-                f"{option('map', port)}: found {quoted(names)}; needed a name, or a list of names"
+                f"{option('map', port)}: expected a name or a list of names, got {quoted(names)}"
             )
     return dict(maps)
 
@@ -273,7 +273,7 @@ def _quotes_missing(key: str) -> str:
     """Return the way out where a key has letters that need quotes."""
     if key.isascii() or '"' in key or "'" in key:
         return ""
-    return "; keys with letters other than A-Z, a-z need quotes"
+    return "; keys with non-ASCII letters must be quoted"
 
 
 def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -314,11 +314,11 @@ def find(name: str | Path) -> Document:
         content = (_library() / f"{text}{SUFFIX}").read_text(encoding="utf-8")
         return Document(content, text, Path.cwd())
     if way_out:
-        raise UsageError(f"{path}: needed a scenario (.toml); {way_out}")
+        raise UsageError(f"{path}: expected a scenario (.toml); {way_out}")
     if path.is_dir():
-        raise ScenarioError(f"{path}: is a folder; needed a scenario (.toml), or a shipped one")
+        raise ScenarioError(f"{path}: expected a scenario (.toml) or a shipped one, got a folder")
     raise ScenarioError(
-        f"there is no scenario {quoted(text)}; give a path to a .toml file, or a shipped one: "
+        f"unknown scenario {quoted(text)}; expected a path to a .toml file, or a shipped one: "
         f"{nearest(text, shipped())}"
     )
 
@@ -327,11 +327,11 @@ def _way_out(path: Path) -> str:
     """Return what to do with a log or an FMU instead; empty for another file."""
     match file_type(path):
         case "log":
-            return f"{command('replay')} runs the scenario of a log again, 'cosim info' shows it"
+            return f"{command('replay')} replays a log, 'cosim info' shows it"
         case "FMU":
             return (
-                "'cosim info' shows an FMU, 'cosim check' tests it; a scenario has it as a "
-                f'component of kind "fmu", or in place of another, {option("swap", "NAME", "PATH")}'
+                "'cosim info' shows an FMU, 'cosim check' tests it; a scenario uses it as a "
+                f'component of kind "fmu", or in place of another: {option("swap", "NAME", "PATH")}'
             )
         case _:
             return ""
@@ -344,11 +344,12 @@ def _read_text(path: Path) -> str:
     except OSError as error:
         names = ", ".join(shipped())
         raise ScenarioError(
-            f"{path}: cannot be read ({error.strerror}); needed a scenario file, or one of: {names}"
+            f"{path}: cannot be read ({error.strerror}); expected a scenario file, or one of: "
+            f"{names}"
         ) from error
     except UnicodeDecodeError as error:
         raise ScenarioError(
-            f"{path}: is not UTF-8 text (byte {error.start}); needed a scenario in TOML"
+            f"{path}: is not UTF-8 text (byte {error.start}); expected a scenario in TOML"
         ) from error
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.core.connections import ONE_SOURCE
 from cosim.errors import UsageError, nearest, option, quoted
-from cosim.scenario.document.elements import element_at, split_elements, written
+from cosim.scenario.document.elements import element_at, numbered, split_elements, written
 from cosim.scenario.document.lines import MOST_LEVELS, key_lines
 from cosim.scenario.document.problems import Key, Problem
 
@@ -63,7 +63,7 @@ def parse_value(text: str) -> Any:
     return table["value"] if len(table) == 1 else text
 
 
-TOO_MANY_DIGITS = "an integer has more digits than can be read; needed at most 64 bits"
+TOO_MANY_DIGITS = "an integer has too many digits; expected at most 64 bits"
 
 
 def plain(value: Any, level: int = 0) -> Any:
@@ -76,7 +76,7 @@ def plain(value: Any, level: int = 0) -> Any:
     """
     if level > MOST_LEVELS:
         raise UsageError(
-            f"tables and lists are nested more than {MOST_LEVELS} levels deep; needed fewer"
+            f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
         )
     match value:
         case np.ndarray() | np.generic():
@@ -90,7 +90,7 @@ def plain(value: Any, level: int = 0) -> Any:
         case complex():
             return str(value)  # as TOML can have it
     raise UsageError(
-        f"found {quoted(value)}; needed a number, true or false, a string, a list or a table"
+        f"expected a number, true or false, a string, a list or a table, got {quoted(value)}"
     )
 
 
@@ -98,7 +98,7 @@ def _plain_table(table: Mapping[Any, Any], level: int) -> dict[str, Any]:
     values = {}
     for key, item in table.items():
         if not isinstance(key, str):
-            raise UsageError(f"found the key {quoted(key)} of a table; needed a string")
+            raise UsageError(f"expected a string as key of a table, got {quoted(key)}")
         values[key] = plain(item, level)
     return values
 
@@ -132,9 +132,9 @@ def given_twice(key: str, table: str) -> str:
         case "connections":
             reason = ONE_SOURCE
         case "truth":
-            reason = "an estimate has one truth"
+            reason = "an estimate has one true value"
         case _:
-            reason = "keep one"
+            reason = "remove one"
     return f"{key} is given twice; {reason}"
 
 
@@ -164,7 +164,7 @@ def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
         return _set_action(tree, rest, value)
     if not rest and (first in TABLES or not isinstance(value, dict)):
         example = option("set", "observer.filter_rate", "500")
-        return f"found no dot, needed COMPONENT.PARAMETER, such as {example}"
+        return f"expected COMPONENT.PARAMETER, such as {example}, got no dot"
     name = first if first in TABLES else "components"
     table = tree.setdefault(name, {})
     if not isinstance(table, dict):  # the schema of the file names that
@@ -175,7 +175,7 @@ def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     if first in TABLES:
         return _set_value(table, rest, value, (first,))
     if rest and first not in table:
-        return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
+        return f"unknown component {first!r}; {nearest(first, [*table, *TABLES])}"
     return _set_value(table, [first, *rest], value, ("components",))
 
 
@@ -188,8 +188,7 @@ def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None
     number, *inner = path
     if not isinstance(actions, list) or number not in map(str, range(len(actions))):
         count = len(actions)
-        there_are = f"there are {count}, numbered from 0" if count else "there is none"
-        return f"there is no action {number!r}; {there_are}"
+        return f"unknown action {number!r}; {numbered(count)}"
     table = actions[int(number)]
     if not inner or not isinstance(table, dict):
         actions[int(number)] = deepcopy(value)
@@ -253,7 +252,7 @@ def _set_element(
     entry = items[number]
     place = (*place, number)
     if not isinstance(entry, dict):
-        return f"{written(place)} has no keys: found {quoted(entry)}, needed a table"
+        return f"{written(place)}: expected a table, got {quoted(entry)}"
     return _set_value(entry, inner, value, place)
 
 

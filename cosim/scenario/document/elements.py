@@ -37,6 +37,11 @@ def written(key: Key) -> str:
     return text.removeprefix(".")
 
 
+def numbered(count: int) -> str:
+    """Return the end of a message about an unknown index: the numbers that are known."""
+    return f"available: 0 to {count - 1}" if count else "none is available"
+
+
 def element_at(value: Any, place: Key, index: str) -> tuple[int, str | None]:
     """Return the number of an element of a list, and the problem with that, if there is one.
 
@@ -50,11 +55,10 @@ def element_at(value: Any, place: Key, index: str) -> tuple[int, str | None]:
     """
     name = written(place)
     if value is None:
-        return 0, f"{name} is not given, so it has no element {index}; set it as a whole"
+        return 0, f"{name} is not given, so element {index} cannot be set; set it as a whole"
     if not isinstance(value, list):
-        return 0, f"{name} has no elements: found {quoted(value)}, needed a list"
+        return 0, f"{name}: expected a list, got {quoted(value)}"
     if _INDEX.fullmatch(index) is None or int(index) >= len(value):
         count = len(value)
-        there_are = f"there are {count}, numbered from 0" if count else "there is none"
-        return 0, f"{name} has no element {quoted(index)}; {there_are}"
+        return 0, f"{name} has no element {quoted(index)}; {numbered(count)}"
     return int(index), None

@@ -79,7 +79,7 @@ class KeyLines:
         """
         if self.depth > MOST_LEVELS:
             raise UsageError(
-                f"tables and lists are nested more than {MOST_LEVELS} levels deep; needed fewer"
+                f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
             )
 
 

@@ -1,4 +1,4 @@
-"""Validation errors of pydantic as problems: the key, what was found, what was needed."""
+"""Validation errors of pydantic as problems: the key, what was expected, what was found."""
 
 from __future__ import annotations
 
@@ -146,8 +146,8 @@ class _Alternatives:
         if len(candidates) == 1 or exact:
             return (exact or candidates)[0]
         value = quoted(_value(self._data, choice))
-        needed = described(annotation_at(self._table, choice))
-        whole = (choice, f"found {value}; needed {needed}")
+        expected = described(annotation_at(self._table, choice))
+        whole = (choice, f"expected {expected}, got {value}")
         return [_ValueProblem(choice, problems[0].choices[:level], True, whole)]
 
 
@@ -183,40 +183,47 @@ def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> s
         case "missing":
             field = _fields(table, path).get(name)
             description = None if field is None else field.description
-            return f"{name!r} is missing; needed {description or 'a value'}"
+            return f"{name!r} is missing ({description})" if description else f"{name!r} is missing"
         case "value_error":
             return str(details["ctx"]["error"])
+        case "literal_error":
+            expected = str(details["ctx"]["expected"]).replace(" or ", ", ")
+            choices = [choice.strip().strip("'") for choice in expected.split(",")]
+            value = details["input"]
+            return f"unknown value {quoted(value)}; {nearest(str(value), choices)}"
         case _:
-            return f"found {quoted(details.get('input'))}; {_needed(details, path, table)}"
+            expected = _expected(details, path, table)
+            return f"expected {expected}, got {quoted(details.get('input'))}"
 
 
-def _needed(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
-    """Return what is needed in place of a value that is wrong."""
+def _expected(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
+    """Return what is expected in place of a value that is wrong."""
     context = details.get("ctx", {})
     match details["type"]:
         case "finite_number":
-            return "needed a finite number"
+            return "a finite number"
         case "greater_than":
-            return f"needed more than {context['gt']:g}"
+            return f"a number > {context['gt']:g}"
         case "less_than":
-            return f"needed less than {context['lt']:g}"
+            return f"a number < {context['lt']:g}"
         case "greater_than_equal":
-            return f"needed at least {context['ge']}"
+            return f"a number >= {_bound(context['ge'])}"
         case "less_than_equal":
-            return f"needed at most {context['le']}"
+            return f"a number <= {_bound(context['le'])}"
         case "too_short":
-            return f"needed at least {context['min_length']} of them"
-        case "literal_error":
-            expected = str(context["expected"]).replace(" or ", ", ")
-            choices = [choice.strip().strip("'") for choice in expected.split(",")]
-            return nearest(str(details["input"]), choices)
+            return f"at least {context['min_length']}"
         case "float_type" if type(details["input"]) is int:
-            return f"needed a number of at most {sys.float_info.max:g}"
+            return f"a number <= {sys.float_info.max:g}"
+        case "int_from_float":
+            return _WORDS[int]
         case kind if kind in TYPES:
-            return f"needed {described(annotation_at(table, path))}"
+            return described(annotation_at(table, path))
         case _:
-            message = str(details["msg"])
-            return f"{message[0].lower()}{message[1:]}"
+            return str(details["msg"]).removeprefix("Input should be ")
+
+
+def _bound(value: float) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 # --- the types of a schema ---
@@ -232,7 +239,7 @@ _PLURALS = {
     "a string": "strings",
     "a number": "numbers",
     "a whole number": "whole numbers",
-    "a complex number": 'numbers, complex ones as texts such as "-3+2j"',
+    "a complex number": 'numbers, complex ones as strings such as "-3+2j"',
 }
 
 

@@ -106,7 +106,7 @@ def _replacements(entry: MapEntry, written: Connections) -> dict[Port, Port]:
     if connection is None:
         drivers = [str(to) for to in written if to.whole == port.whole]
         raise GraphError(
-            f"'{port}' is not connected as it is mapped; needed the ports of [connections]: "
+            f"'{port}' is connected by its elements; expected the ports of [connections]: "
             f"{', '.join(drivers)}"
         )
     label = connection.label
@@ -114,8 +114,8 @@ def _replacements(entry: MapEntry, written: Connections) -> dict[Port, Port]:
     if gain.ndim or gain != 1.0 or connection.offset or connection.unit is not None:
         raise GraphError(
             f"'{port}' takes {label} with a gain, an offset or a unit, so its recorded values are "
-            f"not those of {label}; needed a swap of {connection.sources[0].component!r}, too, and "
-            f"a map of '{connection.sources[0]}'"
+            f"not those of {label}; swap {connection.sources[0].component!r}, too, and map "
+            f"'{connection.sources[0]}'"
         )
     sources = connection.sources
     if len(sources) == 1:
@@ -123,8 +123,8 @@ def _replacements(entry: MapEntry, written: Connections) -> dict[Port, Port]:
     names = entry.renaming.sources
     if len(names) != len(sources):
         raise GraphError(
-            f"'{port}' takes {len(sources)} signals, {label}; found {len(names)} in its map, "
-            "needed one for each"
+            f"'{port}' takes {len(sources)} signals, {label}; expected one name for each in its "
+            f"map, got {len(names)}"
         )
     return {source: replace(port, element=index) for index, source in enumerate(sources)}
 

@@ -18,7 +18,7 @@ Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 def _check_bits(number: int) -> int:
     if not -(2**63) <= number < 2**63:  # what TOML promises
-        raise ValueError(f"found {quoted(number)}; needed an integer of at most 64 bits")
+        raise ValueError(f"expected an integer of at most 64 bits, got {quoted(number)}")
     return number
 
 
@@ -39,15 +39,15 @@ def _pole(value: object) -> complex:
     ValueError
         If it is neither, or not finite.
     """
-    needed = 'needed a finite number, or a complex one as a text such as "-3+2j"'
+    expected = 'expected a finite number, or a complex one as a string such as "-3+2j"'
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise ValueError(f"found {quoted(value)}; {needed}")
+        raise ValueError(f"{expected}, got {quoted(value)}")
     try:
         pole = complex(value)
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"found {quoted(value)}; {needed}") from error
+        raise ValueError(f"{expected}, got {quoted(value)}") from error
     if not (math.isfinite(pole.real) and math.isfinite(pole.imag)):
-        raise ValueError(f"found {quoted(value)}; {needed}")
+        raise ValueError(f"{expected}, got {quoted(value)}")
     return pole
 
 
@@ -75,15 +75,15 @@ def _check_name(name: str) -> str:
         If it is none.
     """
     composed = unicodedata.normalize("NFC", name)
-    needed = ""
+    expected = ""
     if name != composed:
-        needed = f"{composed!r}, composed as Unicode NFC"
+        expected = f"{composed!r}, composed as Unicode NFC"
     elif len(name.encode(errors="replace")) > MOST_NAME_BYTES:
-        needed = f"a name of at most {MOST_NAME_BYTES} bytes"
+        expected = f"a name of at most {MOST_NAME_BYTES} bytes"
     elif name.startswith(("_", "-")) or not name.replace("-", "_").isidentifier():
-        needed = "a name of letters, digits, '_' and '-' that begins with a letter"
-    if needed:
-        raise ValueError(f"found {quoted(name)}; needed {needed}")
+        expected = "a name of letters, digits, '_' and '-' that begins with a letter"
+    if expected:
+        raise ValueError(f"expected {expected}, got {quoted(name)}")
     return name
 
 
@@ -105,12 +105,12 @@ class SubstepTable(TomlTable):
     """The table [scenario.substeps]."""
 
     rtol: Annotated[Number, Field(ge=0.0)] = Field(
-        1e-6, description="of the size of an output, that its error in a substep may be"
+        1e-6, description="relative tolerance of the outputs per substep"
     )
     atol: Annotated[Number, Field(ge=0.0)] = Field(
         1e-9,
-        description="the same in the unit of the output, times the nominal value of an FMU's; "
-        "both are added",
+        description="absolute tolerance, in the unit of the output, times the nominal value of "
+        "an FMU output; added to the relative one",
     )
     min: Annotated[Number, Field(gt=0.0)] = Field(1e-6, description="shortest substep [s]")
 
@@ -118,45 +118,44 @@ class SubstepTable(TomlTable):
 class Settings(TomlTable):
     """The table [scenario]."""
 
-    name: Name = Field(description="of the scenario, and of its logs")
-    start_time: Number = Field(0.0, description="start of the run [s], 0 or later")
-    stop: Number = Field(description="end of the run, an instant [s]")
+    name: Name = Field(description="name of the scenario and of its logs")
+    start_time: Number = Field(0.0, description="start of the run [s], >= 0")
+    stop: Number = Field(description="end of the run [s]")
     step: Number = Field(description="communication step [s]")
     coupling: Literal["gauss-seidel", "jacobi", "newton"] = Field(
         "gauss-seidel",
-        description='how the components of a loop advance: "gauss-seidel", "jacobi", or "newton", '
-        "which solves for the inputs at the end of each step (second order)",
+        description='coupling of loops: "gauss-seidel", "jacobi", or "newton" (solves for the '
+        "inputs at the end of each step, second order)",
     )
     coupling_check: Literal["refuse", "warn"] = Field(
         "refuse",
-        description="where the coupling of a loop multiplies an error by more than 10 over the "
-        'run, "refuse" it, or "warn" of it',
+        description='if the coupling amplifies an error by more than 10 over the run: "refuse" to '
+        'run, or "warn"',
     )
     iterations: Annotated[Whole, Field(ge=1)] = Field(
         1,
-        description='how often a loop takes a step, with "gauss-seidel" or "jacobi"',
+        description='iterations per step with "gauss-seidel" or "jacobi"',
     )
     input_interpolation: Literal["linear", "zero-order", "latest"] = Field(
         "linear",
-        description='inputs inside a step: "linear" interpolation, "zero-order" hold of their '
-        'values at its start, or of the "latest" that there are (classic Gauss-Seidel)',
+        description='inputs within a step: "linear" interpolation, "zero-order" hold from its '
+        'start, or hold of the "latest" values (classic Gauss-Seidel)',
     )
     substeps: SubstepTable | None = Field(
         None,
-        description="loops divide their steps where the estimated error asks for it; left out: "
-        "they do not",
+        description="error-controlled substeps of loops; default: none",
     )
     threads: Annotated[Whole, Field(ge=1, le=2)] | None = Field(
         None,
-        description="that advance branches which do not depend on each other, where that is "
-        "faster: 1, or 2, also for FMUs; left out: 2 for cosim's own components",
+        description="threads for independent branches, used where faster: 1, or 2 (FMUs "
+        "included); default: 2 for cosim's own components",
     )
     until: str | None = Field(
         None,
-        description="condition where the run ends before its stop, at a communication point, such "
-        'as "abs(observer.delta - delta.y) < 1e-3 for 1 s"',
+        description="condition that ends the run early, at a communication point, such as "
+        '"abs(observer.delta - delta.y) < 1e-3 for 1 s"',
     )
-    description: str = Field("", description="one line for 'cosim list' and reports")
+    description: str = Field("", description="one line of text for 'cosim list' and reports")
 
 
 class ModelTable(TomlTable):
@@ -166,24 +165,23 @@ class ModelTable(TomlTable):
     """
 
     n_a: Whole | None = Field(
-        None, ge=1, description="partitioned form: number of dynamic states; then A, Bu, Bd, C"
+        None, ge=1, description="number of dynamic states of a partitioned model A, Bu, Bd, C"
     )
-    E: NumberRows | None = Field(None, description="any square matrix; default: the identity")
-    A: NumberRows | None = Field(None, description="needed, as C, if there is no file")
-    B: NumberRows | None = Field(None, description="columns of all inputs; or give Bu and Bd")
+    E: NumberRows | None = Field(None, description="square matrix of E x'; default: identity")
+    A: NumberRows | None = Field(None, description="square matrix; required without file")
+    B: NumberRows | None = Field(None, description="one column per input; or give Bu and Bd")
     Bu: NumberRows | None = Field(None, description="columns of the known inputs u")
     Bd: NumberRows | None = Field(None, description="columns of the disturbances delta")
-    C: NumberRows | None = Field(None, description="a row for each output")
-    D: NumberRows | None = Field(None, description="columns as B; default: 0")
-    Du: NumberRows | None = Field(None, description="columns as Bu; default: 0")
-    Dd: NumberRows | None = Field(None, description="columns as Bd; default: 0")
+    C: NumberRows | None = Field(None, description="one row per output; required without file")
+    D: NumberRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
+    Du: NumberRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
+    Dd: NumberRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
     disturbances: tuple[Whole, ...] | None = Field(
-        None, description="columns of B that are unknown, counted from 0; default: none"
+        None, description="indices of the columns of B that are unknown, from 0; default: none"
     )
     file: str | None = Field(
         None,
-        description="path of a MAT-file (.mat) with the matrices of the general form by name, "
-        "in place of them",
+        description="path of a MAT-file (.mat) with the matrices of the general form",
     )
 
 
@@ -208,12 +206,12 @@ class SwapTable(TomlTable):
     """
 
     path: str = Field(
-        description="path of an .fmu (x.fmu#me and x.fmu#cs choose its interface type) "
+        description="path of an .fmu (x.fmu#me or x.fmu#cs selects the interface type) "
         "or of a recorded log (.mcap)"
     )
     map: dict[str, str | list[str]] = Field(
         {},
-        description="port as the scenario writes it = port of the new component, or a list of them",
+        description="port in the scenario = port of the new component, or a list of ports",
     )
 
 
@@ -223,50 +221,49 @@ class ActionTable(TomlTable):
     Values are in the unit of the input. One for all elements, or one for each.
     """
 
-    at: Number | None = Field(None, description="when [s], a communication point of the run")
+    at: Number | None = Field(None, description="time [s], a communication point of the run")
     when: str | None = Field(
         None,
-        description="in place of that: where this condition comes true first, such as "
+        description="condition, in place of a time: when it is first met, such as "
         '"plant.y > 2 for 0.5 s"',
     )
     signal: str | list[str] | None = Field(
-        None, description="the input, or elements of it, or several; all get the same"
+        None, description="input, element of an input, or list of them; all get the same action"
     )
     override: Flag | Number | NumberRow | None = Field(
-        None, description="value in place of what its source gives"
+        None, description="value that replaces the source"
     )
-    freeze: Flag | None = Field(None, description="true: it keeps the value that it has")
-    offset: Number | NumberRow | None = Field(None, description="added to what its source gives")
-    gain: Number | NumberRow | None = Field(None, description="multiplied by what its source gives")
+    freeze: Flag | None = Field(None, description="true: hold the present value")
+    offset: Number | NumberRow | None = Field(None, description="offset added to the source")
+    gain: Number | NumberRow | None = Field(None, description="factor applied to the source")
     drift: Number | NumberRow | None = Field(
-        None, description="slope of a ramp that is added, and begins at 0 [1/s]"
+        None, description="slope of a ramp added to the source [1/s]"
     )
     noise: Number | NumberRow | None = Field(
         None,
-        description="standard deviation of Gaussian noise that is added, anew at every "
-        "communication point",
+        description="standard deviation of Gaussian noise added at every communication point",
     )
     drop: Flag | Number | None = Field(
         None,
-        description="probability that a sample is lost, or true: all are; no value where the input "
-        "may have none, else the last one that arrived",
+        description="probability of losing a sample, or true: all are lost; the input has no value "
+        "then if it is optional, else it keeps the last one",
     )
     delay: Number | None = Field(
-        None, description="how late the source arrives [s], whole communication steps"
+        None, description="delay of the source [s], a multiple of the communication step"
     )
     seed: Whole | None = Field(
-        None, ge=0, le=LARGEST_SEED, description="of noise, or of what is lost; default: 0"
+        None, ge=0, le=LARGEST_SEED, description="seed of noise or drop; default: 0"
     )
-    release: Flag | None = Field(None, description="true: its source drives it again")
+    release: Flag | None = Field(None, description="true: end all faults of the input")
     set: dict[str, Any] | None = Field(
         None,
-        description='tunable parameters and their values: { "observer.filter_rate" = 500.0 }; '
-        "the state stays; 'cosim list KIND' shows which are tunable",
+        description='tunable parameters and their new values: { "observer.filter_rate" = 500.0 }; '
+        "the state is kept; 'cosim list KIND' shows which are tunable",
     )
     swap: dict[str, str] | None = Field(
         None,
-        description='components and the .fmu that takes their place: { plant = "other.fmu" }; it '
-        "goes on from the same continuous states",
+        description='components and the .fmu that replaces them: { plant = "other.fmu" }; the '
+        "continuous states are kept",
     )
 
 
@@ -275,13 +272,13 @@ class RecordTable(TomlTable):
 
     signals: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
         None,
-        description='names of signals and patterns, such as ["plant.*", "observer.delta"]; left '
-        "out: all",
+        description='signals and patterns to record, such as ["plant.*", "observer.delta"]; '
+        "default: all",
     )
     every: Annotated[Whole, Field(ge=1)] = Field(
         1,
-        description="communication steps between rows; a component with a period of several steps "
-        "has rows at the multiples of both",
+        description="communication steps between rows; a component with a longer period has rows "
+        "at the common multiples",
     )
 
     @property
@@ -324,7 +321,7 @@ def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]
     lengths = [len(row) for row in rows]
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
         raise ValueError(
-            f"{name}: found rows of lengths {lengths}, "
-            "needed rows of one length, like [[0, 1], [2, 3]]"
+            f"{name}: expected rows of equal length, such as [[0, 1], [2, 3]], got lengths "
+            f"{lengths}"
         )
     return np.array(rows, dtype=np.float64)

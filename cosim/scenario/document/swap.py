@@ -85,7 +85,7 @@ def replace_components(tree: Tables, paths: Mapping[str, str]) -> list[Problem]:
     components = _table(tree, "components")
     for name, path in _paths(tree).items():
         if name not in components:
-            text = f"there is no component {name!r}; {nearest(name, components)}"
+            text = f"unknown component {name!r}; {nearest(name, components)}"
             problems.append((("swap", name), text))
             continue
         try:
@@ -133,8 +133,8 @@ def component_table(name: str, path: str) -> Tables:
     interface_type = None if suffix is None else suffix[2]
     if interface_type not in (None, "me", "cs"):
         raise UsageError(
-            f"found '#{interface_type}' after the path, needed '#me' (model exchange) "
-            "or '#cs' (co-simulation)"
+            "expected '#me' (model exchange) or '#cs' (co-simulation) after the path, got "
+            f"'#{interface_type}'"
         )
     match file_type(file):
         case "FMU":
@@ -146,8 +146,8 @@ def component_table(name: str, path: str) -> Tables:
             return {"kind": "field-data", "path": file}
         case _:
             raise UsageError(
-                f"found {path!r}, needed a path that ends in .fmu (an FMU), .mcap (a recorded log) "
-                f"or .csv, .parquet or .mcap{SAMPLES} (samples with their times)"
+                "expected a path that ends in .fmu (an FMU), .mcap (a recorded log), or .csv, "
+                f".parquet or .mcap{SAMPLES} (samples with their times), got {path!r}"
             )
 
 
@@ -227,7 +227,7 @@ def _resolve_map(
         if first.renaming != renaming:
             first_use = f"as {_listed(first.renaming)} for '{first.key[-1]}'"
             second_use = f"as {_listed(renaming)} for '{written}'"
-            text = f"'{port}' is given twice, {first_use} and {second_use}; needed one"
+            text = f"'{port}' is given twice, {first_use} and {second_use}; remove one"
             problems.append((key, text))
     return list(entries.values()), problems
 
@@ -247,8 +247,7 @@ def _sources(component: str, names: PortNames) -> tuple[Port, ...]:
     listed = port_names(names)
     if not listed or "" in listed:
         raise GraphError(
-            "found no name, needed that of a port of the component that takes the place of "
-            f"{component!r}"
+            f"expected the name of a port of the component that replaces {component!r}, got none"
         )
     return tuple(Port.parse(f"{component}.{name}") for name in listed)
 
@@ -282,8 +281,8 @@ def unknown_ports(
         own_ports = [f"{port.component}.{name}" for name in own_names]
         known = dict.fromkeys([*ports.of(port.component), *own_ports])
         text = (
-            f"the scenario connects no '{port}', and the component that is replaced has no such "
-            f"port; {nearest(str(port), known)}"
+            f"unknown port '{port}': neither connected nor a port of the replaced component; "
+            f"{nearest(str(port), known)}"
         )
         problems.append((entry.key, text))
     return problems
@@ -309,7 +308,7 @@ def port_names(names: PortNames) -> list[str]:
         return list(names)
     text = names.strip()
     if text.startswith("[") and text.count("[") != text.count("]"):
-        raise GraphError(f"found {names!r}, a list that is not closed; needed [NAME, NAME]")
+        raise GraphError(f"expected [NAME, NAME], got {names!r}")
     listed = re.fullmatch(r"\[(.*)\]", text)
     if listed is None:
         return [names]
@@ -384,7 +383,7 @@ class WrittenPorts:
             raise GraphError(self.unknown(written, [component]))
         if len(sources) > 1:
             names = ", ".join(map(str, sources))
-            raise GraphError(f"{written!r} is driven by several ports; name them: {names}")
+            raise GraphError(f"{written!r} is driven by several ports; name one of them: {names}")
         return sources[0]
 
     def _driving(self, to: Port) -> list[Port]:
@@ -413,25 +412,25 @@ class WrittenPorts:
         names = list(swapped)
         if not names:
             return (
-                "nothing is swapped, so no port gets another name; needed a swap: "
+                "a map requires a swapped component: "
                 f"{option('swap', 'COMPONENT', 'PATH')}, or [swap]"
             )
         known: list[str] = []
         for name in names:
             known += self.of(name)
         if not ports_in([written]):
-            return f"found no dot, needed COMPONENT.PORT; {nearest(written, known)}"
+            return f"expected COMPONENT.PORT, got no dot; {nearest(written, known)}"
         port = Port.parse(written)
         if port.component not in self._components:
             suggestion = nearest(port.component, self._components)
-            return f"there is no component {port.component!r}; {suggestion}"
+            return f"unknown component {port.component!r}; {suggestion}"
         if self._writes(written, port.component):
-            needed = " or ".join(map(repr, names))
+            swapped_names = " or ".join(map(repr, names))
             return (
-                f"{written!r} does not belong to {needed}, nor does that drive it; "
+                f"{written!r} neither belongs to {swapped_names} nor is driven by it; "
                 f"{nearest(written, known)}"
             )
-        return f"the scenario connects no {written!r}; {nearest(written, known)}"
+        return f"{written!r} is not connected in the scenario; {nearest(written, known)}"
 
     def has(self, port: Port) -> bool:
         """Return whether the scenario writes a port or one with elements of the same signal."""

@@ -23,7 +23,7 @@ def read_values(text: str) -> list[Any]:
     for part in split_values(text):
         if not part:
             raise UsageError(
-                f"found an empty value in {quoted(text)}; needed values with a comma between them"
+                f"expected values separated by commas, got an empty one in {quoted(text)}"
             )
         values.append(parse_value(part))
     return values

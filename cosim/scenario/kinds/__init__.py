@@ -29,7 +29,7 @@ package, and add it to ``KINDS`` below. A dead zone, for example::
 
         def build(self, name: str, context: BuildContext) -> Component:
             if self.width < 0.0:
-                raise UsageError(f"width: found {self.width}, needed 0 or more")
+                raise UsageError(f"width: expected a number >= 0, got {self.width}")
             u = Signal("u", unit=self.unit_name)
             y = Signal("y", unit=self.unit_name, variability="inherited")
             return Static(Interface((u,), (y,), {"y": ("u",)}), self._reduced)

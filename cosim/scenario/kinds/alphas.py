@@ -27,7 +27,7 @@ from cosim.scenario.kinds.finite_values import check_finite, check_finite_values
 from cosim.scenario.kinds.jumps import check_continuous
 
 ALPHA: Final = "alpha"  # the input
-ALPHA_KEY: Final = 'known function of t, or a signal of the scenario, { from = "component.signal" }'
+ALPHA_KEY: Final = 'known function of t, or a signal: { from = "component.signal" }'
 
 
 def _check_signal(text: str) -> str:
@@ -43,7 +43,7 @@ def _check_signal(text: str) -> str:
     except CosimError as error:
         raise ValueError(str(error)) from error
     if isinstance(port.element, range):
-        raise ValueError(f"found {text!r}; needed one element of the output, such as [0]")
+        raise ValueError(f"expected one element of the output, such as [0], got {text!r}")
     return text
 
 
@@ -51,7 +51,7 @@ class SignalTable(TomlTable):
     """A signal of the scenario, such as ``{ from = "schedule.y" }``."""
 
     source: Annotated[str, AfterValidator(_check_signal)] = Field(
-        alias="from", description="output, or an element of one"
+        alias="from", description="output, or an element of it"
     )
 
 

@@ -28,8 +28,8 @@ class SumKind(ExportableKind):
     is_static: ClassVar[bool] = True
     tunable: ClassVar[tuple[str, ...]] = ("signs",)
     kind: Literal["sum"]
-    signs: NumberRow = Field(description="one number an input, like [1, -1]")
-    size: Size = Field(1, description="number of elements of every signal")
+    signs: NumberRow = Field(description="one factor per input, such as [1, -1]")
+    size: Size = Field(1, description="number of elements of each signal")
     unit: PortUnits = Field(None, description=unit_of("y and all inputs"))
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -47,7 +47,7 @@ class GainKind(ExportableKind):
     is_static: ClassVar[bool] = True
     tunable: ClassVar[tuple[str, ...]] = ("K",)
     kind: Literal["gain"]
-    K: Number | NumberRows = Field(description="a number, or a matrix")
+    K: Number | NumberRows = Field(description="gain, a number or a matrix")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.gain(self._matrix, unit=self.unit_name)
@@ -63,25 +63,25 @@ class GainKind(ExportableKind):
 
 
 class ProductKind(ExportableKind):
-    """y = u1 u2 ..., or divided by some of them, element by element."""
+    """y = u1 u2 ... or u1/u2 ..., element by element."""
 
     ports: ClassVar[str] = "u1, u2, ... -> y"
     is_static: ClassVar[bool] = True
     kind: Literal["product"]
-    operations: str = Field(description='* or / for each input, like "*/" for u1/u2')
-    size: Size = Field(1, description="number of elements of every signal")
+    operations: str = Field(description='* or / per input, such as "*/" for u1/u2')
+    size: Size = Field(1, description="number of elements of each signal")
 
     def build(self, name: str, context: BuildContext) -> Product:
         return Product(self.operations, size=self.size, unit=self.unit_name)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         interface = self.build(name, context).interface
-        reason = "a product is not linear, so its derivatives are no constants"
+        reason = "a product is nonlinear"
         return DiscreteModel(interface, kernels.product(self.operations), 0, reason)
 
 
 class LimitKind(ExportableKind):
-    """y = u within lower and upper."""
+    """y = u, limited to lower and upper."""
 
     ports: ClassVar[str] = "u -> y"
     is_static: ClassVar[bool] = True
@@ -100,7 +100,7 @@ class LimitKind(ExportableKind):
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         interface = self.build(name, context).interface
         kernel = kernels.limit(float(self.lower), float(self.upper))
-        reason = "a limit is not smooth, so it has no derivatives everywhere"
+        reason = "a limit is not differentiable"
         return DiscreteModel(interface, kernel, 0, reason)
 
 
@@ -122,12 +122,11 @@ class SwitchKind(ExportableKind):
     is_static: ClassVar[bool] = True
     tunable: ClassVar[tuple[str, ...]] = ("threshold",)
     kind: Literal["switch"]
-    threshold: Number = Field(0.5, description="least control for u1; 0.5 also fits true and false")
+    threshold: Number = Field(0.5, description="y = u1 for control >= threshold")
     size: Size = Field(1, description="number of elements of u1, u2 and y")
     discrete: Flag = Field(
         False,
-        description="y is held over a step, so that it jumps at communication points; "
-        "default: only where u1, u2 and control are discrete",
+        description="hold y over each step; default: true if u1, u2 and control are discrete",
     )
     unit: PortUnits = Field(None, description=unit_of("u1, u2 and y"))
 
@@ -146,7 +145,7 @@ class SwitchKind(ExportableKind):
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         interface = self.build(name, context).interface
         kernel = kernels.switch(float(self.threshold))
-        return DiscreteModel(interface, kernel, 0, "a switch jumps, so it has no derivatives there")
+        return DiscreteModel(interface, kernel, 0, "a switch is not differentiable")
 
 
 def _static_model(interface: Interface, D: Matrix) -> LinearModel:

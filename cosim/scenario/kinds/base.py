@@ -285,7 +285,7 @@ PortUnits: TypeAlias = UnitName | dict[str, UnitName] | None
 
 def unit_of(ports: str) -> str:
     """Return the description of the key ``unit``, for kinds where one unit is that of ``ports``."""
-    return f'unit of {ports}, or by port, like {{ u = "N", y = "mm" }}'
+    return f'unit of {ports}, or one per port, such as {{ u = "N", y = "mm" }}'
 
 
 class Kind(TomlTable):
@@ -542,7 +542,7 @@ class PeriodicKind(Kind):
 
     period: Number | None = Field(
         None,
-        description="sample period [s], whole communication steps; default: one communication step",
+        description="sample period [s], a multiple of the communication step; default: one step",
     )
 
     def period_steps(self, name: str, step_ns: int) -> int:

@@ -90,9 +90,8 @@ def check_constant(terms: Sequence[ClassTerm], context: BuildContext) -> None:
     for term in terms:
         if _varies(term.alpha, context):
             raise UsageError(
-                f"internal_model: alpha = {term.alpha.text!r} varies, and the internal model is of "
-                "disturbances with constant alphas; needed these, or internal_model = false "
-                "with feedforward = true"
+                f"internal_model: expected constant alphas, got {term.alpha.text!r}; for a "
+                "time-varying alpha use internal_model = false with feedforward = true"
             )
 
 
@@ -186,9 +185,9 @@ def _check_parameter(
         varying = f"{origin}, whose alpha = {source.term.alpha.text!r} varies"
         if not is_any:
             raise UsageError(
-                f"terms: {varying}, and the internal model is of a constant alpha; needed a term "
-                'of family = "linear" that makes both together, or internal_model = false with '
-                "feedforward = true"
+                f"terms: {varying}; the internal model requires a constant alpha; expected a "
+                'term of family = "linear" that describes both together, or internal_model = '
+                "false with feedforward = true"
             )
         context.warn(target.component, f"{varying}; {target.term.label} has to make both together")
         return
@@ -197,8 +196,7 @@ def _check_parameter(
     as_other = f"{origin}, and is taken as {target}"
     if not is_any and target.name != source.name:
         raise UsageError(
-            f"terms: {as_other}; needed the terms of {source.component!r}, which are the default: "
-            "leave terms out"
+            f"terms: {as_other}; expected the terms of {source.component!r} (the default)"
         )
     context.warn(target.component, f"{as_other}; the internal model rejects what that term makes")
 

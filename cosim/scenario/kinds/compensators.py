@@ -64,70 +64,70 @@ LARGEST_ERROR = 0.05
 
 
 class CompensatorKind(Kind):
-    """State feedback, feedforward of delta, and an internal model that the estimate switches on."""
+    """State feedback with feedforward of delta and an internal model of the disturbance."""
 
     ports: ClassVar[str] = "x_a, delta, y, theta, standard_error, r -> u, w, active, model_theta"
     kind: Literal["compensator"]
     K: NumberRows | None = Field(
         None,
-        description="state feedback u = -K x_a, of a model in the general form -K x, a row for "
-        "each input; or poles, or Q",
+        description="state feedback gain, one row per input: u = -K x_a, or -K x with a model in "
+        "the general form; alternatives: poles, Q",
     )
     poles: PoleRow | None = Field(
         None,
-        description="eigenvalues of A - B K [1/s], as many as u can move; complex ones as texts, "
-        'in pairs: ["-3+2j", "-3-2j"]',
+        description="eigenvalues of A - B K [1/s], one per controllable state; complex pairs as "
+        'strings: ["-3+2j", "-3-2j"]',
     )
     Q: NumberRow | NumberRows | None = Field(
         None,
-        description="weight of x_a, or x, of the linear-quadratic regulator: its diagonal, or rows",
+        description="LQR weight of x_a, or of x: diagonal, or matrix",
     )
     R: NumberRow | NumberRows | None = Field(
-        None, description="weight of u: its diagonal, or rows; default: 1 each"
+        None, description="LQR weight of u: diagonal, or matrix; default: identity"
     )
     regulated: tuple[Whole, ...] | None = Field(
         None,
-        description="the elements of y that are regulated, from 0, at most as many as there are "
-        "inputs; default: all",
+        description="indices of the regulated elements of y, from 0; at most as many as inputs; "
+        "default: all",
     )
     feedforward: Flag = Field(
         False,
-        description="u counteracts delta: no steady error where it is constant, none at all where "
-        "it acts as u does; it amplifies noise as delta does",
+        description="feed the reconstructed delta forward: rejects a constant delta in steady "
+        "state, and any matched delta; passes on the noise of delta",
     )
     internal_model: Flag = Field(
         True,
-        description="whether an internal model of the disturbance rejects it once theta is known "
-        "well enough: its 95 % interval in the one given, its standard error small",
+        description="reject the disturbance by an internal model, active while the 95 % interval "
+        "of theta is inside 'interval' and its standard error below 'largest_error'",
     )
     interval: tuple[tuple[Number, Number], ...] | None = Field(
         None,
-        description="[lower, upper] for every theta: the loop with the internal model is proven to "
-        "be stable for all of it, or refused; it is used there alone",
+        description="[lower, upper] for each theta: the closed loop must be provably stable in all "
+        "of it; the internal model is active only inside",
     )
     terms: tuple[FamilyTerm, ...] | None = Field(
         None,
-        description="list of { family } of the disturbance; default: those of the identifier that "
-        "drives theta",
+        description="disturbance terms, a list of { family }; default: those of the identifier "
+        "that drives theta",
     )
     decay_rate: Number | None = Field(
         None,
-        description="at which the modes of the internal model decay at least [1/s]; default: half "
-        "the slowest one of the state feedback",
+        description="slowest decay of the modes of the internal model [1/s]; default: half the "
+        "slowest rate of the state feedback",
     )
     largest_error: Number = Field(
         LARGEST_ERROR,
-        description="largest standard error of theta, relative to theta, or to half its interval "
-        "where that is more, with which the internal model is used",
+        description="largest standard error of theta with an active internal model, relative to "
+        "theta or to half its interval, whichever is larger",
     )
     lower: Number | NumberRow | None = Field(
-        None, description="lower limit of u, one number or one an input; default: none"
+        None, description="lower limit of u, one number or one per input; default: none"
     )
     upper: Number | NumberRow | None = Field(
-        None, description="upper limit of u, one number or one an input; default: none"
+        None, description="upper limit of u, one number or one per input; default: none"
     )
     anti_windup: Flag = Field(
-        True, description="the internal model follows what the limits leave of u (back-calculation)"
+        True, description="feed the limited u back into the internal model (back-calculation)"
     )
     unit: PortUnits = Field(None, description=unit_of("u"))
 
@@ -163,8 +163,8 @@ class CompensatorKind(Kind):
         state, *_ = state_maps(reduced)
         if observed.kind.lag(observed.name, state.name, context):
             raise UsageError(
-                f"{state.name} of {observed.name!r} lags, as it depends on delta; needed filter = "
-                '"first-order"'
+                f"{state.name} of {observed.name!r} depends on delta and lags with it; expected "
+                'filter = "first-order"'
             )
         coordinates = reduced.coordinates
         options = CompensatorOptions(
@@ -259,8 +259,8 @@ class CompensatorKind(Kind):
             rows = tuple((0.0, 0.0) for _ in parameters)
         if len(rows) != len(parameters):
             raise UsageError(
-                f"interval: found {len(rows)} rows, needed {len(parameters)}, [lower, upper] of "
-                f"{', '.join(parameters)}"
+                f"interval: expected {len(parameters)} rows, [lower, upper] of "
+                f"{', '.join(parameters)}, got {len(rows)}"
             )
         ends: Matrix = np.array(rows, np.float64).reshape(-1, 2)
         return internal_model(families, outputs), ParameterBox(ends[:, 0], ends[:, 1])
@@ -270,8 +270,8 @@ class CompensatorKind(Kind):
     ) -> None:
         if not families:
             raise UsageError(
-                "internal_model: nothing says what the disturbance is; needed an identifier that "
-                "drives theta, or terms, or internal_model = false"
+                "internal_model: the disturbance is not described; connect an identifier to theta, "
+                "give terms, or set internal_model = false"
             )
         if any(family.parameters for family in families):
             for signal in ("theta", "standard_error"):
@@ -284,8 +284,8 @@ class CompensatorKind(Kind):
             system = realize(model.reduced, design)
         elif self.feedforward:
             raise UsageError(
-                f"feedforward: {observed.name!r} has filter = {observed.kind.filter!r}, whose "
-                'delta is of the past; needed filter = "first-order", or feedforward = false'
+                f"feedforward: delta of {observed.name!r} lags with filter = "
+                f'{observed.kind.filter!r}; expected filter = "first-order", or feedforward = false'
             )
         else:
             system = realize_averages(model.reduced, design).system
@@ -334,8 +334,8 @@ def observer_in_loop(name: str, context: BuildContext) -> ObserverInLoop:
     designed = kind.design(observer, context)
     if designed.model.constant:
         raise UsageError(
-            f"the design model of {observer!r} has a constant input: it was linearized away "
-            "from an equilibrium; needed one at an equilibrium"
+            f"expected the design model of {observer!r} linearized at an equilibrium, got one "
+            "with a constant input"
         )
     return ObserverInLoop(observer, kind, designed)
 
@@ -347,13 +347,13 @@ def _observer(name: str, context: BuildContext) -> tuple[str, UnknownInputObserv
         if driver is not None and isinstance(kind, UnknownInputObserverKind):
             if kind.relinearize:
                 raise UsageError(
-                    f"{driver!r} is linearized anew on the way, and a loop is proven stable with "
-                    "one observer; needed relinearize = false"
+                    f"{driver!r} is relinearized during the run; stability is proven for a fixed "
+                    "observer only; expected relinearize = false"
                 )
             return driver, kind
     raise UsageError(
         "'x_a', or 'x' of a model in the general form, must be driven directly by a component of "
-        "kind 'unknown-input-observer', on whose design model the controller is designed"
+        "kind 'unknown-input-observer': the controller is designed on its design model"
     )
 
 
@@ -367,20 +367,20 @@ def _gain_of_x_a(K: Matrix, coordinates: UserCoordinates) -> Matrix:
     """
     n = len(coordinates.X)
     if K.shape[1] != n:
-        raise UsageError(f"K: found {K.shape[1]} columns, needed {n}: one a state")
+        raise UsageError(f"K: expected {n} columns, one per state, got {K.shape[1]}")
     of_inputs = np.hstack([coordinates.Xu, coordinates.Xd])
     size = np.abs(K) @ np.abs(of_inputs)
     if without_rounding(K @ of_inputs, size, 1e3).any():
         raise UsageError(
-            "K: weighs states that follow u or delta at once, an algebraic loop; needed a K of the "
-            "dynamic part of x, or poles, or Q"
+            "K: feeds back algebraic states, which follow u or delta at once (algebraic loop); "
+            "expected a K of the dynamic part of x, or poles, or Q"
         )
     return np.asarray(K @ coordinates.X, np.float64)
 
 
 def _need_driver(name: str, signal: str, key: str, context: BuildContext) -> None:
     if not context.drivers(Port(name, signal)):
-        raise UsageError(f"{key} needs {signal!r}, and nothing drives it; connect it")
+        raise UsageError(f"{key} requires the input {signal!r}, which is not connected")
 
 
 def _other_parts(name: str, observer: str, context: BuildContext) -> list[str]:
@@ -416,7 +416,7 @@ def _limits(key: str, given: float | NumberRow | None, none: float, n_u: int) ->
     if limits.ndim == 0:
         limits = np.full(n_u, float(limits))
     if len(limits) != n_u:
-        raise UsageError(f"{key}: found {len(limits)} numbers, needed one, or one an input: {n_u}")
+        raise UsageError(f"{key}: expected one number, or one per input ({n_u}), got {len(limits)}")
     return limits
 
 

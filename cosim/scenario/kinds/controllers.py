@@ -37,13 +37,13 @@ class SampledKind(PeriodicKind):
 
     period: Number | None = Field(
         None,
-        description="sample period [s], whole communication steps; default: continuous in time",
+        description="sample period [s], a multiple of the communication step; default: continuous",
     )
 
     offset: Number = Field(
         0.0,
-        description="when it samples first, after the start of the run [s]: whole communication "
-        "steps, less than the period; y has its initial value until then",
+        description="first sample after the start of the run [s], a multiple of the communication "
+        "step, less than the period; y keeps its initial value until then",
     )
 
     def with_period(self, component: Component, n: int) -> Component:
@@ -81,12 +81,12 @@ class SampledKind(PeriodicKind):
             return 0
         if self.period is None:
             raise UsageError(
-                f"offset: found {self.offset} s and no period; needed both, or neither"
+                f"offset: expected together with period, got {self.offset} s and no period"
             )
         if not 0.0 <= self.offset < self.period:
             raise UsageError(
-                f"offset: found {self.offset} s, needed 0 s or more, and less than the period, "
-                f"{self.period} s"
+                f"offset: expected a time >= 0 s and below the period, {self.period} s, got "
+                f"{self.offset} s"
             )
         return whole_steps(self.offset, nanoseconds(self.period) // n, "offset")
 
@@ -100,8 +100,8 @@ class SampledKind(PeriodicKind):
         """
         if self.offset or not self._holds:
             raise UsageError(
-                "an exported controller samples first at the start, and holds its inputs over a "
-                "period; needed one without offset and input_interpolation"
+                "an exported controller takes its first sample at the start and holds its inputs "
+                "over a period; expected neither offset nor input_interpolation"
             )
 
 
@@ -117,15 +117,15 @@ class ControllerKind(SampledKind, LinearKind):
     x0: NumberRow | None = Field(None, description="x(0); default: zero")
     input_interpolation: Literal["linear", "zero-order"] | None = Field(
         None,
-        description='u over a period: "zero-order" hold of the sample at its start, or "linear" '
-        'interpolation between its ends; default: "zero-order"',
+        description='discretization of u over a period: "zero-order" hold (default) or "linear" '
+        "interpolation",
     )
 
     def with_period(self, component: Component, n: int) -> Component:
         if self.period is None and self.input_interpolation is not None:
             raise UsageError(
-                f"input_interpolation: found {self.input_interpolation!r} and no period; needed "
-                "both, or neither"
+                f"input_interpolation: expected together with period, got "
+                f"{self.input_interpolation!r} and no period"
             )
         return super().with_period(component, n)
 
@@ -160,7 +160,7 @@ class DiscreteStateSpaceKind(SampledKind, ExportableKind):
 
     ports: ClassVar[str] = "u -> y, x"
     kind: Literal["discrete-state-space"]
-    period: Number = Field(description="sample period [s], whole communication steps")
+    period: Number = Field(description="sample period [s], a multiple of the communication step")
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")
     C: NumberRows = Field(description="matrix (outputs, n)")
@@ -189,7 +189,7 @@ class DiscreteStateSpaceKind(SampledKind, ExportableKind):
 
 
 class PidKind(SampledKind, ExportableKind):
-    """PID controller in ISA form with limits and anti-windup; with a period: a digital one."""
+    """PID controller in ISA form with limits and anti-windup; with a period: sampled."""
 
     ports: ClassVar[str] = "setpoint, measurement -> y, integral"
     tunable: ClassVar[tuple[str, ...]] = (
@@ -204,25 +204,33 @@ class PidKind(SampledKind, ExportableKind):
         "tracking_time",
     )
     kind: Literal["pid"]
-    gain: Number = Field(description="K; y = K (b setpoint - measurement) + integral + derivative")
-    integral_time: Number | None = Field(None, description="Ti [s]; default: no integral part")
-    derivative_time: Number = Field(0.0, description="Td [s]; 0: no derivative part")
-    derivative_gain_limit: Number = Field(
-        10.0, description="N: the derivative is filtered with the time constant Td/N"
+    gain: Number = Field(
+        description="proportional gain K: y = K (b setpoint - measurement) + integral + derivative"
     )
-    setpoint_weight: Number = Field(1.0, description="b, of the setpoint in the proportional part")
+    integral_time: Number | None = Field(
+        None, description="integral time Ti [s]; default: no integral part"
+    )
+    derivative_time: Number = Field(
+        0.0, description="derivative time Td [s]; 0: no derivative part"
+    )
+    derivative_gain_limit: Number = Field(
+        10.0, description="derivative filter N: time constant Td/N"
+    )
+    setpoint_weight: Number = Field(
+        1.0, description="b: weight of the setpoint in the proportional part"
+    )
     derivative_setpoint_weight: Number = Field(
-        0.0, description="c, of the setpoint in the derivative part"
+        0.0, description="c: weight of the setpoint in the derivative part"
     )
     lower: Number | None = Field(None, description="lower limit of y; default: none")
     upper: Number | None = Field(None, description="upper limit of y; default: none")
     tracking_time: Number | None = Field(
         None,
-        description="Tt [s]: how fast the integral part follows y at a limit (back-calculation "
-        "against windup); default: sqrt(Ti Td), without a derivative part Ti",
+        description="tracking time Tt of the anti-windup (back-calculation) [s]; default: "
+        "sqrt(Ti Td), without a derivative part Ti",
     )
     initial_integral: Number = Field(
-        0.0, description="integral(0), for a bumpless start; without integral_time it stays"
+        0.0, description="integral(0), for a bumpless start; constant without integral_time"
     )
 
     def build(self, name: str, context: BuildContext) -> Pid:
@@ -247,7 +255,7 @@ class PidKind(SampledKind, ExportableKind):
         component = self.build(name, context)
         kernel = kernels.pid(component.constants, sampled=self.period is not None)
         if self.period is None:
-            reason = "its output reaches and leaves its limits within a step"
+            reason = "a controller with limits is not differentiable"
             return DiscreteModel(component.interface, kernel, 0, reason)
         self._check_exportable()
         every = self.period_steps(name, context.step_ns)
@@ -257,10 +265,7 @@ class PidKind(SampledKind, ExportableKind):
 
 def _sampled_model(interface: Interface, kernel: Kernel, step_ns: int, every: int) -> DiscreteModel:
     """Return a controller that samples and holds every so many communication steps."""
-    reason = (
-        "with a period the controller samples and holds, so it lives at the communication "
-        "points and has no derivatives"
-    )
+    reason = "a sampled controller is a discrete-time component"
     return DiscreteModel(
         interface, kernel, step_ns, reason, steps_per_sample=every, zero_order_hold=True
     )

@@ -35,7 +35,7 @@ class LagKind(LinearKind):
     tunable: ClassVar[tuple[str, ...]] = ("time_constant",)
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
-    initial: Number | None = Field(None, description="y(0); default: u(0)")
+    initial: Number | None = Field(None, description="initial value y(0); default: u(0)")
     size: Size = Field(1, description="number of elements")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
@@ -49,7 +49,7 @@ class LagKind(LinearKind):
 
 
 class IntegratorKind(LinearKind):
-    """y' = u; with lower or upper y stops there, until u points inwards again."""
+    """y' = u; with optional limits of y."""
 
     ports: ClassVar[str] = "u -> y"
     tunable: ClassVar[tuple[str, ...]] = ("lower", "upper")
@@ -86,7 +86,7 @@ class IntegratorKind(LinearKind):
             return super().exportable(name, context, wiring)
         limited = self._limited()
         kernel = kernels.integrator(self.size, limited.lower, limited.upper, limited.initial)
-        reason = "with limits an integrator is not smooth: it stops within a step"
+        reason = "an integrator with limits is not differentiable"
         return DiscreteModel(limited.interface, kernel, 0, reason)
 
 
@@ -95,10 +95,10 @@ class TransferFunctionKind(LinearKind):
 
     ports: ClassVar[str] = "u -> y"
     kind: Literal["transfer-function"]
-    numerator: NumberRow = Field(description="coefficients, that of the highest power of s first")
-    denominator: NumberRow = Field(description="the same")
+    numerator: NumberRow = Field(description="coefficients, highest power of s first")
+    denominator: NumberRow = Field(description="coefficients, highest power of s first")
     initial: Literal["zero", "steady"] = Field(
-        "zero", description='initial state: "zero", or the "steady" one for u(0)'
+        "zero", description='initial state: "zero", or "steady" state for u(0)'
     )
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
@@ -115,8 +115,8 @@ class DelayKind(ExportableKind):
 
     ports: ClassVar[str] = "u -> y"
     kind: Literal["delay"]
-    delay: Number = Field(description="a whole number of communication steps [s]")
-    initial: Number | None = Field(None, description="y until then; default: u(0)")
+    delay: Number = Field(description="delay [s], a multiple of the communication step")
+    initial: Number | None = Field(None, description="y before t = delay; default: u(0)")
     size: Size = Field(1, description="number of elements")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
@@ -127,7 +127,7 @@ class DelayKind(ExportableKind):
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         kernel = kernels.delay(self._steps(context), self.size, self.initial)
-        reason = "a delay line keeps samples of the communication points, so it has no derivatives"
+        reason = "a delay is a discrete-time component"
         return DiscreteModel(self.build(name, context).interface, kernel, context.step_ns, reason)
 
     def _steps(self, context: BuildContext) -> int:

@@ -39,58 +39,55 @@ FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
 class FieldDataKind(PlantKind):
-    """Samples of a file (.csv, .parquet, an .mcap of another tool) at their own times."""
+    """Recorded samples of a file (.csv, .parquet, .mcap of another tool) at their own times."""
 
     ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
     is_recorded: ClassVar[bool] = True
     kind: Literal["field-data"]
     path: str = Field(
-        description="path of a CSV file, of one in Parquet (.parquet), or of an MCAP (.mcap) with "
-        "messages in protobuf, JSON or CDR (ROS 2)"
+        description="path of a CSV, Parquet (.parquet) or MCAP (.mcap) file; MCAP messages in "
+        "protobuf, JSON or CDR (ROS 2)"
     )
     time: str | None = Field(
         None,
-        description='name of the column of the times; default: the first; of an MCAP "log_time", '
-        'the default, "publish_time", or a field of the messages, "header.stamp"',
+        description='column of the times; default: the first; MCAP: "log_time" (default), '
+        '"publish_time", or a field such as "header.stamp"',
     )
     time_unit: UnitName | None = Field(
-        None, description="unit of the times; default: as in the name of the column, t [ms], or s"
+        None, description="unit of the times; default: from the column name, as in t [ms], or s"
     )
     offset: Number | Literal["first"] | None = Field(
         None,
-        description='time stamp that is t = 0, as the file has it; "first": the first one; '
-        'default: 0; of an MCAP in time_unit, "first": the first by which all fields that are '
-        "taken from it have a sample, the default",
+        description='time stamp of t = 0, in the unit of the file, or "first"; default: 0; MCAP: '
+        'in time_unit, default "first", the first time when all fields used have a sample',
     )
     columns: dict[str, StrictStr | list[StrictStr]] | None = Field(
         None,
-        description='columns by output, like { y = "level", x_a = ["s1", "s2"] }; default: every '
-        "column is an output of its name, x[0], x[1], ... are the elements of x; of an MCAP "
-        'fields, { y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those '
-        "that the map of a swap names",
+        description='columns per output, such as { y = "level", x_a = ["s1", "s2"] }; default: one '
+        "output per column, x[0], x[1], ... as elements of x; MCAP: fields, such as "
+        '{ y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those in the '
+        "map of the swap",
     )
     separator: str | None = Field(
         None,
-        description="of the columns of a CSV file; default: the one in its first line, a tab, "
-        "semicolon, bar or comma",
+        description="column separator of a CSV file; default: tab, semicolon, bar or comma, as "
+        "found in its first line",
     )
-    decimal: Literal[".", ","] = Field(".", description="decimal sign of a CSV file")
+    decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
     maximum_gap: Number | None = Field(
         None,
         description="longest time between two samples [s]; default: ten times the median",
     )
     interpolation: Literal["linear", "zero-order"] | None = Field(
         None,
-        description='between the samples: "linear" interpolation, the default, or "zero-order" '
-        "hold, the last sample; needed of an MCAP where the step is shorter than the time between "
-        "two samples",
+        description='between samples: "linear" interpolation (default) or "zero-order" hold; '
+        "required for an MCAP if the step is shorter than the sample interval",
     )
 
     places: Whole | None = Field(
         None,
         gt=0,
-        description="samples that have a place in one communication step; default: as many as "
-        "there are in one",
+        description="most samples per communication step; default: as found in the file",
     )
 
     @property
@@ -158,9 +155,9 @@ class FieldDataKind(PlantKind):
         most = max(data.most_in_a_step(points), self.places or 1)
         if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(
-                f"{data.source} has {most} samples in one of {len(points) - 1} communication "
-                f"steps, and every step has a place for as many; needed at most {MOST_SAMPLES}, "
-                f"and {LARGEST_MEMORY} places: a smaller step, or a file without the burst"
+                f"{data.source}: expected at most {MOST_SAMPLES} samples per communication step, "
+                f"and {LARGEST_MEMORY} in all steps at the largest number, got {most} in one of "
+                f"{len(points) - 1} steps; use a smaller step, or a file without the burst"
             )
         in_run = (data.t >= points[0]) & (data.t <= points[-1])
         samples = int(np.count_nonzero(data.measured & in_run))

@@ -53,8 +53,8 @@ def check_finite_values(text: str, values: Callable[[Vector], Vector], clock: Cl
 def _refuse(text: str, problem: _Problem | None) -> None:
     if problem is not None:
         raise UsageError(
-            f"alpha {text!r} is {problem.value:g} at t = {problem.time:g} s; needed a finite "
-            "number at every communication point of the run"
+            f"alpha {text!r}: expected a finite value at every communication point of the run, "
+            f"got {problem.value:g} at t = {problem.time:g} s"
         )
 
 

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 
 
 class IdentifierKind(PeriodicKind, ExportableKind):
-    """Identifier of theta, by output error, least squares (33)-(35), or another method."""
+    """Identification of theta by output error, least squares, or other methods."""
 
     ports: ClassVar[str] = (
         "regressor, [alpha], delta, y, u -> theta, standard_error, deviation, amplitude"
@@ -67,90 +67,85 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     kind: Literal["identifier"]
     method: IdentificationMethod = Field(
         "output-error",
-        description='how theta is estimated: "output-error" from y, at the Cramer-Rao bound where '
-        'the noise is white, or "least-squares" from the regression, as in the paper '
-        "(regressor -> theta, eta), which noise makes wrong; for comparison on the same data its "
-        'first stages, "rayleigh" (regressor -> theta) and "projection" (regressor, delta -> '
-        'theta, amplitude), the Kalman filters "augmented-kalman" of x and delta, smoothed (y, u '
-        '-> theta), and "extended-kalman" of x, disturbance and theta (y, u -> theta, '
-        'standard_error), and the adaptive laws "gradient" and "drem" (regressor -> theta, '
-        "eta)",
+        description='"output-error": fit of y, reaches the Cramer-Rao bound in white noise; '
+        '"least-squares": the regression of the paper (regressor -> theta, eta), biased by noise; '
+        'for comparison: "rayleigh" (regressor -> theta), "projection" (regressor, delta -> '
+        'theta, amplitude), the Kalman filters "augmented-kalman" (y, u -> theta) and '
+        '"extended-kalman" (y, u -> theta, standard_error), the adaptive laws "gradient" and '
+        '"drem" (regressor -> theta, eta)',
     )
     P0: Number | None = Field(
-        None, description="of least-squares: P(0) = P0 I (34); default: no prior"
+        None, description="least-squares: initial covariance P(0) = P0 I; default: no prior"
     )
     start: Number | StartTable | None = Field(
         None,
-        description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38); "
-        "default: 1e-3 each; for output-error mu gives starts from then on, its estimates rest on "
-        "y from the first sample on and may come before",
+        description="identification start time T_id [s], or { epsilon_observer, epsilon_filter } "
+        "to compute it (default: 1e-3 each); output-error takes its initial values from mu from "
+        "T_id on, but uses y from the first sample on",
     )
     period: Number | None = Field(
         None,
-        description="how often theta is estimated anew [s], whole communication steps; samples "
-        "between count all the same; default: every communication step",
+        description="period of the estimates of theta [s], a multiple of the communication step; "
+        "all samples count; default: one step",
     )
     offset: Flag = Field(
-        False, description="of output-error: an unknown constant is on every output"
+        False, description="output-error: estimate a constant offset of each output"
     )
     window: Number | None = Field(
         None,
-        description="of output-error and projection: length of a moving window [s]; default: all "
-        "samples",
+        description="output-error, projection: length of a moving window [s]; default: all samples",
     )
     forgetting: Number | None = Field(
         None,
-        description="of output-error and drem: time constant in which samples lose their weight "
-        f"[s]; default: they keep it, of drem {defaults.DREM_FORGETTING:g}",
+        description="output-error, drem: time constant of exponential forgetting [s]; default: "
+        f"none, of drem {defaults.DREM_FORGETTING:g}",
     )
     gain: Number | None = Field(
         None,
-        description="of gradient and drem: rate at which eta follows [1/s]; default: "
+        description="gradient, drem: adaptation rate of eta [1/s]; default: "
         f"{defaults.GRADIENT_GAIN:g}, of drem {defaults.DREM_GAIN:g}",
     )
     deviation: Number | NumberRow | None = Field(
         None,
-        description="of output-error and the Kalman filters: standard deviation of the noise of y, "
-        "one number or one for each output; default of output-error: that of the residual, of "
+        description="output-error, Kalman filters: standard deviation of the noise of y, one "
+        "number or one per output; default of output-error: that of the residual, of "
         f"augmented-kalman {defaults.AUGMENTED_DEVIATION:g}, of extended-kalman "
-        f"{defaults.EXTENDED_DEVIATION:g}, more than the noise, for what its linearization errs: a "
-        "component that makes less of y than that has no theta",
+        f"{defaults.EXTENDED_DEVIATION:g} (includes the linearization error; weaker "
+        "components of y are not identified)",
     )
     covariance: NumberRows | None = Field(
         None,
-        description="of output-error and the Kalman filters, in place of deviation: covariance of "
-        "the noise of y, a row for each output",
+        description="output-error, Kalman filters: covariance matrix of the noise of y, in place "
+        "of deviation",
     )
     size: Number | None = Field(
         None,
-        description="of the Kalman filters: how large x and the disturbance may be at first; "
+        description="Kalman filters: initial standard deviation of x and of the disturbance; "
         f"default: {defaults.KALMAN_SIZE:g}",
     )
     intensity: Number | None = Field(
         None,
-        description="of augmented-kalman: spectral density of the second derivative of delta; "
+        description="augmented-kalman: spectral density of the second derivative of delta; "
         f"default: {defaults.AUGMENTED_INTENSITY:g}",
     )
     bounds: tuple[tuple[Limit, ...], ...] | None = Field(
         None,
-        description="of output-error and projection: [lower, upper] for every theta, inf where "
-        "there is none; "
-        "equal ones fix it",
+        description="output-error, projection: [lower, upper] for each theta; inf: no bound; "
+        "equal bounds fix theta",
     )
 
     irregular: Number | None = Field(
         None,
         gt=0.0,
-        description="largest magnitude of an irregular part of the disturbance, |delta_0|, of "
-        "which nothing else is known: the verdict at the end of the run has the interval of every "
-        "theta that is guaranteed for it. That takes a second, and where the first order does not "
-        "hold, for a bound that moves theta far, linear programs that take up to minutes",
+        description="bound of an unmodeled part of the disturbance, |delta_0|: the verdict at the "
+        "end of the run gives the interval of each theta that is guaranteed for it; takes about a "
+        "second, with large bounds up to minutes (linear programs)",
     )
 
     closed_loop: bool = Field(
         False,
-        description="whether u was computed from the noisy y, as by a controller whose plant was "
-        "recorded; a loop of the scenario's own connections is seen without it",
+        description="u was computed from the noisy y by a controller outside the scenario, as in "
+        "recorded data; loops of the scenario itself are detected",
     )
 
     def decided(
@@ -407,8 +402,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         if self.method not in ("output-error", "projection"):
             names = ", ".join(sorted({family.name for family in design.families}))
             raise UsageError(
-                f'method = "{self.method}": estimates theta alone, and the terms ({names}) have no '
-                'parameter; for their amplitudes method = "output-error" or "projection"'
+                f'method = "{self.method}": the terms ({names}) have no parameter to estimate; for '
+                'their amplitudes use method = "output-error" or "projection"'
             )
 
     @property
@@ -420,30 +415,29 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         """Check that the method can do with the regression of these terms."""
         problem = ""
         if design.each and self.method != "output-error":
-            problem = f"the terms are of {len(design.each)} elements of delta"
+            problem = f"expected terms of one element of delta, got {len(design.each)}"
         elif self.method in ("least-squares", "gradient", "drem"):
             problem = regression.linear_route_problem(design.sizes)
         elif self.method in ("rayleigh", "projection") and not design.is_expanded:
             terms = regression.count_terms(design.sizes)
-            problem = f"(25) has {terms} terms, at most {MOST_TERMS} can be used"
+            problem = f"expected at most {MOST_TERMS} terms of the regression, got {terms}"
         if problem:
             raise AssumptionError(
-                f'method = "{self.method}": {problem}; method = "output-error" estimates theta '
-                "itself, from a start that is searched on y"
+                f'method = "{self.method}": {problem}; method = "output-error" needs no regression'
             )
 
     def _check_options(self) -> None:
         for key in foreign_keys(METHODS, self.method):
             if key in self.model_fields_set:
                 own = ", ".join(METHODS[self.method].own)
-                listed = f"; its own: {own}" if own else ""
-                raise UsageError(f"{key}: not of method {self.method!r}; leave it out{listed}")
+                listed = f"; available: {own}" if own else ""
+                raise UsageError(f"{key}: not an option of method {self.method!r}{listed}")
         if self.window is not None and self.forgetting is not None:
-            raise UsageError("found both window and forgetting; needed one of them, or none")
+            raise UsageError("expected at most one of window and forgetting, got both")
         for key in ("window", "forgetting"):
             value = getattr(self, key)
             if value is not None and not 0.0 < value < math.inf:
-                raise UsageError(f"{key}: found {value} s, needed a positive finite time")
+                raise UsageError(f"{key}: expected a positive finite time, got {value} s")
 
     def _window_steps(self, name: str, step_ns: int) -> int:
         if self.window is None:
@@ -459,8 +453,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         component, units = self._built(name, context)
         if isinstance(component, LateSamples):
             raise UsageError(
-                f"{name!r}: samples with time stamps come after their instants, which an exported "
-                "identifier cannot wait for yet; needed a sensor without time_stamps"
+                f"{name!r}: samples with time stamps arrive late, which an exported identifier "
+                "does not support; expected a sensor without time_stamps"
             )
         assert isinstance(component, Estimator)
         method = component.method
@@ -474,12 +468,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             kernel = output_error(method.constants(h, wiring.held, design))
         else:
             raise UsageError(
-                f'{name!r}: an identifier with method = "{self.method}" cannot be exported yet; '
-                'possible: method = "output-error" or "least-squares"'
+                f'{name!r}: an identifier with method = "{self.method}" cannot be exported; '
+                'available: "output-error", "least-squares"'
             )
-        reason = (
-            "the identifier takes one row at every communication point, so it has no derivatives"
-        )
+        reason = "the identifier is a discrete-time component"
         return kernels.DiscreteModel(
             self.with_period(with_units(component, units), every).interface,
             kernel,

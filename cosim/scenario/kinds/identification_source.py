@@ -48,7 +48,7 @@ class IdentifierSource:
         if name is None or not isinstance(kind, RegressorKind):
             raise UsageError(
                 "'regressor' must be driven directly by a component of kind 'regressor', "
-                "whose terms it identifies"
+                "which has the terms to identify"
             )
         self.identifier = identifier
         self.regressor = name
@@ -125,18 +125,18 @@ class IdentifierSource:
         for alpha in signals_among(self.regression.alphas):
             if alpha.lag > 0.0:
                 return (
-                    f"alpha {alpha.text!r} lags behind by {alpha.lag:g} s, and y does not; needed "
-                    'an alpha without a lag, or method = "least-squares"'
+                    f"expected an alpha without lag, got {alpha.text!r} with a lag of "
+                    f'{alpha.lag:g} s; method = "least-squares" allows it'
                 )
         if self.observer is None:
             return (
-                "no observer drives the regressor alone; needed one, whose design model is that "
-                "of y"
+                "expected exactly one observer that drives the regressor; its design model is "
+                "the model of y"
             )
         if self.observer.is_relinearized:
             return (
-                f"{self.observer.name!r} is linearized anew along its estimate, so that there is "
-                'no one model of y; needed relinearize = false, or method = "least-squares"'
+                f"{self.observer.name!r} is relinearized during the run, so y has no fixed model; "
+                'expected relinearize = false, or method = "least-squares"'
             )
         model = self.observer.design.model
         n_d = model.reduced.C5.shape[1]
@@ -145,10 +145,10 @@ class IdentifierSource:
             return ""
         what = "a constant input"
         if n_d != elements:
-            what = f"{n_d} unknown disturbances, and the terms are of {elements} elements of delta"
+            what = f"{n_d} unknown disturbances, the terms describe {elements} elements of delta"
         return (
-            f"the design model of {self.observer.name!r} has {what}; needed terms for every "
-            'disturbance and no constant input; or method = "least-squares"'
+            f"the design model of {self.observer.name!r} has {what}; expected terms for every "
+            'disturbance and no constant input, or method = "least-squares"'
         )
 
     def most_samples(self) -> int:
@@ -167,9 +167,9 @@ class IdentifierSource:
         sampled = _sampled_behind(Port(self.identifier, "y"), context)
         if sampled is not None:
             raise UsageError(
-                f"y has values between the samples of {sampled!r}; needed it from whole outputs of "
-                "one such component, or from sensors, directly, with one number as gain or none: "
-                "then the samples are taken at their own times"
+                f"y is interpolated between the samples of {sampled!r}; expected y directly from "
+                "all outputs of one such component, or from sensors, with at most one scalar "
+                "gain, so that the samples themselves can be used"
             )
         return 0
 

@@ -20,10 +20,10 @@ class StartTable(TomlTable):
     """Identification start time T_id by (36)-(38)."""
 
     epsilon_observer: Number = Field(
-        description="fraction of the initial observer error that may remain, in (0, 1)"
+        description="remaining fraction of the initial observer error at T_id, in (0, 1)"
     )
     epsilon_filter: Number = Field(
-        description="fraction of the initial filter transient that may remain, in (0, 1)"
+        description="remaining fraction of the initial filter transient at T_id, in (0, 1)"
     )
 
 
@@ -60,8 +60,9 @@ def start_time(
     _check_past(T_id, elapsed_ns, source, clock)
     if not T_id <= LARGEST_NS / 1e9:
         raise AssumptionError(
-            f"start: T_id is {T_id:g} s; needed a time in a run: with computed times, a larger "
-            "filter_rate, eigenvalues of the observer farther left, or larger fractions"
+            f"start: expected T_id within a run, got {T_id:g} s; if it is computed: increase "
+            "filter_rate, move the eigenvalues of the observer to the left, or increase the "
+            "fractions"
         )
     steps = math.ceil(elapsed_ns / clock.step_ns)
     time = (clock.start_ns + steps * clock.step_ns) / 1e9
@@ -81,8 +82,8 @@ def _check_past(T_id: float, elapsed_ns: float, source: IdentifierSource, clock:
     since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""
     plus = f" and the observer's window, {window} s," if window else ""
     raise AssumptionError(
-        f"start: found {T_id} s, needed at least the longest delay, {longest} s{plus}{since}: "
-        "before it the regressor has no value"
+        f"start: expected at least the longest delay, {longest} s{plus}{since}, got {T_id} s; "
+        "the regressor has no earlier value"
     )
 
 
@@ -93,8 +94,8 @@ def _check_past_of_signals(
     if elapsed_ns < needed_ns:
         names = ", ".join(repr(alpha.text) for alpha in signals_among(source.regression.alphas))
         raise AssumptionError(
-            f"start: found {T_id} s, needed at least {needed_ns / 1e9:g} s after the start of the "
-            f"run, the longest delay and the lag of delta: alpha {names} has no earlier value"
+            f"start: expected at least {needed_ns / 1e9:g} s after the start of the run (longest "
+            f"delay plus lag of delta), got {T_id} s; alpha {names} has no earlier value"
         )
 
 
@@ -103,8 +104,8 @@ def _computed(start: StartTable, source: IdentifierSource) -> IdentificationStar
     observer = source.observer
     if observer is None:
         raise UsageError(
-            "start: (36)-(38) need one observer that drives the regressor alone; "
-            "give start as a time in s instead"
+            "start: to compute T_id, exactly one observer must drive the regressor; "
+            "otherwise give start as a time [s]"
         )
     return identification_start_time(
         lambda_obs=observer.design.design.lambda_obs,

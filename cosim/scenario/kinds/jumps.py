@@ -35,8 +35,8 @@ def check_continuous(text: str, clock: Clock, way_out: str) -> None:
         if _in_run(jump, clock):
             at = "" if jump.instant is None else f" at {jump.instant!r} s"
             raise UsageError(
-                f"expression {text!r}: {jump.text} jumps{at}, and a signal that is interpolated "
-                f"linearly cannot: it would become a ramp of a whole step; {way_out}"
+                f"expression {text!r}: {jump.text} jumps{at}; linear interpolation would turn the "
+                f"jump into a ramp over one step; {way_out}"
             )
 
 
@@ -82,14 +82,14 @@ def _check_jump(text: str, jump: Jump, instant: float, clock: Clock) -> None:
     if not clock.is_point(times)[0]:
         before, after = clock.points_around(instant)
         raise UsageError(
-            f"expression {text!r}: {jump.text} jumps at {instant!r} s, between the communication "
-            f"points {before!r} s and {after!r} s; needed one of them"
+            f"expression {text!r}: {jump.text} jumps at {instant!r} s, between two communication "
+            f"points; expected {before!r} s or {after!r} s"
         )
     point = float(clock.nearest_points(times)[0])
     if point < clock.stop and not _holds_value_after(jump, point):
         raise UsageError(
-            f"expression {text!r}: at the communication point {point!r} s {jump.text} has not yet "
-            f"the value after its jump, and what it has would hold for a step; write {jump.remedy}"
+            f"expression {text!r}: {jump.text} still has the value before its jump at the "
+            f"communication point {point!r} s and would hold it for a step; write {jump.remedy}"
         )
 
 
@@ -125,8 +125,8 @@ def held_from_points(t: Vector, y: Matrix, clock: Clock) -> Vector:
         before, after = clock.points_around(instant)
         others = f" ({wrong.size} such instants)" if wrong.size > 1 else ""
         raise UsageError(
-            f"table: y jumps at t[{first}] = {instant!r} s, between the communication points "
-            f"{before!r} s and {after!r} s; needed one of them{others}"
+            f"table: y jumps at t[{first}] = {instant!r} s, between two communication points; "
+            f"expected {before!r} s or {after!r} s{others}"
         )
     held: Vector = np.where(on_grid, clock.nearest_points(t), t)
     return held

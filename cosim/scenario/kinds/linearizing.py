@@ -188,9 +188,11 @@ def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[li
         columns = _columns(linearization, name)
         if not columns:
             advice = nearest(name, linearization.inputs)
-            raise UsageError(f"disturbance {name!r} is no input of {linearization.name}; {advice}")
+            raise UsageError(
+                f"disturbance {name!r} is not an input of {linearization.name}; {advice}"
+            )
         if set(columns) & set(unknown):
-            raise UsageError(f"disturbance {name!r} is named twice; needed each once")
+            raise UsageError(f"disturbance {name!r} is named twice")
         unknown += columns
     known = [i for i in range(len(linearization.inputs)) if i not in unknown]
     return known, unknown
@@ -236,7 +238,7 @@ def _check_not_empty(linearization: Linearization, what: str, columns: Sequence[
     if not columns:
         inputs = ", ".join(linearization.inputs) or "none"
         raise UsageError(
-            f"{linearization.name}: a table of [models] needs a {what}; inputs: {inputs}"
+            f"{linearization.name}: a table of [models] requires a {what}; inputs: {inputs}"
         )
 
 

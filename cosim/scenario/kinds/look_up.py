@@ -21,25 +21,25 @@ Points = tuple[list[Vector], Matrix]  # of each input, and the values on their g
 
 
 class LookUpTableKind(Kind):
-    """y = f(u) or f(u1, u2), linear between given points: arrays, or a CSV file."""
+    """y = f(u) or f(u1, u2), linear between breakpoints from arrays or a CSV file."""
 
     ports: ClassVar[str] = "u, or u1, u2 -> y"
     kind: Literal["look-up-table"]
-    u: NumberRow | None = Field(None, description="points of the one input, increasing")
-    u1: NumberRow | None = Field(None, description="points of the first of two inputs")
-    u2: NumberRow | None = Field(None, description="points of the second of two inputs")
+    u: NumberRow | None = Field(None, description="breakpoints of u, increasing")
+    u1: NumberRow | None = Field(None, description="breakpoints of u1, increasing")
+    u2: NumberRow | None = Field(None, description="breakpoints of u2, increasing")
     y: NumberRow | NumberRows | None = Field(
-        None, description="values at the points of u; or, for each of u1, a row over those of u2"
+        None, description="values at the breakpoints; with two inputs one row per entry of u1"
     )
     file: str | None = Field(
-        None, description="CSV file instead: columns of the inputs, then of y; a row a point"
+        None, description="CSV file in place of the arrays: columns of the inputs, then y"
     )
     columns: tuple[str, ...] | None = Field(
-        None, description="names of those columns; default: all of the file"
+        None, description="names of the columns; default: all columns of the file"
     )
     extrapolation: Extrapolation = Field(
         "error",
-        description='outside of the points: "error", "hold" (the value at the border), or "linear"',
+        description='outside the breakpoints: "error", "hold" (nearest value), or "linear"',
     )
 
     @property
@@ -51,7 +51,7 @@ class LookUpTableKind(Kind):
         arrays = (self.u, self.u1, self.u2, self.y)
         if self.file is not None:
             if any(array is not None for array in arrays):
-                raise UsageError("look-up table: found file and arrays, needed one of them")
+                raise UsageError("look-up table: expected either file or arrays, got both")
             grid, values = self._read(context.file(self.file))
         else:
             grid, values = self._arrays()
@@ -66,13 +66,13 @@ class LookUpTableKind(Kind):
                 names.append("y")
             listed = ", ".join(names) or "nothing"
             raise UsageError(
-                f"look-up table: found {listed}; needed u and y, or u1, u2 and y, or file"
+                f"look-up table: expected u and y, or u1, u2 and y, or file, got {listed}"
             )
         is_rows = any(isinstance(row, tuple) for row in self.y)
         if is_rows != ("u1" in points):
             raise UsageError(
-                "look-up table: y needs one number for each point of u, or, for each point of u1, "
-                "a row with one number for each point of u2"
+                "look-up table: y: expected one number per entry of u, or one row per entry of u1 "
+                "with one number per entry of u2"
             )
         if not is_rows:
             return list(points.values()), np.array(self.y)
@@ -84,8 +84,8 @@ class LookUpTableKind(Kind):
         names = table.names if self.columns is None else self.columns
         if len(names) not in (2, 3):
             raise UsageError(
-                f"file {table.file}: found {len(names)} columns; needed one or two of inputs, and "
-                "that of y: name them with columns"
+                f"file {table.file}: expected one or two columns of inputs and one of y, got "
+                f"{len(names)}; select them with columns"
             )
         columns = table.columns(names)
         if len(names) == 2:
@@ -107,6 +107,6 @@ def _gridded(rows: Matrix, file: str) -> Points:
         if len(different) == pairs:
             return [u1, u2], values
     raise UsageError(
-        f"file {file} has {len(rows)} rows over {len(u1)} and {len(u2)} points of its inputs; "
-        f"needed each pair of them once, {pairs} rows"
+        f"file {file}: expected each pair of {len(u1)} x {len(u2)} breakpoints once ({pairs} "
+        f"rows), got {len(rows)} rows"
     )

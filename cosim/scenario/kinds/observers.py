@@ -79,20 +79,18 @@ HOLD_LIMIT = 0.05
 class FmuModel(TomlTable):
     """Design model of an observer, linearized from an FMU."""
 
-    fmu: str = Field(description="path of an .fmu for model exchange")
-    disturbance: str | tuple[str, ...] = Field(
-        description="name or names of the inputs that are unknown"
-    )
+    fmu: str = Field(description="path of a model exchange .fmu")
+    disturbance: str | tuple[str, ...] = Field(description="names of the unknown inputs")
     inputs: tuple[str, ...] | None = Field(
-        None, description="names of the inputs that make up u; default: all others"
+        None, description="names of the known inputs u; default: all others"
     )
-    outputs: tuple[str, ...] = Field(("y",), description="names of the outputs that make up y")
+    outputs: tuple[str, ...] = Field(("y",), description="names of the measured outputs y")
     at: Number = Field(
         0.0,
-        description="time of the operating point, reached with constant inputs [s]",
+        description="time of the operating point [s], simulated with constant inputs",
     )
     start: dict[str, StartField] = Field(
-        {}, description="start values by variable, inputs included"
+        {}, description="start values by variable, including inputs"
     )
 
     @property
@@ -121,67 +119,68 @@ class DesignedObserver(NamedTuple):
 
 
 class UnknownInputObserverKind(ExportableKind):
-    """Unknown-input observer with disturbance reconstruction (18)-(20)."""
+    """Unknown-input observer with reconstruction of the disturbance delta."""
 
     ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q, or x, delta, z, q of a general model"
     tunable: ClassVar[tuple[str, ...]] = ("L", "filter_rate")
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
-        description="design model: name of a table in [models], "
-        'or { fmu = "x.fmu", disturbance = "d" }'
+        description='design model: a name of [models], or { fmu = "x.fmu", disturbance = "d" }'
     )
-    L: NumberRow | NumberRows | None = Field(None, description="gain; or give poles")
+    L: NumberRow | NumberRows | None = Field(None, description="observer gain; or give poles")
     poles: PoleRow | None = Field(
         None,
-        description="eigenvalues of M - L C3 that L can move [1/s]; complex ones as texts, in "
-        'pairs: ["-3+2j", "-3-2j"]',
+        description="eigenvalues of M - L C3 that L can move [1/s]; complex pairs as strings: "
+        '["-3+2j", "-3-2j"]',
     )
     x_a0: NumberRow | None = Field(
         None, description="initial estimate of x_a; default: consistent with y(0)"
     )
     x0: NumberRow | None = Field(
         None,
-        description="the same of x, where the model has no n_a: E x0 counts, the rest follows",
+        description="initial estimate of x, for models without n_a; only E x0 is used",
     )
     filter: FilterName = Field(
         "first-order",
-        description='how delta is reconstructed: "first-order" filters the derivative (19), '
-        '"consistent" all of (15), with a lag of 1/filter_rate; "savitzky-golay" fits a window, '
-        'with a lag of half_width; "auto" chooses the window by the noise',
+        description='reconstruction of delta: "first-order" filters the derivative only; '
+        '"consistent" filters all signals, lag 1/filter_rate; "savitzky-golay" fits a window, '
+        'lag half_width; "auto" chooses the window by the noise',
     )
     filter_rate: Number | None = Field(
         None,
-        description="lambda_f of the derivative filter (19) [rad/s], needed with a first-order "
-        "filter of a derivative, which a delta that reaches y directly needs not, or a consistent "
-        "one; a window does not use it",
+        description='rate of the derivative filter [rad/s]; required by "first-order" (unless '
+        'delta feeds through to y) and "consistent"',
     )
     q0: NumberRow | None = Field(
-        None, description="initial state of the first-order filter; default: no transient"
+        None, description="initial state of the first-order filter; default: no initial transient"
     )
     half_width: Number | None = Field(
-        None, description="half of a Savitzky-Golay window [s], whole communication steps"
+        None,
+        description="half width of the Savitzky-Golay window [s], a multiple of the communication "
+        "step",
     )
     order: Whole | None = Field(
-        None, description=f"of its polynomial, at most {HIGHEST_ORDER}; default: {DEFAULT_ORDER}"
+        None,
+        description=f"order of its polynomial, at most {HIGHEST_ORDER}; default: {DEFAULT_ORDER}",
     )
     noise: Number | NumberRow | None = Field(
-        None, description="deviation of white noise in y, one number or one an output, for auto"
+        None, description="auto: standard deviation of the noise of y, one number or one per output"
     )
     noise_from: str | None = Field(
         None,
-        description="for auto, in place of noise: path of a log of this observer, whose y has it",
+        description="auto: path of a log of this observer to take the noise of y from",
     )
     amplitude: Number | None = Field(
-        None, description="root mean square of delta, for auto; default: that of alpha"
+        None, description="auto: root mean square of delta; default: that of alpha"
     )
     bandwidth: Number | None = Field(
-        None, description="highest rate of delta [rad/s], for auto; default: that of alpha"
+        None, description="auto: bandwidth of delta [rad/s]; default: that of alpha"
     )
     relinearize: Flag = Field(
         False,
-        description="with an FMU as model and a first-order filter: linearized and designed anew "
-        "at every communication point, at the estimates there. The last bits of that depend on the "
-        "processor, so that a replay takes the observer's outputs from the log",
+        description="linearize the FMU and design the observer at every communication point, at "
+        "the estimates; requires a first-order filter. Rounding depends on the processor: a "
+        "replay substitutes the recorded outputs",
     )
 
     def decided(
@@ -233,7 +232,7 @@ class UnknownInputObserverKind(ExportableKind):
         x_a0 = None if self.x_a0 is None else np.array(self.x_a0, np.float64)
         if x_a0 is not None and x_a0.shape != local.x.shape:
             raise UsageError(
-                f"x_a0: found {len(x_a0)} numbers; needed {len(local.x)}, one a state of the FMU"
+                f"x_a0: expected {len(local.x)} numbers, one per state of the FMU, got {len(x_a0)}"
             )
         interface = model.declare(linear).interface
         context.warn(
@@ -260,8 +259,8 @@ class UnknownInputObserverKind(ExportableKind):
         reconstruction = self.reconstruction(name, context)
         if self.relinearize:
             raise UsageError(
-                f"{name!r}: relinearize = true needs the FMU of its model, which an exported "
-                "observer has not; needed relinearize = false"
+                f"{name!r}: an exported observer cannot relinearize the FMU of its model; expected "
+                "relinearize = false"
             )
         if not isinstance(reconstruction, AveragedReconstruction):
             return self.linear_model(name, context)
@@ -271,8 +270,8 @@ class UnknownInputObserverKind(ExportableKind):
         design_arrays = component.design(context.step_ns / NANOSECONDS, wiring.held)
         kernel = averaging_kernel(design_arrays)
         reason = (
-            "delta is an average of increments over steps, so it lives at the communication points "
-            "and has no derivatives"
+            "delta is an average over communication steps, so the observer is a discrete-time "
+            "component"
         )
         return DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
@@ -318,7 +317,7 @@ class UnknownInputObserverKind(ExportableKind):
         if self.x0 is None:
             return None
         n = len(coordinates.X)
-        return np.asarray(coordinates.R @ initial_vector("x0", self.x0, n, "one number a state"))
+        return np.asarray(coordinates.R @ initial_vector("x0", self.x0, n, "one number per state"))
 
     # --- reconstruction of delta ---
 
@@ -390,15 +389,14 @@ class UnknownInputObserverKind(ExportableKind):
     def _check_needed(self) -> None:
         for key in FILTERS[self.filter].needed:
             if getattr(self, key) is None:
-                raise UsageError(f"{key} is missing; needed with filter = {self.filter!r}")
+                raise UsageError(f"{key} is missing; filter = {self.filter!r} requires it")
 
     def _check_keys(self) -> None:
         for key in sorted(foreign_keys(FILTERS, self.filter)):
             if getattr(self, key) is not None:
                 filters = " or ".join(map(repr, variants_with(FILTERS, key)))
                 raise UsageError(
-                    f"{key}: found it with filter = {self.filter!r}, which has none; needed "
-                    f"filter = {filters}, or no {key}"
+                    f"{key}: expected with filter = {filters} only, got filter = {self.filter!r}"
                 )
         if self.relinearize:
             self._check_relinearized()
@@ -406,24 +404,22 @@ class UnknownInputObserverKind(ExportableKind):
     def _check_relinearized(self) -> None:
         if isinstance(self.model, str):
             raise UsageError(
-                f"relinearize: found the model {self.model!r}, which is linear; needed "
-                'model = { fmu = "x.fmu", disturbance = "d" }'
+                'relinearize: expected model = { fmu = "x.fmu", disturbance = "d" }, got the '
+                f"linear model {self.model!r}"
             )
         if self.filter != "first-order":
-            raise UsageError(
-                f'relinearize: found filter = {self.filter!r}; needed filter = "first-order"'
-            )
+            raise UsageError(f'relinearize: expected filter = "first-order", got {self.filter!r}')
         if self.q0 is not None:
             raise UsageError(
-                "q0: with relinearize = true q is that of the model of the moment; leave it out"
+                "q0: not available with relinearize = true, where q depends on the current model"
             )
 
     def _chosen(self, name: str, context: BuildContext) -> SavitzkyGolay:
         """Choose a window by the noise, or take the recorded choice."""
         if (self.noise is None) == (self.noise_from is None):
             raise UsageError(
-                "filter = 'auto' chooses by the noise of y: needed either noise, its deviation, "
-                "or noise_from, a log of this observer"
+                "filter = 'auto' depends on the noise of y: expected either noise, its standard "
+                "deviation, or noise_from, a log of this observer"
             )
         model = self.design_model_of(name, context)
         n_y = len(model.reduced.C3)
@@ -468,8 +464,8 @@ class UnknownInputObserverKind(ExportableKind):
         known = context.spectra(name)
         if not known:
             raise UsageError(
-                "filter = 'auto' needs the amplitude and the bandwidth of delta; give both, or a "
-                "regressor of exponentials alone whose alphas vary, as they have them"
+                "filter = 'auto' requires amplitude and bandwidth of delta; give both, or connect "
+                "a regressor with exponential terms only and time-varying alphas"
             )
         return max(known, key=lambda spectrum: spectrum.bandwidth)
 
@@ -498,9 +494,9 @@ class UnknownInputObserverKind(ExportableKind):
             return
         noise = self._given_noise(n_y)
         if len(noise) != n_y:
-            raise UsageError(f"noise: found {len(noise)} numbers, needed {n_y}, one an output")
+            raise UsageError(f"noise: expected {n_y} numbers, one per output, got {len(noise)}")
         if (noise < 0.0).any():
-            raise UsageError(f"noise: found {noise.tolist()}; needed deviations of 0 or more")
+            raise UsageError(f"noise: expected standard deviations >= 0, got {noise.tolist()}")
 
     def _given_noise(self, n_y: int) -> Vector:
         given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
@@ -559,8 +555,8 @@ class UnknownInputObserverKind(ExportableKind):
         model = self.design_model_of(name, context)
         if not model.reduced.B_2a.shape[1]:
             raise UsageError(
-                f"the design model {self.model!r} has no disturbance, and this observer is for an "
-                "unknown one; needed a model with Bd, or with B and disturbances"
+                f"expected a design model with a disturbance (Bd, or B and disturbances), got "
+                f"{self.model!r} without"
             )
         design = self._design_on(model.reduced)
         if self._is_unfiltered(design):
@@ -609,7 +605,7 @@ def _gain_of_x_a(L: Matrix, coordinates: UserCoordinates, n_y: int) -> Matrix:
     needed = (len(coordinates.X), n_y)
     if L.shape != needed:
         raise UsageError(
-            f"(17): L has shape {L.shape}; needed {needed}: one row per state, one column per "
-            "output"
+            f"L: expected shape {needed}, one row per state and one column per output, got "
+            f"{L.shape}"
         )
     return np.asarray(coordinates.R @ L)

@@ -59,14 +59,14 @@ class DescriptorKind(PlantKind, LinearKind):
     kind: Literal["descriptor"]
     model: str = Field(description="name of a table in [models]")
     x_a0: NumberRow | None = Field(
-        None, description="initial dynamic states, needed with a model that has n_a"
+        None, description="initial dynamic states; required with a model with n_a"
     )
     x0: NumberRow | None = Field(
         None,
-        description="initial states, needed with any other model; E x0 is kept, algebraic entries "
+        description="initial states; required with any other model; E x0 is used, algebraic states "
         "follow from it, u and delta",
     )
-    solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
+    solver: str = Field("exact", description=f"solver: {', '.join(SOLVERS)}")
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -77,7 +77,7 @@ class DescriptorKind(PlantKind, LinearKind):
         from cosim.fmi.generated import GeneratedInstance
 
         if self.solver not in SOLVERS:
-            raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
+            raise UsageError(f"unknown solver {self.solver!r}; {nearest(self.solver, SOLVERS)}")
         instance = GeneratedInstance.of(self.linear_model(name, context), name)
         inaccuracy = reduce(context.model(self.model)).inaccuracy
         if inaccuracy:
@@ -124,7 +124,9 @@ class DescriptorKind(PlantKind, LinearKind):
         values: NumberRow | None = getattr(self, name)
         if values is None:
             n = len(system.A) if system.n_a is None else system.n_a
-            raise UsageError(f"{name} is missing; needed {n} numbers, the states of {self.model!r}")
+            raise UsageError(
+                f"{name} is missing; expected {n} numbers, the states of {self.model!r}"
+            )
         return values
 
 
@@ -144,11 +146,11 @@ def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> No
     if values is not None:
         form = "has n_a: its states are x_a and x_b" if name == "x0" else "has the states x"
         needed = "x_a0" if name == "x0" else "x0"
-        raise UsageError(f"{name}: the model {model!r} {form}; needed {needed}")
+        raise UsageError(f"{name}: the model {model!r} {form}; expected {needed}")
 
 
 class FmuKind(PlantKind, PeriodicKind):
-    """A real FMU, FMI 1.0, 2.0 or 3.0."""
+    """An FMU of FMI 1.0, 2.0 or 3.0."""
 
     ports: ClassVar[str] = "those of the FMU"
     is_rerun: ClassVar[bool] = True
@@ -156,39 +158,36 @@ class FmuKind(PlantKind, PeriodicKind):
         "parameters that the FMU declares so, of which 'cosim info' of the file has a list"
     )
     kind: Literal["fmu"]
-    path: str = Field(description="path of the .fmu")
+    path: str = Field(description="path of the .fmu file")
     interface_type: Literal["me", "cs"] | None = Field(
         None,
-        description='"me" (model exchange) or "cs" (co-simulation); '
-        "default: me where the FMU offers it",
+        description='"me" (model exchange) or "cs" (co-simulation); default: me if available',
     )
     solver: str | None = Field(
-        None, description=f"for model exchange, one of: {', '.join(STEPPING)}; default: RK45"
+        None, description=f"model exchange: {', '.join(STEPPING)}; default: RK45"
     )
     tolerance: Number | None = Field(
         None,
-        description="relative tolerance of the states, for solvers that have one; default: 1e-9",
+        description="relative tolerance of variable-step solvers; default: 1e-9",
     )
     dae: Literal["ode", "residual"] = Field(
         "ode",
-        description="with a residual form (FMI-LS-DAE), for model exchange: "
-        'the FMU ("ode") or this solver ("residual") solves for it',
+        description="model exchange with a residual form (FMI-LS-DAE): solved by the FMU "
+        '("ode") or by the solver ("residual")',
     )
     start: dict[str, StartField] = Field(
         {},
-        description="start values by variable: number, Boolean, item of an enumeration, "
-        "string (a Binary in hexadecimal), list",
+        description="start values by variable: number, Boolean, enumeration item, string "
+        "(Binary as hexadecimal), list",
     )
     outputs: list[StrictStr] = Field(
         [],
-        description="local variables and parameters that become outputs too, to record or connect "
-        "them; 'cosim info' lists what there is",
+        description="local variables and parameters to add to the outputs; 'cosim info' lists them",
     )
 
     input_interpolation: Literal["linear", "zero-order"] | None = Field(
         None,
-        description='its inputs over a period: "linear" interpolation between its ends, or '
-        '"zero-order" hold of the values at its start; default: "linear"',
+        description='inputs over a period: "linear" interpolation (default) or "zero-order" hold',
     )
 
     @property
@@ -199,8 +198,8 @@ class FmuKind(PlantKind, PeriodicKind):
         hold = self.input_interpolation == "zero-order"
         if self.period is None and self.input_interpolation is not None:
             raise UsageError(
-                f"input_interpolation: found {self.input_interpolation!r} and no period; needed "
-                "both, or neither"
+                f"input_interpolation: expected together with period, got "
+                f"{self.input_interpolation!r} and no period"
             )
         return component if n == 1 and not hold else Sampled(component, n, hold=hold)
 
@@ -260,7 +259,7 @@ class FmuKind(PlantKind, PeriodicKind):
         else:
             capabilities = fmu.description.capabilities.values()
             if any(capability.once_per_process for capability in capabilities):
-                raise UsageError(f"{path}: there can be one instance only, which is in use")
+                raise UsageError(f"{path}: the FMU can be instantiated only once per process")
             linearization = linearize(path, start=start, outputs=outputs)
         errors = [error or 0.0 for error in linearization.errors.values()]
         return LinearSystem(
@@ -275,7 +274,9 @@ class FmuKind(PlantKind, PeriodicKind):
         numbers: dict[str, float] = {}
         for variable, value in self.start.items():
             if not isinstance(value, (int, float)):
-                raise UsageError(f"{path}: can be linearized with numbers as start values only")
+                raise UsageError(
+                    f"{path}: only numbers are allowed as start values of a linearization"
+                )
             numbers[variable] = float(value)
         return numbers
 
@@ -293,12 +294,12 @@ def _continuous_outputs(description: Description) -> list[str]:
 
 
 class RecordingKind(PlantKind):
-    """A component out of a recorded log."""
+    """A component of a recorded log."""
 
     ports: ClassVar[str] = "-> outputs of the recording"
     is_recorded: ClassVar[bool] = True
     kind: Literal["recording"]
-    log: str = Field(description="path of the .mcap")
+    log: str = Field(description="path of the .mcap log")
     component: str = Field(description="name of the component in the log")
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -306,8 +307,8 @@ class RecordingKind(PlantKind):
 
         if is_foreign(context.file(self.log)):
             raise UsageError(
-                f"log {self.log!r} is of another tool; needed '{self.log}#samples' as the path of "
-                'a swap, or kind = "field-data" and path instead of log'
+                f"log {self.log!r} was written by another tool; swap in '{self.log}#samples', or "
+                'use kind = "field-data" with path in place of log'
             )
         recording = context.recording(self.log)
         replay = Replay(recording, self.component, unrecorded=True)
@@ -317,14 +318,13 @@ class RecordingKind(PlantKind):
         end = recording.end_ns / NANOSECONDS
         if begin_ns > clock.start_ns or end < clock.stop:
             raise UsageError(
-                f"log {self.log!r} covers {begin} s to {end} s; "
-                f"needed {clock.start_time} s to {clock.stop} s, the whole run"
+                f"log {self.log!r}: expected rows from {clock.start_time} s to {clock.stop} s (the "
+                f"run), got {begin} s to {end} s"
             )
         if (clock.start_ns - begin_ns) % clock.step_ns:
             raise UsageError(
-                f"log {self.log!r} has rows at {begin} s and whole steps of "
-                f"{clock.step_ns / NANOSECONDS} s after it, so none at start_time, "
-                f"{clock.start_time} s; needed a whole number of steps between them"
+                f"log {self.log!r}: expected a row at start_time, {clock.start_time} s, got rows "
+                f"at {begin} s and multiples of {clock.step_ns / NANOSECONDS} s after it"
             )
         lags = component_record(recording, self.component).lags
         if lags:

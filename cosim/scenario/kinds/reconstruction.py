@@ -158,8 +158,8 @@ def choice(
     amplitude, bandwidth, assumption = known
     if not G.any():
         raise AssumptionError(
-            "filter = 'auto' weighs the noise of a derivative; here delta follows from y directly, "
-            "without one: needed another filter"
+            "filter = 'auto' weighs the noise of a derivative, but delta feeds through to y; "
+            "expected another filter"
         )
     of_delta = np.sqrt(np.sum((G * noise) ** 2, axis=1))
     conditions = Conditions(float(of_delta.max()), amplitude, bandwidth, step)
@@ -184,12 +184,12 @@ def recorded_noise(recording: Recording, name: str, n_y: int) -> Vector:
     is_recorded = name in recording.channels and "y" in recording.channels[name].by_name
     if not is_recorded:
         raise UsageError(
-            f"noise_from: {recording.label} has no {port!r}; needed a log of a run of this observer"
+            f"noise_from: expected a log of this observer, got {recording.label} without {port!r}"
         )
     y = as_columns(recording[port])
     if y.shape[1] != n_y:
         raise UsageError(
-            f"noise_from: {port!r} in {recording.label} has size {y.shape[1]}, needed {n_y}"
+            f"noise_from: {port!r} in {recording.label}: expected size {n_y}, got {y.shape[1]}"
         )
     levels = []
     for column in y.T:

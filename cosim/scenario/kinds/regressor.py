@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from cosim.fmi.exporting.specifications import Exportable
 
 ALPHA_WAY_OUT = (
-    "needed a continuous alpha: the regression multiplies alphas of different instants, "
+    "expected a continuous alpha: the regression multiplies alphas of different instants, "
     "which must jump together with the reconstructed disturbance"
 )
 
@@ -293,16 +293,17 @@ def _design_of_element(
 
 
 class RegressorKind(ExportableKind):
-    """From delta to the known signals mu of the regression (21)-(25)."""
+    """Regressor: the known signals mu of the regression, from delta."""
 
     ports: ClassVar[str] = "delta, [alpha] -> mu"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: ALPHA_WAY_OUT}
     kind: Literal["regressor"]
     terms: tuple[FamilyTerm, ...] = Field(
-        min_length=1, description="list of { alpha, family } and settings of the family"
+        min_length=1, description="list of { alpha, family } with the settings of the family"
     )
     delays: NumberRow = Field(
-        description="D_j [s], one more than basis functions, whole communication steps"
+        description="delays D_j [s], one more than basis functions, multiples of the "
+        "communication step",
     )
 
     def implied_connections(
@@ -333,14 +334,11 @@ class RegressorKind(ExportableKind):
         design = self.design(name, context)
         if design.each:
             raise UsageError(
-                f"{name!r}: a regressor of {len(design.each)} elements of delta cannot be exported "
-                "yet; needed one for each element"
+                f"{name!r}: a regressor of {len(design.each)} elements of delta cannot be "
+                "exported; expected one regressor per element"
             )
         kernel = kernels.regressor(design.constants)
-        reason = (
-            "the regressor multiplies samples of the past, so it lives at the communication points "
-            "and has no derivatives"
-        )
+        reason = "the regressor is a discrete-time component"
         return kernels.DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
     def spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
@@ -449,8 +447,8 @@ class RegressorKind(ExportableKind):
         for element, own in enumerate(members):
             if not own:
                 raise UsageError(
-                    f"terms: none is of element {element}; needed at least one for each of the "
-                    f"{len(members)} elements of delta"
+                    f"terms: expected at least one term for each of {len(members)} elements of "
+                    f"delta, got none for element {element}"
                 )
         longest = max(sum(families[i].v for i in own) for own in members)
         regression.check_delays(self.delays, longest + 1)

@@ -17,26 +17,26 @@ from cosim.errors import UsageError
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
 
-EACH = ", one number or one for each element"
+EACH = ", one number or one per element"
 
 
 class SensorKind(PeriodicKind):
-    """y = u after delay and jitter, bias, noise, limits, quantization, dropouts, in this order."""
+    """y = u with delay, jitter, bias, noise, limits, quantization, dropouts, in this order."""
 
     ports: ClassVar[str] = "u -> y, valid, y_samples, sample_times"
     kind: Literal["sensor"]
     delay: Number = Field(
         0.0,
-        description="y(t) samples u(t - delay) [s]; between communication points u is interpolated",
+        description="y(t) samples u(t - delay) [s]; u is interpolated between communication points",
     )
     jitter: Number = Field(
         0.0,
-        description="largest deviation of the sampling instant [s], uniformly distributed; at most "
-        "half a period; where it leads beyond t, the line of u in the last step goes on",
+        description="largest deviation of the sampling instant [s], uniformly distributed, at most "
+        "half a period; beyond t, u is extrapolated linearly",
     )
-    bias: Number | NumberRow = Field(0.0, description=f"constant error{EACH}")
+    bias: Number | NumberRow = Field(0.0, description=f"constant error of y{EACH}")
     noise: Number | NumberRow = Field(
-        0.0, description=f"standard deviation of the Gaussian noise of every sample{EACH}"
+        0.0, description=f"standard deviation of the Gaussian noise of y{EACH}"
     )
     lower: Number | NumberRow | None = Field(
         None, description=f"lower limit of y{EACH}; default: none"
@@ -46,35 +46,34 @@ class SensorKind(PeriodicKind):
     )
     resolution: Number | NumberRow | None = Field(
         None,
-        description="quantization: y is the nearest whole multiple of it within the limits"
-        f"{EACH}; default: none",
+        description=f"quantization step of y{EACH}; default: none",
     )
     bits: Whole | None = Field(
         None,
-        description="quantization instead: to 2**bits levels, the first lower, the last upper",
+        description="quantization to 2**bits levels from lower to upper, in place of resolution",
     )
     dropout: Number | None = Field(
         None,
-        description="probability that a sample is lost, so that y keeps the last one; the output "
-        "valid is 0 then, else 1; default: none is lost, and there is no valid",
+        description="probability of losing a sample: y keeps its value, the output valid is 0; "
+        "default: no losses, no output valid",
     )
     seed: Whole | None = Field(
         None,
-        description="seed of noise, jitter and dropouts, needed with any of them; each has numbers "
-        "of its own, two sensors with one seed have the same",
+        description="seed of noise, jitter and dropouts, required with any of them; sensors with "
+        "equal seeds have equal random numbers",
     )
     period: Number | None = Field(
         None,
-        description="sample period [s], whole communication steps, over which y holds; y_samples "
-        "and sample_times, there with period, dropout or time_stamps, have the samples alone; "
-        "default: one communication step, with y interpolated linearly where u is",
+        description="sample period [s], a multiple of the communication step, with zero-order hold "
+        "of y; default: one step, y interpolated like u. With period, dropout or time_stamps the "
+        "outputs y_samples and sample_times give the samples alone",
     )
     time_stamps: Flag = Field(
         False,
-        description="sample_times are the instants t - delay + jitter of the samples, not the "
-        "times at which they are reported",
+        description="sample_times are the sampling instants t - delay + jitter, not the times of "
+        "arrival",
     )
-    size: Size = Field(1, description="number of elements, whose errors are independent")
+    size: Size = Field(1, description="number of elements, with independent errors")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def with_period(self, component: Component, n: int) -> Component:
@@ -144,5 +143,5 @@ class SensorKind(PeriodicKind):
 def _steps(key: str, time: float, step_ns: int) -> float:
     """Return a time [s] in communication steps, also parts of a step."""
     if time < 0.0:
-        raise UsageError(f"{key}: found {time} s, needed 0 s or more")
+        raise UsageError(f"{key}: expected a time >= 0 s, got {time} s")
     return nanoseconds(time) / step_ns

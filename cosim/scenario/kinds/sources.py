@@ -55,7 +55,7 @@ def _vector(value: float | Sequence[float]) -> list[float]:
 
 
 EXPRESSION_WAY_OUT = (
-    "needed discrete = true, or what is continuous, such as max(0, t - 1) for (t - 1)*step(t - 1)"
+    "set discrete = true, or use a continuous form, such as max(0, t - 1) for (t - 1)*step(t - 1)"
 )
 RAMP = (
     "{}: jumps with its signals, where these are interpolated linearly: between two communication "
@@ -66,7 +66,7 @@ LATE = (
     "{}: jumps with its signals, where these are interpolated linearly: between two communication "
     "points that shows at the second, an error of first order in the step"
 )
-DISTURBANCE_WAY_OUT = "needed continuous alphas; a disturbance that jumps can be an expression"
+DISTURBANCE_WAY_OUT = "expected continuous alphas; for jumps use a component of kind 'expression'"
 
 
 class ConstantKind(Kind):
@@ -76,7 +76,7 @@ class ConstantKind(Kind):
     is_function_of_time: ClassVar[bool] = True
     tunable: ClassVar[tuple[str, ...]] = ("value",)
     kind: Literal["constant"]
-    value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
+    value: Flag | Number | NumberRow = Field(description="number, list of numbers, or Boolean")
 
     def build(self, name: str, context: BuildContext) -> Component:
         signal_type: SignalType = "boolean" if isinstance(self.value, bool) else "real"
@@ -89,9 +89,9 @@ class StepKind(Kind):
     ports: ClassVar[str] = "-> y"
     tunable: ClassVar[tuple[str, ...]] = ("before", "after")
     kind: Literal["step"]
-    time: Number = Field(description="when it jumps [s]")
-    before: Number = Field(0.0, description="y before that")
-    after: Number = Field(1.0, description="y from then on")
+    time: Number = Field(description="time of the jump [s]")
+    before: Number = Field(0.0, description="y for t < time")
+    after: Number = Field(1.0, description="y for t >= time")
 
     def build(self, name: str, context: BuildContext) -> Component:
         context.clock.steps_until(self.time, "time")
@@ -107,9 +107,9 @@ class RampKind(Kind):
     is_function_of_time: ClassVar[bool] = True
     tunable: ClassVar[tuple[str, ...]] = ("slope", "offset")
     kind: Literal["ramp"]
-    slope: Number = Field(description="growth of y [1/s]")
-    start_time: Number = Field(0.0, description="when it begins [s]")
-    offset: Number = Field(0.0, description="constant part of y")
+    slope: Number = Field(description="slope of y [1/s]")
+    start_time: Number = Field(0.0, description="start of the ramp [s]")
+    offset: Number = Field(0.0, description="initial value of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.ramp(
@@ -148,7 +148,7 @@ class ChirpKind(Kind):
     kind: Literal["chirp"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate at t = 0 [rad/s]")
-    sweep: Number = Field(description="growth of the rate [rad/s^2]")
+    sweep: Number = Field(description="increase of the rate [rad/s^2]")
     offset: Number = Field(0.0, description="constant part of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -162,23 +162,21 @@ class ChirpKind(Kind):
 
 
 class ExpressionKind(Kind):
-    """y = expressions in t, and over signals of other components."""
+    """y = expressions in t and in signals of other components."""
 
     ports: ClassVar[str] = "[u1], [u2], ... -> y"
     kind: Literal["expression"]
     y: str | tuple[str, ...] = Field(
-        description='an expression, like "1 + 0.5*sin(2*t)" or "observer.delta - delta.y", or '
-        "several: numbers, t, pi, e, outputs of components, + - * / **, min, max, "
+        description='an expression, such as "1 + 0.5*sin(2*t)" or "observer.delta - delta.y", or '
+        "a list of them: numbers, t, pi, e, outputs of components, + - * / **, min, max, "
         f"{', '.join(FUNCTIONS)}"
     )
     discrete: Flag = Field(
         False,
-        description="evaluated at the communication points and held over a step; "
-        "needed where it jumps; default with signals: only where all of these are discrete",
+        description="evaluate at the communication points and hold over each step; required if y "
+        "jumps; default with signals: true if all of them are discrete",
     )
-    optional: Flag = Field(
-        False, description="signals in it may have no value, and then y has none"
-    )
+    optional: Flag = Field(False, description="y has no value where one of its signals has none")
 
     @property
     def _texts(self) -> list[str]:
@@ -229,7 +227,7 @@ class ExpressionKind(Kind):
         if signals:
             return self._derived(signals)
         if self.optional:
-            raise UsageError("optional: found true, and no signal in y that may have no value")
+            raise UsageError("optional: expected a signal in y that may have no value, got none")
         variability: Variability = "discrete" if self.discrete else "continuous"
         for text in self._texts:
             if self.discrete:
@@ -254,32 +252,32 @@ class ExpressionKind(Kind):
 
 
 class TableKind(Kind):
-    """y = given points, interpolated: arrays, or a CSV file with a header line."""
+    """y = interpolated points from arrays or a CSV file with a header line."""
 
     ports: ClassVar[str] = "-> y"
     is_function_of_time: ClassVar[bool] = True
     kind: Literal["table"]
     t: NumberRow | None = Field(
         None,
-        description='instants [s], increasing; with "zero-order" two may be equal, a jump to the '
-        "second row",
+        description='times [s], increasing; with "zero-order" two may be equal: a jump',
     )
     y: NumberRow | NumberRows | None = Field(
-        None, description="values, or rows of values, at those instants"
+        None, description="values at these times, or rows of values"
     )
-    file: str | None = Field(None, description="CSV file instead; its first line names the columns")
-    time: str = Field("t", description="column of the instants")
+    file: str | None = Field(
+        None, description="CSV file in place of t and y; its first line names the columns"
+    )
+    time: str = Field("t", description="column of the times")
     columns: tuple[str, ...] | None = Field(
         None, description="columns of the values; default: all others"
     )
     interpolation: Literal["linear", "zero-order"] = Field(
         "linear",
-        description='between the instants: "linear" interpolation, or "zero-order" hold',
+        description='between the times: "linear" interpolation, or "zero-order" hold',
     )
     extrapolation: Literal["error", "hold"] = Field(
         "error",
-        description="before the first and after the last instant: an error, or the first and "
-        "the last value",
+        description='before the first and after the last time: "error", or "hold" (nearest value)',
     )
 
     @property
@@ -289,7 +287,7 @@ class TableKind(Kind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         if (self.file is None) == (self.t is None or self.y is None):
-            raise UsageError("table: needed either t and y, or file")
+            raise UsageError("table: expected either t and y, or file")
         if self.file is not None:
             t, y = self._read(context.file(self.file))
         else:
@@ -306,8 +304,8 @@ class TableKind(Kind):
         covers = t[0] <= clock.start_time <= clock.stop <= t[-1]
         if not (extrapolate or covers):
             raise UsageError(
-                f"table: covers {t[0]} s to {t[-1]} s; needed {clock.start_time} s to "
-                f'{clock.stop} s, the whole run, or extrapolation = "hold"'
+                f"table: expected times from {clock.start_time} s to {clock.stop} s (the run), got "
+                f'{t[0]} s to {t[-1]} s; extrapolation = "hold" keeps the nearest value'
             )
         return source.Table(t, y, hold=hold, extrapolate=extrapolate, unit=self.unit_name)
 
@@ -326,13 +324,13 @@ class TableKind(Kind):
 
 
 class NoiseKind(PeriodicKind):
-    """y = Gaussian noise, a new value in every period, which holds over it."""
+    """y = Gaussian noise, held over each period."""
 
     ports: ClassVar[str] = "-> y"
     tunable: ClassVar[tuple[str, ...]] = ("deviation",)
     kind: Literal["noise"]
-    deviation: Number = Field(ge=0.0, description="standard deviation")
-    seed: Whole = Field(ge=0, description="seed of the generator")
+    deviation: Number = Field(ge=0.0, description="standard deviation of y")
+    seed: Whole = Field(ge=0, description="seed of the random numbers")
     size: Size = Field(1, description="number of elements")
 
     @property
@@ -349,13 +347,14 @@ class NoiseKind(PeriodicKind):
 
 
 class DisturbanceKind(Kind):
-    """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
+    """y = sum of alpha(t) f(theta, t): a disturbance of known form."""
 
     ports: ClassVar[str] = "[alpha] -> y"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: DISTURBANCE_WAY_OUT}
     kind: Literal["disturbance"]
     terms: tuple[ValuedTerm, ...] = Field(
-        min_length=1, description="list of { alpha, family, theta } and the constants of the family"
+        min_length=1,
+        description="list of { alpha, family, theta } with the constants of the family",
     )
 
     def implied_connections(

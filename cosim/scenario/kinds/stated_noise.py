@@ -24,7 +24,7 @@ def stated_covariance(
         If both are given, or they are no deviations or covariance of so many outputs.
     """
     if deviation is not None and covariance is not None:
-        raise UsageError("found both deviation and covariance; needed one of them, or none")
+        raise UsageError("expected at most one of deviation and covariance, got both")
     if deviation is not None:
         return np.diag(_deviations(deviation, outputs) ** 2)
     return None if covariance is None else _checked(covariance, outputs)
@@ -34,13 +34,13 @@ def _checked(covariance: Sequence[Sequence[float]], outputs: int) -> Matrix:
     """Return a covariance, after a check of its shape, symmetry and sign."""
     if any(len(row) != outputs for row in covariance) or len(covariance) != outputs:
         raise UsageError(
-            f"covariance: found {[list(row) for row in covariance]}; needed {outputs} rows of "
-            f"{outputs} numbers, as y has"
+            f"covariance: expected {outputs} rows of {outputs} numbers, got "
+            f"{[list(row) for row in covariance]}"
         )
     matrix = np.array(covariance, np.float64)
     if not is_covariance(matrix):
         raise UsageError(
-            f"covariance: found {matrix.tolist()}; needed a symmetric positive definite matrix"
+            f"covariance: expected a symmetric positive definite matrix, got {matrix.tolist()}"
         )
     return matrix
 
@@ -49,9 +49,8 @@ def _deviations(deviation: float | Sequence[float], outputs: int) -> Vector:
     deviations = np.array(deviation, np.float64)
     if deviations.ndim and deviations.shape != (outputs,):
         raise UsageError(
-            f"deviation: found {deviations.size} numbers; needed one, or one for each of {outputs} "
-            "outputs"
+            f"deviation: expected one number, or one per output ({outputs}), got {deviations.size}"
         )
     if not ((deviations > 0.0) & (deviations < np.inf)).all():
-        raise UsageError(f"deviation: found {deviation}; needed positive finite numbers")
+        raise UsageError(f"deviation: expected positive finite numbers, got {deviation}")
     return np.broadcast_to(deviations, outputs)

@@ -35,24 +35,24 @@ class FamilyTerm(TomlTable):
 
     alpha: TermAlpha = Field("1", description=ALPHA_KEY)
     element: Whole = Field(
-        0, ge=0, lt=MOST_ELEMENTS, description="which element of delta it belongs to"
+        0, ge=0, lt=MOST_ELEMENTS, description="index of the element of delta, from 0"
     )
     family: str = Field(description=", ".join([*FAMILIES, *SETTINGS]))
-    degree: Whole | None = Field(None, description="of polynomial: its degree")
+    degree: Whole | None = Field(None, description="polynomial: degree")
     G0: NumberRows | None = Field(
-        None, description="of linear: beta' = (G0 + sum theta_j G[j]) beta, f = c beta [1/s]"
+        None, description="linear: beta' = (G0 + sum theta_j G[j]) beta, f = c beta [1/s]"
     )
     G: tuple[NumberRows, ...] | None = Field(
-        None, description="of linear: a matrix for each parameter; default: none"
+        None, description="linear: one matrix per parameter; default: none"
     )
-    c: NumberRow | None = Field(None, description="of linear: how the states enter f")
+    c: NumberRow | None = Field(None, description="linear: output row, f = c beta")
     parameters: tuple[str, ...] | None = Field(
-        None, description="of linear: names of the parameters; default: theta_1, theta_2, ..."
+        None, description="linear: names of the parameters; default: theta_1, theta_2, ..."
     )
     search: NumberRows | None = Field(
         None,
-        description="of linear: [lower, upper] for each parameter, where a start is searched; "
-        "default: by the eigenvalues of the generator",
+        description="linear: [lower, upper] per parameter, the range of the search for initial "
+        "values; default: from the eigenvalues of the generator",
     )
 
     def generator(self) -> Family:
@@ -70,7 +70,7 @@ class FamilyTerm(TomlTable):
             assert self.degree is not None
             if not 0 <= self.degree <= LARGEST_DEGREE:
                 raise UsageError(
-                    f"degree: found {self.degree}; needed 0 to {LARGEST_DEGREE}, as data hardly "
+                    f"degree: expected 0 to {LARGEST_DEGREE}, got {self.degree}; data hardly "
                     "distinguish higher powers of t"
                 )
             return Polynomial(self.degree)
@@ -84,13 +84,12 @@ class FamilyTerm(TomlTable):
             foreign = [key for key in keys if key in self.model_fields_set and key not in own]
             if foreign:
                 raise UsageError(
-                    f"{foreign[0]}: is of family {owner!r}, found family {self.family!r}; leave it "
-                    "out"
+                    f"{foreign[0]}: expected with family {owner!r} only, got family {self.family!r}"
                 )
         for key in own:
             needed = key in ("degree", "G0", "c")
             if needed and key not in self.model_fields_set:
-                raise UsageError(f"family {self.family!r}: needed {key}")
+                raise UsageError(f"{key} is missing; family {self.family!r} requires it")
 
     def _linear(self) -> LinearFamily:
         from cosim.theory.disturbances.linear_family import LinearFamily  # rarely needed
@@ -110,26 +109,23 @@ class ValuedTerm(FamilyTerm):
 
     theta: Number | NumberRow | None = Field(
         None,
-        description="the parameters, in the order of the family: of exponential and t-exponential "
-        "the exponent [1/s], of sine the rate [rad/s], of damped-sine decay [1/s] and rate; the "
-        "others have none, linear as many as G",
+        description="parameters: exponent [1/s] of exponential and t-exponential; rate [rad/s] of "
+        "sine; [decay [1/s], rate [rad/s]] of damped-sine; one per matrix of G of linear; none "
+        "of the others",
     )
     amplitude: Number | None = Field(
-        None, description="of exponential, sine and damped-sine; default: 1"
+        None, description="exponential, sine, damped-sine: amplitude; default: 1"
     )
     phase: Number | None = Field(
-        None, description="of sine and damped-sine [rad] at t = 0; default: 0"
+        None, description="sine, damped-sine: phase at t = 0 [rad]; default: 0"
     )
     level: Number | None = Field(
-        None, description="of constant, ramp and t-exponential: its factor of t^0"
+        None, description="constant, ramp, t-exponential: coefficient of t^0"
     )
-    slope: Number | None = Field(
-        None, description="of ramp and t-exponential: its factor of t [1/s]"
-    )
+    slope: Number | None = Field(None, description="ramp, t-exponential: coefficient of t [1/s]")
     constants: NumberRow | None = Field(
         None,
-        description="of polynomial: its factors of t^0, t, t^2 and so on; of linear: its states at "
-        "t = 0",
+        description="polynomial: coefficients of t^0, t, t^2, ...; linear: states beta at t = 0",
     )
 
     def values(self, family: Family) -> tuple[float, ...]:
@@ -146,9 +142,9 @@ class ValuedTerm(FamilyTerm):
         names = family.parameters
         if len(values) != len(names):
             what = ", ".join(names)
-            needed = f"{len(names)}: {what}" if names else "none: leave it out"
+            expected = f"{len(names)} ({what})" if names else "none"
             raise UsageError(
-                f"theta of family {family.name!r}: found {_numbers(values)}; needed {needed}"
+                f"theta of family {family.name!r}: expected {expected}, got {_numbers(values)}"
             )
         return tuple(map(float, values))
 
@@ -168,7 +164,7 @@ class ValuedTerm(FamilyTerm):
             given = getattr(self, key)
             value = DEFAULTS.get(key) if given is None else given
             if value is None:
-                raise UsageError(f"family {family.name!r}: needed {key}")
+                raise UsageError(f"{key} is missing; family {family.name!r} requires it")
             values.append(float(value))
         return tuple(values)
 
@@ -177,8 +173,8 @@ class ValuedTerm(FamilyTerm):
         names = family.constants
         if len(constants) != len(names):
             raise UsageError(
-                f"constants of family {family.name!r}: found {_numbers(constants)}; needed "
-                f"{len(names)}: {', '.join(names)}"
+                f"constants of family {family.name!r}: expected {len(names)} "
+                f"({', '.join(names)}), got {_numbers(constants)}"
             )
         return tuple(map(float, constants))
 
@@ -188,7 +184,7 @@ class ValuedTerm(FamilyTerm):
         for key in (*ONE_BY_ONE, "constants"):
             if getattr(self, key) is not None and key not in own:
                 raise UsageError(
-                    f"{key}: family {family.name!r} has none; it has {' and '.join(own)}"
+                    f"{key}: not a constant of family {family.name!r}; available: {', '.join(own)}"
                 )
 
 
@@ -263,7 +259,7 @@ def _rows(rows: NumberRows, name: str) -> Rows:
 
 def _range(row: NumberRow) -> tuple[float, float]:
     if len(row) != 2:
-        raise UsageError(f"search: found {_numbers(row)}; needed [lower, upper]")
+        raise UsageError(f"search: expected [lower, upper], got {_numbers(row)}")
     return row[0], row[1]
 
 

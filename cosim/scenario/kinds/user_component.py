@@ -57,7 +57,7 @@ class UserKind(Kind):
 
 
 class PythonKind(UserKind):
-    """A component of a Python class, found in the scenario's folder or on sys.path.
+    """A component of a Python class in the scenario's folder or on sys.path.
 
     Every other key is a parameter of its constructor.
     """
@@ -65,8 +65,7 @@ class PythonKind(UserKind):
     kind: Literal["python"]
     class_: Annotated[StrictStr, AfterValidator(_check_class_name)] = Field(
         alias="class",
-        description='"package.module:Class"; every other key is a parameter of its constructor, by '
-        "name and annotation",
+        description='"package.module:Class"; all other keys are parameters of its constructor',
     )
 
     @property

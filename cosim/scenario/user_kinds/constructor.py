@@ -44,9 +44,9 @@ from cosim.scenario.user_kinds.user_code import UserClass, in_words
 
 _SCALARS: Final[Mapping[Any, Any]] = {float: Number, int: Whole, bool: Flag, str: StrictStr}
 _SEQUENCES: Final = (list, tuple, Sequence)
-_NEEDED: Final = (
-    "needed float, int, bool, str, Literal, a list, Sequence or tuple[T, ...] of these, "
-    "a numpy array of float64, or alternatives of them"
+_ANNOTATIONS: Final = (
+    "float, int, bool, str, Literal, a list, Sequence or tuple[T, ...] of these, "
+    "a numpy array of float64, or a union of them"
 )
 
 
@@ -150,11 +150,11 @@ def _parameters(user_class: UserClass) -> list[inspect.Parameter]:
             continue
         reason = ""
         if parameter.kind is parameter.POSITIONAL_ONLY:
-            reason = "is positional only; needed one that a name can be given to"
+            reason = "is positional-only; expected a keyword parameter"
         elif parameter.name in ("kind", "unit"):
-            reason = "has the name of a key that every table has; needed another name"
+            reason = "has a reserved name; rename it"
         elif parameter.annotation is parameter.empty:
-            reason = f"has no annotation; needed one, such as {parameter.name}: float"
+            reason = f"has no annotation; expected one, such as {parameter.name}: float"
         if reason:
             raise _refused(user_class, parameter, reason)
         parameters.append(parameter)
@@ -181,7 +181,7 @@ def _schema(parameter: inspect.Parameter, user_class: UserClass) -> Any:
         return _type(parameter.annotation)
     except TypeError as error:
         annotation = inspect.formatannotation(parameter.annotation)
-        reason = f"has the annotation {annotation}; {_NEEDED}"
+        reason = f"has the annotation {annotation}; expected {_ANNOTATIONS}"
         raise _refused(user_class, parameter, reason) from error
 
 

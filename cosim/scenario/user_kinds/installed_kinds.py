@@ -59,14 +59,14 @@ def installed_class(kind: str) -> InstalledClass:
     classes = installed_classes().get(kind, [])
     if not classes:
         raise UsageError(
-            f"no installed package has the kind {kind!r}; needed one with an entry point {kind!r} "
-            f"of the group {GROUP!r}"
+            f"no installed package declares the kind {kind!r}; expected one with an entry point "
+            f"{kind!r} in the group {GROUP!r}"
         )
     if len(classes) > 1:
         packages = ", ".join(entry.distribution for entry in classes)
         raise UsageError(
-            f"the kind {kind!r} is declared {len(classes)} times, by {packages}; needed one, or "
-            'kind = "python" with class = "package.module:Class"'
+            f"the kind {kind!r} is declared {len(classes)} times, by {packages}; expected one; "
+            'kind = "python" with class = "package.module:Class" selects a class'
         )
     return classes[0]
 
@@ -74,9 +74,9 @@ def installed_class(kind: str) -> InstalledClass:
 def refusal(entry: InstalledClass, shipped: Collection[str]) -> str:
     """Return why an entry point makes no kind; empty: it does."""
     if entry.kind in shipped:
-        return f"refused: {entry.kind!r} is a kind of cosim; needed another name"
+        return f"refused: {entry.kind!r} is a kind of cosim itself; rename it"
     if ":" not in entry.class_name:
-        return f"refused: found {entry.class_name!r}; needed 'package.module:Class'"
+        return f"refused: expected 'package.module:Class', got {entry.class_name!r}"
     if len(installed_classes()[entry.kind]) > 1:
-        return f"refused: {entry.kind!r} is declared more than once; needed one"
+        return f"refused: {entry.kind!r} is declared more than once"
     return ""

@@ -101,7 +101,7 @@ def class_name_parts(name: str) -> tuple[str, str]:
     module, colon, class_name = name.partition(":")
     names = [*module.split("."), class_name]
     if not colon or not all(map(str.isidentifier, names)):
-        raise UsageError(f"found {quoted(name)}; needed 'package.module:Class'{_meant(name)}")
+        raise UsageError(f"expected 'package.module:Class', got {quoted(name)}{_meant(name)}")
     return module, class_name
 
 
@@ -115,7 +115,7 @@ def _meant(name: str) -> str:
 
 
 class OtherSource(UsageError):
-    """A file is not the one that was needed, and so it was not run.
+    """A file is not the expected one, and so it was not run.
 
     Parameters
     ----------
@@ -163,8 +163,7 @@ def load_class(
     top = module_name.partition(".")[0]
     if top in sys.stdlib_module_names or top == "__main__":
         raise UsageError(
-            f"found {quoted(name)}, and {top!r} is a module of Python itself; needed a module in a "
-            "file of your own, under another name"
+            f"{quoted(name)}: expected a module of your own, got {top!r}, a module of Python"
         )
     with _lock:
         importlib.invalidate_caches()  # a file may be younger than the listing of its folder
@@ -358,21 +357,21 @@ def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path |
     file = getattr(home, "__file__", None)
     if file is None:
         raise UsageError(
-            f"found {quoted(name)}, whose module has no file; needed a module in a file, which the "
-            "log of a run can name"
+            f"{quoted(name)}: expected a module in a file, which the log of a run can name, got "
+            "one without a file"
         )
     path = Path(file)
     try:
         digest = _hash(path.read_bytes())
     except OSError as error:
         raise UsageError(
-            f"{path}, the source of {quoted(name)}, cannot be read ({error.strerror}); needed a "
-            "file, whose hash the log of a run can keep"
+            f"{path}, the source of {quoted(name)}, cannot be read ({error.strerror}); the log "
+            "of a run records its hash"
         ) from error
     known = _of_ordinary.setdefault(loaded, digest)
     if digest != known:
         raise UsageError(
-            f"{path} has changed since {quoted(name)} was imported; needed a new process, or "
+            f"{path} has changed since {quoted(name)} was imported; start a new process, or use "
             "importlib.reload"
         )
     source = Path(*loaded.__module__.split(".")).with_suffix(path.suffix).as_posix()
@@ -419,10 +418,10 @@ def _not_importable(name: str, error: BaseException) -> UsageError:
 
 def _no_module(name: str, folder: Path | None) -> str:
     if folder is None:
-        return f"there is no module {name!r} on sys.path; needed the package that has it"
+        return f"no module {name!r} on sys.path; install its package"
     known = [module.name for module in pkgutil.iter_modules([str(folder)])]
     there = nearest(name, known) if known else "the folder has no modules"
-    return f"there is no module {name!r} in {folder} or on sys.path; {there}"
+    return f"no module {name!r} in {folder} or on sys.path; {there}"
 
 
 def _class_in(module: ModuleType, name: str) -> type:
@@ -437,7 +436,7 @@ def _class_in(module: ModuleType, name: str) -> type:
         raise UsageError(text) from error
     if not isinstance(candidate, type):
         raise UsageError(
-            f"{f'{module.__name__}:{name}'!r} is of type {type(candidate).__name__}; needed a class"
+            f"{f'{module.__name__}:{name}'!r}: expected a class, got a {type(candidate).__name__}"
         )
     return candidate
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 import cosim
 from cosim.errors import UsageError
 from tests.log.foreign.field_logs import EPOCH, write_json
+from tests.scenario.refusals import check_refused
 
 COUNT = 20
 MS = 1_000_000
@@ -50,25 +53,35 @@ def test_numbers_are_times_in_their_unit(recording):
     np.testing.assert_array_equal(data.t, (np.arange(COUNT) * 10 - 20) / 1e3)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({}, "found no field to take; needed a map"),
-        ({"columns": {"y": []}}, "columns: found {'y': []}; needed a column for each signal"),
-        ({"columns": {"y": "/fast.x"}, "time_unit": "ps"}, "needed a unit of time of whole ns"),
-        ({"columns": {"y": "/fast.x"}, "offset": 1e12}, "after the offset; needed less than 2**63"),
-    ],
-)
-def test_what_cannot_be_read_is_refused(recording, options, text):
+def test_options_that_select_no_samples_are_refused(recording):
     """With the way out."""
-    with pytest.raises(UsageError) as refused:
-        cosim.read_field_data(recording, **options)
-    assert text in str(refused.value)
+    cases = [
+        ({}, r"expected a map, .*columns"),
+        ({"columns": {"y": []}}, r"columns: expected a column .*'y': \[\]"),
+        ({"columns": {"y": "/fast.x"}, "time_unit": "ps"}, r"time_unit: .*'ps'"),
+        ({"columns": {"y": "/fast.x"}, "offset": 1e12}, r"within 2\*\*63 ns of the offset"),
+    ]
+    check_refused(cases, lambda options: cosim.read_field_data(recording, **options))
+
+
+def test_a_gap_of_more_than_twice_the_median_distance_is_noted(tmp_path):
+    """With its beginning, for the topic that has it; a gap of twice the distance is none."""
+    notes = {}
+    for missing in (1, 2):
+        rows = [i for i in range(20) if not 8 < i <= 8 + missing]
+        fast = [(EPOCH + i * 10 * MS, {"x": float(i)}) for i in rows]
+        slow = [(EPOCH + i * 40 * MS, {"z": float(i)}) for i in range(5)]
+        path = write_json(tmp_path / f"{missing}.mcap", {"/fast": fast, "/slow": slow})
+        data = cosim.read_field_data(path, columns={"x": "/fast.x", "z": "/slow.z"})
+        notes[missing] = data.diagnostics
+    assert notes[1] == ()
+    (note,) = notes[2]
+    assert re.search(r"2\.mcap', topic '/fast': .*0\.03 s.*t = 0\.08 s.*0\.01 s", note)
 
 
 def test_no_more_numbers_are_kept_than_memory_has(recording, monkeypatch):
     """Of all signals at all times, which topics of other rates multiply."""
     monkeypatch.setattr("cosim.scenario.data_files.recorded_fields.MOST_VALUES", 60)
     columns = {"x": "/fast.x", "z": "/slow.z"}
-    with pytest.raises(UsageError, match="3 numbers at 25 times; needed at most 60 numbers"):
+    with pytest.raises(UsageError, match="at most 60 numbers, got 3 at 25 times"):
         cosim.read_field_data(recording, columns=columns)

@@ -101,6 +101,7 @@ with ExitStack() as resources:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [0, 13_000])
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_an_interrupt_ends_a_run_that_has_turned_slow(block):
@@ -114,6 +115,7 @@ def test_an_interrupt_ends_a_run_that_has_turned_slow(block):
     assert 0 <= int(kept) == int(after) < 3_000
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_second_interrupt_ends_it_at_once():
     """Within the call; what was recorded stays."""

@@ -86,7 +86,7 @@ def test_nothing_is_imported_to_list_or_show_it(site, capsys):
 def test_parameters_are_those_of_the_constructor(site):
     with pytest.raises(ScenarioError) as error:
         cosim.run("thermostat.toml", set={"relay.widht": 1.0})
-    assert "unknown key 'widht'; did you mean 'width'? There is: width" in str(error.value)
+    assert "unknown key 'widht'; did you mean 'width'? Available: width" in str(error.value)
 
 
 def test_a_log_replays_where_the_package_is_not_installed(site, monkeypatch):
@@ -96,12 +96,9 @@ def test_a_log_replays_where_the_package_is_not_installed(site, monkeypatch):
     again = cosim.replay("a.mcap", out="b.mcap")
     assert verify(open_log("a.mcap"), again).passed
     assert verify(open_log("b.mcap"), cosim.replay("b.mcap")).passed
-    with pytest.raises(ScenarioError) as error:
+    message = r"thermostat\.toml:9: components\.relay: .*'relay'.*'cosim\.components'"
+    with pytest.raises(ScenarioError, match=message):
         cosim.replay("a.mcap", allow_code=True)
-    assert str(error.value) == (
-        "thermostat.toml:9: components.relay: no installed package has the kind 'relay'; needed "
-        "one with an entry point 'relay' of the group 'cosim.components'"
-    )
 
 
 def test_another_version_of_the_package_is_not_the_code_of_the_log(site):
@@ -113,9 +110,8 @@ def test_another_version_of_the_package_is_not_the_code_of_the_log(site):
         file.unlink()
     about.rmdir()
     install(site, "relay_package", "relay = relay_parts.thermostats:Relay", version="1.1")
-    with pytest.raises(ScenarioError) as error:
+    with pytest.raises(ScenarioError, match=r"relay_package 1\.1, .*relay_package 1\.0"):
         cosim.replay("a.mcap", allow_code=True)
-    assert "relay_package 1.1; the recorded run had relay_package 1.0" in str(error.value)
 
 
 def test_the_name_of_a_shipped_kind_stays_with_it(site, capsys):
@@ -123,7 +119,7 @@ def test_the_name_of_a_shipped_kind_stays_with_it(site, capsys):
     install(site, "gains", "gain = relay_parts.thermostats:Relay")
     print_catalog(as_json=False)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "\tgains 1.0" in line]
-    assert "refused: 'gain' is a kind of cosim; needed another name" in line
+    assert "refused: 'gain' is a kind of cosim" in line
     print_kind("gain", as_json=False)
     assert "relay_parts" not in capsys.readouterr().out
 
@@ -133,7 +129,7 @@ def test_an_entry_point_that_names_no_class_is_refused(site, capsys):
     install(site, "nameless", "nobody = relay_parts.thermostats")
     print_catalog(as_json=False)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "nameless 1.0" in line]
-    text = "found 'relay_parts.thermostats'; needed 'package.module:Class'"
+    text = "expected 'package.module:Class', got 'relay_parts.thermostats'"
     assert f"refused: {text}" in line
     with pytest.raises(ScenarioError, match=re.escape(text)):
         cosim.run("thermostat.toml", set={"relay": {"kind": "nobody"}})
@@ -142,14 +138,10 @@ def test_an_entry_point_that_names_no_class_is_refused(site, capsys):
 def test_a_kind_that_two_packages_declare_is_refused(site, capsys):
     """With both, and the way out."""
     install(site, "other", "relay = relay_parts.thermostats:Relay", version="2.0")
-    text = (
-        "the kind 'relay' is declared 2 times, by other 2.0, relay_package 1.0; needed one, or "
-        'kind = "python" with class = "package.module:Class"'
-    )
-    with pytest.raises(UsageError) as error:
+    with pytest.raises(UsageError, match=r"'relay' is declared 2 times.*kind = .python") as error:
         installed_class("relay")
-    parts = str(error.value).replace("relay_package 1.0, other 2.0", "other 2.0, relay_package 1.0")
-    assert parts == text
+    assert "other 2.0" in str(error.value)
+    assert "relay_package 1.0" in str(error.value)
     with pytest.raises(ScenarioError, match="the kind 'relay' is declared 2 times"):
         cosim.run("thermostat.toml")
     print_catalog(as_json=False)
