@@ -69,8 +69,8 @@ def plot_scatter(
     count = len(shown)
     if count < 2:
         raise UsageError(
-            f"a picture of kind 'scatter': found {count_text(count, 'parameter or metric')}, "
-            "needed 2"
+            "plot kind 'scatter': expected at least 2 parameters or metrics, got "
+            f"{count_text(count, 'parameter or metric')}"
         )
     length = _PANEL * count + _MARGIN
     picture = sized_picture(count, count, options, size=(length, length))

@@ -32,7 +32,7 @@ def difference(now: Mapping[str, Any], recorded: Mapping[str, Any], metrics: Seq
     after = now["reason"] or ""
     if now["status"] != recorded["status"] or not same_reason(after, before):
         ends = (after or now["status"], before or recorded["status"])
-        return "it ended with {!r}, and with {!r} before".format(*ends)
+        return "it ended with {!r}; recorded: {!r}".format(*ends)
     for name in ("steps", *metrics):
         if not same_value(now[name], recorded[name]):
             return f"{name} = {now[name]!r}, and {recorded[name]!r} before; {_cause(now, recorded)}"

@@ -125,7 +125,8 @@ def standard_errors(
     free = samples - len(space.keys)
     if free < 1:
         raise NoStandardErrors(
-            f"{len(space.keys)} values from {samples} samples: needed more samples than values"
+            f"expected more samples than values, got {len(space.keys)} values from {samples} "
+            "samples"
         )
     squares = _SumOfSquares(space, trials, samples)
     center = space.coordinates(best)
