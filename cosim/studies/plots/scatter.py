@@ -85,7 +85,7 @@ def plot_scatter(
     if results.done > _MOST_POINTS:
         notes.append("the darker, the more members")
     if results.done < LEAST_MEMBERS:
-        notes.append("too few for rank correlations")
+        notes.append("too few members for rank correlations")
     else:
         notes.append("rank correlations above the diagonal")
     picture.save(out, title=shown_text(f"{results.name}: {', '.join(notes)}"))

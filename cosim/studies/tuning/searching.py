@@ -199,7 +199,7 @@ def _run(search: TuningSearch, trials: Trials, ends: list[SearchEnd]) -> str:
     if search.method == "global":
         trials.costs([space.point(_first(search))])
         search_globally(space, trials, local, search.seed)
-        return "the population came together, and the search from its best ended"
+        return "the population converged, and the local search from its best member ended"
     local.from_starts(_first(search), search.starts, search.seed)
     return "the searches from all starts ended"
 
