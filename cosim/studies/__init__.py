@@ -6,7 +6,7 @@
     metrics     what is kept of a run: expressions over its signals
     document    the study as users write it: file, options, variations
     dataset     outcomes as Parquet, in folders and buckets
-    workers     child processes that run members; a crash costs its member
+    workers     child processes that run members; a crash affects only its member
     members     one member after the other in one process
     design      which members there are, and whether they can be built
     cluster     members on the workers of dask.distributed

@@ -98,7 +98,7 @@ class MemberColumns:
         self.check_metric(name)
         column = self.metrics[name]
         if column.is_text:
-            raise UsageError(f"metric {name!r}: found texts, needed numbers")
+            raise UsageError(f"metric {name!r}: expected numbers, got texts")
         return column
 
     def check_metric(self, name: str) -> None:

@@ -159,8 +159,8 @@ def _read_part(part: str, condition: str, columns: MemberColumns) -> PassConditi
     found = _PART.fullmatch(part)
     if found is None:
         raise UsageError(
-            f"condition {quoted(condition)}: found {quoted(part)}; needed a metric, a comparison "
-            f"(one of {' '.join(_COMPARISONS)}) and a value, such as 'rms < 0.1'"
+            f"condition {quoted(condition)}: expected METRIC COMPARISON VALUE (comparisons: "
+            f"{' '.join(_COMPARISONS)}), such as 'rms < 0.1'; got {quoted(part)}"
         )
     metric, comparison, value = found.groups()
     columns.check_metric(metric)
@@ -179,7 +179,7 @@ def _compared_with_text(
 ) -> PassCondition:
     if len(columns.metrics[metric].values) or comparison not in ("==", "!="):
         raise UsageError(
-            f"metric {metric!r}: found {comparison} {quoted(value)}; needed a number, or, of a "
-            "metric that is a text, == or != and a text"
+            f"metric {metric!r}: expected a number, or == or != and a text for a metric that is a "
+            f"text; got {comparison} {quoted(value)}"
         )
     return PassCondition(metric, comparison, value.strip("'\""))

@@ -44,7 +44,7 @@ def running_mean(column: MetricColumn, of_design: Independence) -> RunningMean:
     if not of_design.is_drawn:
         raise UsageError(
             f"the mean of {column.name!r} does not converge: the members of this study were "
-            "chosen, not drawn; needed samples, or seeds"
+            "chosen, not drawn; use samples or seeds"
         )
     scale = exact_scale(column.values)
     units = of_design.units_of(column.numbers)

@@ -59,7 +59,7 @@ def statistics_by(columns: MemberColumns, layout: StudyLayout, key: str) -> list
     values, groups = _groups(columns.parameters[key].tolist())
     if len(values) > MOST_GROUPS:
         raise UsageError(
-            f"{key!r}: found {len(values)} values, needed at most {MOST_GROUPS}: a key of a grid"
+            f"{key!r}: expected at most {MOST_GROUPS} values, as of a grid key, got {len(values)}"
         )
     found = []
     for value, rows in zip(values, groups, strict=True):

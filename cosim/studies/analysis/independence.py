@@ -33,10 +33,10 @@ from cosim.studies.design.study_design import SampleKind, StudyDesign
 
 _BASIS: Final = {
     "random": "samples drawn independently",
-    "latin-hypercube": "of a Latin hypercube: conservative where there are many members",
-    "sobol": "as if Sobol points were independent: mostly far too wide, not guaranteed",
-    "saltelli": "of matrices A and B, as if Sobol points were independent: mostly far too wide, "
-    "not guaranteed",
+    "latin-hypercube": "Latin hypercube samples: conservative for many members",
+    "sobol": "Sobol points, treated as independent: usually far too wide, not guaranteed",
+    "saltelli": "samples of matrices A and B, treated as independent: usually far too wide, not "
+    "guaranteed",
 }
 
 
@@ -152,14 +152,12 @@ def independence_of(layout: StudyLayout) -> Independence:
     """Return what of a study was drawn independently."""
     if layout.kind in ("grid", "cases"):
         if layout.seeds == 1:
-            return Independence(
-                layout, "none, as the members were chosen, not drawn", is_drawn=False
-            )
+            return Independence(layout, "none: the members were chosen, not drawn", is_drawn=False)
         return Independence(layout, f"{layout.seeds} seeds drawn independently")
     basis = _BASIS[layout.kind]
     together = layout.seeds * layout.grid
     if together > 1:
-        basis += f"; the {together} members of a sample count together"
+        basis += f"; the {together} members of a sample count as one"
     return Independence(layout, basis)
 
 

@@ -80,7 +80,7 @@ class SobolIndices:
             cause += ", or those that were left out"
         total = float(self.total_order.sum())
         if total < 1.0 - _SUM_TOLERANCE:
-            return f"{cause}: total orders sum to {total:.2f}, which is below 1"
+            return f"{cause}: total orders sum to {total:.3g}, below 1"
         first = float(self.first_order.sum())
         if first > 1.0 + _SUM_TOLERANCE:
             return f"{cause}: first orders sum to {first:.2f}, which is above 1"
@@ -121,16 +121,16 @@ def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> S
     found = int(complete.sum())
     if found < _LEAST:
         raise UsageError(
-            f"Sobol indices of {metric!r}: found {found} of {layout.base_points} base points with "
-            f"a value in all their members, needed at least {_LEAST}"
+            f"Sobol indices of {metric!r}: expected at least {_LEAST} base points whose members "
+            f"all have a value, got {found} of {layout.base_points}"
         )
     values = matrices[:, complete]
     values = values / exact_scale(values)
     first, total = indices_of(values, np.ones((1, found)))
     if is_constant(values.ravel()) or not np.isfinite(first).all():
         raise UsageError(
-            f"Sobol indices of {metric!r}: found one value in all members, needed a metric that "
-            "the parameters change"
+            f"Sobol indices of {metric!r}: expected a metric that depends on the parameters, got "
+            "the same value in all members"
         )
     first_intervals: tuple[ConfidenceInterval, ...] = (NO_INTERVAL,) * len(first[0])
     total_intervals = first_intervals
@@ -154,14 +154,14 @@ def check_has_indices(layout: StudyLayout) -> None:
     """Raise UsageError if a study has no design that Sobol indices can be found from."""
     if layout.kind != "saltelli":
         raise UsageError(
-            f"Sobol indices: found the design {layout.kind!r}, needed 'saltelli': a study with "
-            '[study] sampling = "saltelli"'
+            "Sobol indices: expected the design 'saltelli' ([study] sampling = \"saltelli\"), got "
+            f"{layout.kind!r}"
         )
     together = layout.seeds * layout.grid
     if together > 1:
         raise UsageError(
-            f"Sobol indices: found {together} members of each sample, needed 1: a study without "
-            "seeds and lists of values beside its samples"
+            "Sobol indices: expected one member per sample (no seeds and no lists of values "
+            f"besides the samples), got {together}"
         )
 
 

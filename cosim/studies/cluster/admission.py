@@ -129,7 +129,7 @@ class Admission:
         missing = without_binary(self._folders, found["system"], found["architecture"])
         needed = f"{found['architecture']}-{found['system']}"
         for path, folders in missing.items():
-            return f"{Path(path).name} has no binary for {needed}; it has {listing(folders)}"
+            return f"{Path(path).name} has no binary for {needed}; available: {listing(folders)}"
         return ""
 
     async def _send(self, address: str, digest: str) -> None:
@@ -145,9 +145,10 @@ class Admission:
         size = Path(path).stat().st_size
         if not is_direct and size > MOST_RELAYED:
             raise UsageError(
-                f"{path} has {size / 1e6:.0f} MB, and the worker does not let this machine connect "
-                f"to it: at most {MOST_RELAYED / 1e6:.0f} MB pass through the scheduler; needed a "
-                "copy of the file under the same path on the worker, as on storage that both share"
+                f"{path} has {size / 1000000.0:.0f} MB, and this machine cannot connect to the "
+                f"worker directly; through the scheduler at most {MOST_RELAYED / 1000000.0:.0f} "
+                "MB are sent; put a copy of the file at the same path on the worker, for example "
+                "on shared storage"
             )
         content = await asyncio.to_thread(_content, path, digest)
         data = await self._client.scatter(
@@ -192,5 +193,5 @@ def _content(path: str, digest: str) -> bytes:
     """Return the content of a file that must not have changed."""
     content = Path(path).read_bytes()
     if hashlib.sha256(content).hexdigest() != digest:
-        raise UsageError(f"{path} was changed while the study ran; run it again")
+        raise UsageError(f"{path} changed while the study ran; run it again")
     return content

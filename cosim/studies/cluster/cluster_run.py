@@ -207,8 +207,8 @@ class ClusterRun:
             parts = sorted(self._given_up, key=lambda part: part.start)
             names = [f"{part.start}-{part.stop - 1}" for part in parts]
             raise RunError(
-                f"dask gave up members {listing(names)}: every worker that ran them ended; the "
-                "same study goes on from what is in its dataset"
+                f"dask gave up members {listing(names)}: every worker that ran them died; run the "
+                "same study again to continue from its dataset"
             )
 
     def close(self) -> None:

@@ -102,7 +102,7 @@ class ClusterWorkers:
         for address in sorted(self.threads.keys() - present.keys()):
             del self.threads[address]
             left = len(self.threads)
-            self._notice(f"worker {address} has gone; {left} {'is' if left == 1 else 'are'} left")
+            self._notice(f"worker {address} is gone; {left} {'is' if left == 1 else 'are'} left")
         for address in self._excluded.keys() - present.keys():
             del self._excluded[address]
 
@@ -120,7 +120,7 @@ class ClusterWorkers:
             return
         if self._waits_since is None:
             self._waits_since = monotonic()
-            self._notice(f"{self._lack()}; waiting {PATIENCE:g} s for a worker that can run it")
+            self._notice(f"{self._lack()}; waiting {PATIENCE:g} s for a suitable worker")
         if monotonic() >= self._waits_since + PATIENCE:
             raise self._none_left()
 
@@ -133,8 +133,8 @@ class ClusterWorkers:
     def _none_left(self) -> CosimError:
         """Return the error where no worker can be used."""
         if self._excluded:
-            return UsageError(f"{self._lack()}; no other came within {PATIENCE:g} s")
+            return UsageError(f"{self._lack()}; no other worker joined within {PATIENCE:g} s")
         return RunError(
-            f"the scheduler had no workers for {PATIENCE:g} s; start some, as with 'dask worker "
-            "ADDRESS', and run the study again: it goes on from what is in its dataset"
+            f"the scheduler had no workers for {PATIENCE:g} s; start some ('dask worker ADDRESS') "
+            "and run the study again: it continues from its dataset"
         )

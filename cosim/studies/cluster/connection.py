@@ -43,9 +43,9 @@ def connect(scheduler: str | Client) -> Iterator[Client]:
     if isinstance(scheduler, library.Client):
         if scheduler.asynchronous or scheduler.status != "running":
             raise UsageError(
-                f"{option('scheduler')}: found a client that is "
-                f"{'asynchronous' if scheduler.asynchronous else scheduler.status}, needed one "
-                "that is connected and synchronous, as distributed.Client(address) is"
+                f"{option('scheduler')}: expected a connected synchronous client, such as "
+                "distributed.Client(address), got one that is "
+                f"{'asynchronous' if scheduler.asynchronous else scheduler.status}"
             )
         yield scheduler
         return
@@ -103,8 +103,8 @@ def check_scheduler(client: Client) -> None:
 def lost(client: Client) -> RunError:
     """Return the error of a scheduler that has gone."""
     return RunError(
-        f"the connection to {_address(client)} was lost; the same study goes on from what is in "
-        "its dataset"
+        f"the connection to {_address(client)} was lost; run the same study again to continue "
+        "from its dataset"
     )
 
 
@@ -120,8 +120,8 @@ def _open(library: Any, client: Client, address: str) -> None:
     except (OSError, TypeError, ValueError) as error:  # TypeError: of TLS without certificates
         cause = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
         raise UsageError(
-            f"{option('scheduler')}: cannot connect to a scheduler of dask at {quoted(address)} "
-            f"({cause}); needed the address that 'dask scheduler' prints, such as tcp://host:8786"
+            f"{option('scheduler')}: cannot connect to a dask scheduler at {quoted(address)} "
+            f"({cause}); expected the address printed by 'dask scheduler', such as tcp://host:8786"
         ) from error
 
 

@@ -43,7 +43,7 @@ def lacks(own: Mapping[str, str], found: Mapping[str, str]) -> str:
     differences = []
     for key, word in _WORDS.items():
         if own[key] != found[key]:
-            differences.append(f"it has {word} {found[key]}, needed {own[key]}")
+            differences.append(f"expected {word} {own[key]}, got {found[key]}")
     return "; ".join(differences)
 
 

@@ -87,4 +87,4 @@ class MemberExecutor:
 
 
 def _shut_down() -> CosimError:
-    return RunError("the study was ended while its members ran")
+    return RunError("the study ended while its members were running")

@@ -54,7 +54,7 @@ def open_storing_runner(subject: StudySubject) -> TryingRunner:
     """
     if not reaches_dataset(subject.logs):
         place = subject.logs.rpartition(_MARK)[0]
-        raise UsageError(f"{place} is out of reach, where logs are kept")
+        raise UsageError(f"{place}, where logs are kept, cannot be reached")
     return TryingRunner(subject, StoringRunner(subject))
 
 

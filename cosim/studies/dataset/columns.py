@@ -81,8 +81,8 @@ def all_columns(of_study: Sequence[StudyColumn]) -> tuple[StudyColumn, ...]:
     for column in of_study:
         if column.name in names:
             raise DatasetError(
-                f"{column.role} {column.name!r}: a dataset has another column of that name; "
-                "needed another name"
+                f"{column.role} {column.name!r}: a column of the dataset already has this name; "
+                "choose another one"
             )
         names.add(column.name)
     parameters = [column for column in of_study if column.role == "parameter"]

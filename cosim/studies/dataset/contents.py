@@ -78,9 +78,9 @@ class DatasetContents:
             last = part.stop - 1 if first in self.parts else self.open.of(part)[-1][0]
         if last >= total:
             raise DatasetError(
-                f"{self._storage.label()}: member {last} is recorded, and {total} members are "
-                "planned; a study can only grow: plan as many, give another folder, or "
-                f"{flag('new')}, which removes the dataset and begins anew"
+                f"{self._storage.label()}: member {last} is recorded, but only {total} members "
+                "are planned; a study can only grow: plan at least as many, choose another "
+                f"folder, or use {flag('new')} to delete the dataset and start over"
             )
 
     def names(self, columns: Iterable[str] | None) -> list[str]:
@@ -204,8 +204,8 @@ def _recorded_parts(storage: Storage, layout: PartLayout) -> dict[int, range]:
             continue
         if part.start >= layout.total or layout.part_of(part.start) != part:
             raise DatasetError(
-                f"{storage.label(f'{PARTS}/{name}')}: no part of this dataset has these members; "
-                "remove it and run the study again"
+                f"{storage.label(f'{PARTS}/{name}')}: not a part of this dataset; remove it and "
+                "run the study again"
             )
         found[part.start] = part
     return found

@@ -57,11 +57,10 @@ def check_part(
     if first is not None:
         number, name, was, now = first
         raise DatasetError(
-            f"{label}: member {number} was {name} = {quoted(was)}, is {quoted(now)}; members "
-            "keep their numbers where random or Sobol samples, or cases, are added at the end; "
-            "without these, seeds; without seeds, values at the end of the first key of the grid: "
-            f"do that, give another folder, or {flag('new')}, which removes the dataset and begins "
-            "anew"
+            f"{label}: member {number} was {name} = {quoted(was)}, is {quoted(now)}; members keep "
+            "their numbers where random or Sobol samples, or cases, are appended; without these, "
+            "seeds; without seeds, values at the end of the first key of the grid: do that, "
+            f"choose another folder, or use {flag('new')} to delete the dataset and start over"
         )
 
 

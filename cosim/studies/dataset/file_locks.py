@@ -83,7 +83,7 @@ class FolderLock:
         if state is LockState.BUSY:
             raise DatasetError(
                 f"{folder}: another study is writing there ({_holder(folder / LOCK)}); wait until "
-                "it ends, or give another folder"
+                "it ends, or choose another folder"
             )
         if state is LockState.UNSUPPORTED:
             self._make_exclusive(folder)
@@ -99,8 +99,8 @@ class FolderLock:
         except FileExistsError as error:
             raise DatasetError(
                 f"{folder}: another study is writing there, or was killed "
-                f"({_holder(self._exclusive)}), which cannot be told where a file system has no "
-                f"locks; wait until it ends, or, if it has, remove {self._exclusive}"
+                f"({_holder(self._exclusive)}); this file system has no locks to tell which; wait "
+                f"until it ends, or, if it has ended, remove {self._exclusive}"
             ) from error
         except OSError as error:
             if self._is_exclusive:
@@ -120,4 +120,4 @@ def _holder(path: Path) -> str:
 
 
 def _unwritable(folder: Path, error: OSError) -> DatasetError:
-    return DatasetError(f"{folder}: {error.strerror}; needed a folder that can be written")
+    return DatasetError(f"{folder}: {error.strerror}; expected a writable folder")

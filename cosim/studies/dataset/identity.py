@@ -145,8 +145,8 @@ class DatasetDescription:
             raise _damaged(label) from error
         if version != FORMAT:
             raise DatasetError(
-                f"{label}: found format {version!r} of a dataset, needed {FORMAT}; read it with "
-                f"cosim {found.get('cosim')}, or give another folder"
+                f"{label}: expected dataset format {FORMAT}, got {version!r}; read it with cosim "
+                f"{found.get('cosim')}, or choose another folder"
             )
         if checksum != digest_of(found):
             raise _damaged(label)
@@ -154,8 +154,8 @@ class DatasetDescription:
             return cls._of_content(found)
         except (KeyError, TypeError) as error:
             raise DatasetError(
-                f"{label}: its content is that of another state of cosim {found.get('cosim')}; "
-                "read it with that one, or give another folder"
+                f"{label}: written by another revision of cosim {found.get('cosim')}; read it "
+                "with that one, or choose another folder"
             ) from error
 
     @classmethod
@@ -253,11 +253,11 @@ def check_is_dataset(content: bytes | None, label: str) -> None:
     except ValueError:
         return
     if not isinstance(found, dict) or _CHECKSUM not in found:
-        raise DatasetError(f"{label} is not that of a dataset; give another folder, or remove it")
+        raise DatasetError(f"{label} is not that of a dataset; choose another folder, or remove it")
 
 
 def _damaged(label: str) -> DatasetError:
     return DatasetError(
-        f"{label} is damaged; take it from a copy, or {flag('new')} begins anew, without the "
-        "members that are there"
+        f"{label} is damaged; restore it from a copy, or use {flag('new')} to start over without "
+        "the recorded members"
     )

@@ -104,7 +104,7 @@ class LocalStorage:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise DatasetError(
-                f"{self._folder}: {error.strerror}; needed a folder that can be written"
+                f"{self._folder}: {error.strerror}; expected a writable folder"
             ) from error
         self._lock = FolderLock(self._folder)
         for folder in (self._folder, self._folder / "parts"):
@@ -249,6 +249,6 @@ def _remove_unlocked(path: Path) -> None:
 
 def _write_error(path: Path, error: OSError) -> DatasetWriteError:
     return DatasetWriteError(
-        f"{path}: {error.strerror}; the outcomes written so far are there: run the study again "
-        "when that is mended, and it goes on"
+        f"{path}: {error.strerror}; all outcomes so far are saved: fix this and run the study "
+        "again to continue"
     )

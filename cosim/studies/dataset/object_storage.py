@@ -38,8 +38,9 @@ class ObjectStorage:
             fsspec = import_module("fsspec")
         except ImportError as error:
             raise DatasetError(
-                f"{url}: a dataset elsewhere than in a folder needs fsspec, which is not "
-                "installed: pip install fsspec, or, in a clone of cosim, pip install -e '.[study]'"
+                f"{url}: a dataset outside of a local folder needs fsspec, which is not "
+                "installed: pip install fsspec, or, in a clone of cosim, pip install -e "
+                "'.[study]'"
             ) from error
         try:
             self._files, root = fsspec.core.url_to_fs(url)
@@ -127,8 +128,8 @@ class ObjectStorage:
 
     def _write_error(self, name: str, error: Exception) -> DatasetWriteError:
         return DatasetWriteError(
-            f"{self.label(name)}: {_text(error)}; the outcomes written so far are there: run the "
-            "study again when that is mended, and it goes on"
+            f"{self.label(name)}: {_text(error)}; all outcomes so far are saved: fix this and run "
+            "the study again to continue"
         )
 
     def _error(self, name: str, error: Exception) -> DatasetError:

@@ -51,7 +51,7 @@ class OpenRows:
             if row is None or not 0 <= row[0] < self._layout.total:
                 raise DatasetError(
                     f"{storage.label(JOURNAL)}: line {number} is damaged; remove that line and "
-                    "run the study again: its member runs anew"
+                    "run the study again: its member is rerun"
                 )
             part = self._layout.part_of(row[0])
             self._rows.setdefault(part.start, {})[row[0]] = row

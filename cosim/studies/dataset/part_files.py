@@ -75,7 +75,7 @@ class PartFiles:
         name = part_name(part)
         content = self._storage.read(name)
         if content is None:
-            raise DatasetError(f"{self._storage.label(name)}: it was removed while it was read")
+            raise DatasetError(f"{self._storage.label(name)}: removed while it was being read")
         try:
             file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
             self._check_study(name, file.schema_arrow.metadata or {})
@@ -93,11 +93,11 @@ class PartFiles:
         if found != self._sha256:
             raise DatasetError(
                 f"{self._storage.label(name)} is a part of another study; remove it and run the "
-                "study again: its members run anew"
+                "study again: its members are rerun"
             )
 
     def _damaged(self, name: str) -> DatasetError:
         return DatasetError(
             f"{self._storage.label(name)} is damaged; remove it and run the study again: its "
-            "members run anew"
+            "members are rerun"
         )

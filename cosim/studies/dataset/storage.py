@@ -121,7 +121,7 @@ def open_storage(place: str | Path) -> Storage:
     """
     text = str(place)
     if not text:
-        raise UsageError("found an empty path of a dataset; needed a folder, or a URL")
+        raise UsageError("expected a folder or URL for the dataset, got an empty path")
     if "://" not in text:
         from cosim.studies.dataset.local_storage import LocalStorage
 

@@ -127,8 +127,8 @@ class Study:
         found = self.members([number])
         if not found:
             raise UsageError(
-                f"there is no outcome of member {number}; there are {len(self)} of "
-                f"{self.planned} members, numbered from 0"
+                f"no outcome of member {number}; available: {len(self)} of {self.planned} "
+                "members, numbered from 0"
             )
         return found[0]
 

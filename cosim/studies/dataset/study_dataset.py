@@ -93,13 +93,13 @@ class StudyDataset:
         description = _description(storage)
         if description is None:
             raise DatasetError(
-                f"{storage.label()}: there is no {DESCRIPTION}; needed the dataset of a study, as "
-                f"{command('study')} writes it"
+                f"{storage.label()}: no {DESCRIPTION} there; expected the dataset of a study, as "
+                f"written by {command('study')}"
             )
         if sha256 is not None and sha256 != description.sha256:
             raise DatasetError(
-                f"{storage.label()} holds the dataset of another study by now; give each study a "
-                "folder of its own"
+                f"{storage.label()} now holds the dataset of another study; use one folder per "
+                "study"
             )
         return cls(storage, description, is_writing=False)
 
@@ -386,9 +386,8 @@ def _check_empty(storage: Storage) -> None:
     found = recorded_files(storage)
     if found:
         raise DatasetError(
-            f"{storage.label(found[0])} belongs to a dataset, but there is no {DESCRIPTION} that "
-            f"says to which; give another folder, or {flag('new')}, which removes it and begins "
-            "anew"
+            f"{storage.label(found[0])} belongs to a dataset, but no {DESCRIPTION} says to which; "
+            f"choose another folder, or use {flag('new')} to delete it and start over"
         )
 
 
@@ -409,8 +408,8 @@ def _grown(
     found = differences(recorded.identity, identity)
     if found:
         raise DatasetError(
-            f"{storage.label()} holds the dataset of another study: {found}; give "
-            f"another folder, or {flag('new')}, which removes it and begins anew"
+            f"{storage.label()} holds the dataset of another study: {found}; choose another "
+            f"folder, or use {flag('new')} to delete it and start over"
         )
     DatasetContents(storage, recorded).check_total(identity.members)
     if design is not None:

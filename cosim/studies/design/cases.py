@@ -29,7 +29,7 @@ from cosim.studies.design.columns import ColumnValues, packed, plain_values
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
 _BLOCK: Final = 2**15  # rows
-NO_ROWS: Final = "has no rows; needed a line of keys, and a row for each case"
+NO_ROWS: Final = "has no rows; expected a header line of keys and one row per case"
 
 
 def read_cases(path: Path) -> dict[str, ColumnValues]:
@@ -44,7 +44,7 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
     """
     file = repr(str(path))
     if file_type(path) != "table":
-        raise UsageError(f"cases: found {file}; needed a path that ends in .csv or .parquet")
+        raise UsageError(f"cases: expected a path that ends in .csv or .parquet, got {file}")
     if path.suffix.lower() == ".parquet":
         names, columns = _read_parquet(path, file)
     else:
@@ -55,7 +55,7 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
         if not key or key in found:
             problem = f"two columns {name!r}" if key else "a column without a name"
             hint = "" if key else " (of pandas: to_csv(..., index=False))"
-            raise UsageError(f"file {file} has {problem}; needed a key for each column{hint}")
+            raise UsageError(f"file {file} has {problem}; expected one key per column{hint}")
         found[key] = _paths(key, values, path.parent, file)
     return found
 
@@ -76,8 +76,8 @@ def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnVal
     for value in values if isinstance(values, list) else values.tolist():
         if value is not None and not isinstance(value, str):
             raise UsageError(
-                f"file {file}, column {key.removeprefix(SWAP)!r}: found {quoted(value)}; needed a "
-                "path, or a key with a dot for a parameter"
+                f"file {file}, column {key.removeprefix(SWAP)!r}: expected a path, or a key with "
+                f"a dot for a parameter, got {quoted(value)}"
             )
         absolute.append(None if value is None else os.path.normpath(folder / value))
     return absolute
@@ -114,8 +114,8 @@ def _check_delimiter(names: Sequence[str], file: str) -> None:
     for delimiter in (";", "\t", "|"):
         if delimiter in names[0]:
             raise UsageError(
-                f"file {file}: found {delimiter!r} between its columns; needed commas, and points "
-                "in numbers"
+                f"file {file}: expected commas between columns and decimal points, got "
+                f"{delimiter!r} between columns"
             )
 
 
@@ -126,8 +126,8 @@ def _rows(reader: Any, width: int, file: str) -> Iterator[list[str]]:
             yield row
         elif len(row) > 1 or (row and row[0].strip()):
             raise UsageError(
-                f"file {file}, line {reader.line_num}: found {len(row)} cells, needed {width}; a "
-                "cell with commas needs double quotes around it"
+                f"file {file}, line {reader.line_num}: expected {width} cells, got {len(row)}; "
+                "quote a cell that contains commas"
             )
 
 

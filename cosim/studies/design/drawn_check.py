@@ -52,7 +52,7 @@ class RefusedDraws:
 
     def __str__(self) -> str:
         of = f"{self.total} draws of {self.variation}"
-        which = f"about {self.count} of {of} are refused, and the members with them will fail"
+        which = f"about {self.count} of {of} are invalid, and members that draw them will fail"
         return (
             f"{self.variation.key}: {which}: {self.value!r} of member {self.number}: {self.reason}"
             f"; {_way_out(self.variation)}"
@@ -143,10 +143,10 @@ def _change(low: int, high: int, reason: Callable[[int], str]) -> int:
 
 def _all_of(count: int) -> str:
     tried = "the only draw is" if count == 1 else f"so are all {count} draws that were tried"
-    return f"{tried}; needed another distribution"
+    return f"{tried}; choose another distribution"
 
 
 def _way_out(variation: SampledVariation) -> str:
     if variation.distribution == "normal":
-        return "'lower' and 'upper' cut the distribution"
-    return "a distribution within bounds, such as uniform, has none of these"
+        return "truncate the distribution with 'lower' and 'upper'"
+    return "use a bounded distribution, such as uniform"

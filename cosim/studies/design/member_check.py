@@ -80,7 +80,7 @@ def check_files(swaps: Mapping[str, str]) -> None:
     """
     for name, path in swaps.items():
         if not (os.path.exists(path) or os.path.exists(path.rpartition("#")[0])):
-            raise UsageError(f"{option('swap', name)}: {path}: there is no such file")
+            raise UsageError(f"{option('swap', name)}: {path}: no such file")
 
 
 def is_own_code(scenario: Scenario) -> bool:

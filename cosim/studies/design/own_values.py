@@ -22,17 +22,17 @@ def own_number(scenario: Scenario, key: str) -> float:
     label = option("vary", key)
     if value is None:
         raise UsageError(
-            f"{label}: the scenario has no value of it that a tolerance could be relative to; "
-            "needed another distribution, such as { uniform = [LOWER, UPPER] }"
+            f"{label}: the scenario sets no value that the tolerance could be relative to; use "
+            "another distribution, such as { uniform = [LOWER, UPPER] }"
         )
     if isinstance(value, bool) or not isinstance(value, int | float):
         way_out = f"; name an element: {key}[0]" if isinstance(value, list | tuple) else ""
         raise UsageError(
-            f"{label}: a tolerance is relative to a number; found {quoted(value)}{way_out}"
+            f"{label}: a tolerance is relative to a number; got {quoted(value)}{way_out}"
         )
     if value == 0:
         raise UsageError(
-            f"{label}: a tolerance is relative to the scenario's own value, which is 0; needed "
+            f"{label}: a tolerance is relative to the scenario's own value, which is 0; use "
             "another distribution, such as { uniform = [LOWER, UPPER] }"
         )
     return float(value)

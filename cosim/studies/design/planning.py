@@ -110,9 +110,8 @@ def _check_swapped(study: StudyFile, scenario: Scenario, cases: Mapping[str, obj
         name = key.removeprefix(SWAP)
         if key.startswith(SWAP) and name not in scenario.specs:
             raise UsageError(
-                f"file {study.settings.cases!r}, column {name!r}: there is no component {name!r} "
-                "to swap, and keys have a dot, such as 'scenario.stop'; "
-                f"{nearest(name, scenario.specs)}"
+                f"file {study.settings.cases}, column {name!r}: no component {name!r} to swap, "
+                f"and keys have a dot, such as 'scenario.stop'; {nearest(name, scenario.specs)}"
             )
 
 
@@ -121,13 +120,14 @@ def _check_sampling(study: StudyFile) -> None:
     settings = study.settings
     if study.sampled and settings.samples is None:
         raise UsageError(
-            f"{option('samples')}: found none, and {study.sampled[0].key!r} has a distribution; "
-            f"needed how often it is drawn, such as {_example('samples', '100')}"
+            f"{option('samples')}: expected the number of draws, such as "
+            f"{_example('samples', '100')}, as {study.sampled[0].key!r} has a distribution; got "
+            "none"
         )
     if study.sampled and settings.cases is not None:
         raise UsageError(
-            f"found both {option('cases')} and distributions ({study.sampled[0].key!r}); needed "
-            "one of them"
+            f"expected either {option('cases')} or distributions ({study.sampled[0].key!r}), got "
+            "both"
         )
     for name in ("samples", "sampling"):
         if getattr(settings, name) is not None and not study.sampled:
@@ -168,9 +168,7 @@ def _check_keys(study: StudyFile, names: Iterable[str]) -> None:
         # A list that all members have may have an element that varies, but not the other way.
         if is_same or (is_inside and before[1] == "varied"):
             verbs = "" if before[1] == after[1] else f", {before[1]} and {after[1]}"
-            raise UsageError(
-                f"found both {before[2]!r} and {after[2]!r}{verbs}; needed one of them"
-            )
+            raise UsageError(f"expected one of {before[2]!r} and {after[2]!r}, got both{verbs}")
 
 
 def _layout(study: StudyFile, grid: list[GridVariation], cases: int) -> MemberLayout:
@@ -190,8 +188,8 @@ def _layout(study: StudyFile, grid: list[GridVariation], cases: int) -> MemberLa
         factors = [count for count in (samples, layout.seeds, *counts) if count > 1]
         product = " x ".join(map(str, factors))
         raise UsageError(
-            f"{study.source}: found {product} = {layout.members} members; needed at most "
-            f"{MOST_MEMBERS}"
+            f"{study.source}: expected at most {MOST_MEMBERS} members, got {product} = "
+            f"{layout.members}"
         )
     return layout
 
@@ -236,7 +234,7 @@ def _check_finite(item: SampledVariation, values: np.ndarray[Any, Any]) -> None:
     if len(wrong):
         raise UsageError(
             f"{option('vary', item.key)}: {item.distribution} of {quoted(list(item.numbers))} "
-            f"gives {wrong[0]}; needed numbers that stay below {np.finfo(float).max:g}"
+            f"gives {wrong[0]}; expected numbers below {np.finfo(float).max:g}"
         )
 
 
@@ -271,7 +269,7 @@ def _noise_sources(study: StudyFile, scenario: Scenario, names: list[str]) -> di
             sources[key] = name
     if not sources:
         raise UsageError(
-            f"{option('seeds')}: nothing in the scenario has a seed; needed a component with "
-            'noise, such as { kind = "sensor", noise = 1e-3, seed = 1 }'
+            f"{option('seeds')}: nothing in the scenario has a seed; add a component with noise, "
+            'such as { kind = "sensor", noise = 1e-3, seed = 1 }'
         )
     return sources

@@ -69,8 +69,8 @@ def _stream(key: str, samples: int, seed: int) -> np.ndarray[tuple[int], np.dtyp
 def _sobol(dimensions: int, samples: int, seed: int) -> Matrix:
     if dimensions > MOST_DIMENSIONS:
         raise UsageError(
-            f"{option('sampling')}: a Sobol sequence has at most {MOST_DIMENSIONS} dimensions, and "
-            f"{dimensions} are needed"
+            f"{option('sampling')}: a Sobol sequence has at most {MOST_DIMENSIONS} dimensions, "
+            f"and the study has {dimensions}"
         )
     from scipy.stats.qmc import Sobol
 
@@ -88,8 +88,8 @@ def _saltelli(dimensions: int, samples: int, seed: int) -> Matrix:
     if samples & (samples - 1):
         below = 1 << (samples.bit_length() - 1)
         raise UsageError(
-            f"{option('samples')}: found {samples}; Saltelli's design needs a power of two: "
-            f"{below} or {2 * below}"
+            f"{option('samples')}: expected a power of two for Saltelli's design, got {samples}; "
+            f"nearest: {below} or {2 * below}"
         )
     sequence = _sobol(2 * dimensions, samples, seed)
     first = sequence[:dimensions]

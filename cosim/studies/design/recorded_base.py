@@ -34,14 +34,14 @@ def check_is_of_scenario(path: str, scenario: Scenario) -> None:
     if _name(recorded) == _name(named):
         keys = listing(list(_differing(recorded, named)), MOST_NAMED)
         problem = (
-            f"found a log of another {found} than {scenario.document.source} is now: they differ "
+            f"the log is of another {found} than {scenario.document.source} is now: they differ "
             f"in {keys}"
         )
     else:
-        problem = f"found a log of {found}, and the study is of {quoted(_name(named))}"
+        problem = f"the log is of {found}, and the study is of {quoted(_name(named))}"
     raise UsageError(
-        f"{path}: {problem}; a replay runs the scenario of its log: needed a log of this scenario, "
-        f"or {command('study')} of the log itself in place of the scenario"
+        f"{path}: {problem}; a replay runs the scenario of its log: use a log of this scenario, "
+        f"or run {command('study')} on the log itself"
     )
 
 

@@ -26,10 +26,10 @@ def find_recordings(patterns: str | Iterable[str] | None) -> tuple[str, ...]:
         paths = [pattern] if is_path else sorted(glob.glob(pattern, recursive=True))
         if not paths:
             raise UsageError(
-                f"{option('replay')}: no file matches {quoted(pattern)}; needed logs (.mcap)"
+                f"{option('replay')}: expected logs (.mcap), but no file matches {quoted(pattern)}"
             )
         for path in paths:
             if file_type(path) != "log":
-                raise UsageError(f"{option('replay')}: {path}: needed a log (.mcap)")
+                raise UsageError(f"{option('replay')}: {path}: expected a log (.mcap)")
         found |= dict.fromkeys(paths)
     return tuple(found)

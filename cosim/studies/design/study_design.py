@@ -80,7 +80,7 @@ class StudyDesign:
             If there is none of that number.
         """
         if not 0 <= number < len(self):
-            raise UsageError(f"there is no member {number}; there are {len(self)}, numbered from 0")
+            raise UsageError(f"no member {number}; the study has {len(self)}, numbered from 0")
         (member,) = self.members(number, number + 1)
         return member
 

@@ -9,7 +9,7 @@ from typing import Final, Literal
 from cosim.errors import UsageError, quoted
 
 NEEDED: Final = (
-    'needed "failed", "all", "worst 5 of METRIC", "best 5 of METRIC", or a list of numbers'
+    'expected "failed", "all", "worst 5 of METRIC", "best 5 of METRIC", or a list of numbers'
 )
 _RANKED: Final = re.compile(r"(worst|best) ([1-9][0-9]{0,6}) of (\S.*)")
 
@@ -48,7 +48,7 @@ def read_keep(value: str | tuple[int, ...] | None) -> KeptLogs:
         return KeptLogs()
     if not isinstance(value, str):
         if not value or min(value) < 0:
-            raise UsageError(f"found {quoted(list(value))}; {NEEDED} from 0")
+            raise UsageError(f"{NEEDED} from 0, got {quoted(list(value))}")
         return KeptLogs("numbers", numbers=tuple(sorted(set(value))))
     text = value.strip()
     if text == "failed":
@@ -57,7 +57,7 @@ def read_keep(value: str | tuple[int, ...] | None) -> KeptLogs:
         return KeptLogs("all")
     match = _RANKED.fullmatch(text)
     if match is None:
-        raise UsageError(f"found {quoted(value)}; {NEEDED}")
+        raise UsageError(f"{NEEDED}, got {quoted(value)}")
     count = int(match[2])
     if match[1] == "worst":
         return KeptLogs("worst", count, match[3])

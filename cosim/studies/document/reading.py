@@ -63,7 +63,8 @@ def _of_file(document: Document, tree: Mapping[str, Any]) -> StudyFile:
         scenario = settings.get("scenario")
         if scenario is None:
             text = (
-                "'scenario' is missing; needed the name of a shipped one, or a path: of a log, too"
+                "'scenario' is missing; expected the name of a shipped scenario, or a path to a "
+                "scenario or a log"
             )
             problems.append(((STUDY,), text))
         own = {"replay": scenario} if isinstance(scenario, str) and is_log(scenario) else {}
@@ -74,7 +75,7 @@ def _of_file(document: Document, tree: Mapping[str, Any]) -> StudyFile:
         }
     elif settings is None:
         raise UsageError(
-            f"{document.source}: is neither a study nor a scenario; needed the table [study], or "
+            f"{document.source}: neither a study nor a scenario; expected the table [study], or "
             "[scenario] and [components]"
         )
     return _read(document, tables, places, problems=problems, name=Path(document.source).stem)
@@ -84,7 +85,7 @@ def _of_scenario(document: Document, tree: Mapping[str, Any]) -> StudyFile:
     """Return the study in a scenario; its keys are those of a file behind ``study``."""
     inside = tree.get(STUDY, {})
     if not isinstance(inside, Mapping):
-        text = f"found {quoted(inside)}; needed a table"
+        text = f"expected a table, got {quoted(inside)}"
         raise UsageError(_report(document, {}, [((STUDY,), text)]))
     settings = dict(inside)
     tables: dict[str, Any] = {}
@@ -93,7 +94,7 @@ def _of_scenario(document: Document, tree: Mapping[str, Any]) -> StudyFile:
         if name in settings:
             tables[name] = settings.pop(name)
     if "scenario" in settings:
-        problems.append(((STUDY, "scenario"), "it is the one of this file; leave it out"))
+        problems.append(((STUDY, "scenario"), "it is the scenario of this file; remove this key"))
     source = document.source
     is_file = Path(source).is_file()
     settings["scenario"] = str(Path(source).absolute()) if is_file else source

@@ -39,7 +39,7 @@ def load_scenario(scenario: str) -> Scenario:
         return load(scenario)
     if is_foreign(Path(scenario)):
         raise UsageError(
-            f"{scenario} is of another tool and carries no scenario; needed a study or a scenario, "
-            "and this as a log that it replays"
+            f"{scenario} was written by another tool and carries no scenario; expected a study or "
+            "a scenario; replay the log with it"
         )
     return load_document(recorded_document(open_log(scenario)))

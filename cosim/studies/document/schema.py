@@ -20,25 +20,25 @@ class StudySettings(TomlTable):
     """The table [study]."""
 
     name: NameOfStudy | None = Field(
-        None, description="of the study; default: that of its file or scenario"
+        None, description="name of the study; default: that of its file or scenario"
     )
     scenario: str | None = Field(
         None,
-        description="what is run: a shipped scenario by name, or a path from this file; of a log: "
-        "the scenario of its run, which is replayed",
+        description="scenario to run: the name of a shipped one, or a path relative to this file; "
+        "of a log: its scenario, as a replay",
     )
     set: dict[str, Any] = Field(
-        {}, description='values that all members have: { "observer.filter_rate" = 300.0 }'
+        {}, description='values of all members: { "observer.filter_rate" = 300.0 }'
     )
-    swap: dict[str, str] = Field({}, description="swaps that all members have")
-    map: dict[str, str | list[str]] = Field({}, description="ports of what is swapped")
+    swap: dict[str, str] = Field({}, description="swaps of all members")
+    map: dict[str, str | list[str]] = Field({}, description="ports of swapped components")
     replay: str | tuple[str, ...] | None = Field(
         None, description='logs that each member replays, such as ["field-*.mcap"]'
     )
     allow_code: Flag | None = Field(
         None,
-        description="whether replays compute components of users' classes, too, which runs the "
-        "code of the classes that the logs name",
+        description="whether replays also compute components of user classes; this runs the code "
+        "that the logs name",
     )
     cases: str | None = Field(
         None,
@@ -50,18 +50,18 @@ class StudySettings(TomlTable):
         'or "saltelli" for Sobol indices',
     )
     samples: Annotated[Whole, Field(ge=1, le=MOST_SAMPLES)] | None = Field(
-        None, description="how many times all distributions are drawn"
+        None, description="number of draws from all distributions"
     )
     seed: Annotated[Whole, Field(ge=0, le=LARGEST_SEED)] = Field(
-        0, description="that all random numbers of the study follow from"
+        0, description="seed of all random numbers of the study"
     )
     seeds: Annotated[Whole, Field(ge=1, le=MOST_SEEDS)] | None = Field(
-        None, description="how many seeds each noise source gets; default: its own one alone"
+        None, description="number of seeds for each noise source; default: only its own"
     )
     timeout: Annotated[Number, Field(gt=0.0)] | None = Field(
         None,
-        description="wall time after which a member has failed [s]; default: ten times the longest "
-        "of the first ones, at least 60 s; an hour until a member is completed",
+        description="wall time limit of a member [s]; default: ten times the longest of the first "
+        "ones, at least 60 s; one hour until a member completes",
     )
     keep: str | tuple[Whole, ...] | None = Field(
         None,
@@ -70,8 +70,8 @@ class StudySettings(TomlTable):
     )
     results: Flag | None = Field(
         None,
-        description="keep what the result of a run says, beside the metrics; default: where there "
-        "are no metrics",
+        description="also keep the results of each run (estimates, errors, verdicts); default: "
+        "only if there are no metrics",
     )
 
 
@@ -79,14 +79,14 @@ class VariationTable(TomlTable):
     """What a key of [vary] is varied by: one of these, with what belongs to it."""
 
     values: list[Any] | None = Field(None, description="each of these values")
-    linear: NumberRow | None = Field(None, description="from the first to the last, evenly")
-    log: NumberRow | None = Field(None, description="from the first to the last, by one factor")
+    linear: NumberRow | None = Field(None, description="from the first to the last, linearly")
+    log: NumberRow | None = Field(None, description="from the first to the last, logarithmically")
     points: Annotated[Whole, Field(ge=2, le=MOST_POINTS)] | None = Field(
-        None, description="how many values 'linear' and 'log' have"
+        None, description="number of values of 'linear' and 'log'"
     )
     uniform: NumberRow | None = Field(None, description="[lower, upper]")
     log_uniform: NumberRow | None = Field(
-        None, alias="log-uniform", description="[lower, upper] of uniform logarithms"
+        None, alias="log-uniform", description="[lower, upper] of a uniform logarithm"
     )
     normal: NumberRow | None = Field(None, description="[mean, deviation]; may have bounds")
     lognormal: NumberRow | None = Field(
@@ -104,7 +104,7 @@ class VariationTable(TomlTable):
     distribution: Literal["uniform", "normal"] | None = Field(
         None,
         description='of a tolerance: "uniform" (default), or "normal" with a third of it as '
-        "deviation, and nothing beyond it",
+        "deviation, truncated at the tolerance",
     )
     lower: Number | None = Field(None, description="bound of 'normal' and 'beta'")
     upper: Number | None = Field(None, description="bound of 'normal' and 'beta'")

@@ -278,7 +278,7 @@ def _metric_problems(
     has_results = settings.results or (settings.results is None and not metrics)
     if not kept_logs.metric or kept_logs.metric in metrics or has_results:
         return []
-    text = f"there is no metric {kept_logs.metric!r}; {nearest(kept_logs.metric, metrics)}"
+    text = f"no metric {kept_logs.metric!r}; {nearest(kept_logs.metric, metrics)}"
     return [((STUDY, "keep"), text)]
 
 
@@ -288,6 +288,8 @@ def _both_problems(settings: StudySettings, variations: Sequence[Variation]) -> 
     problems: list[Problem] = []
     for variation in variations:
         if variation.key in known:
-            text = "it is varied, and all members have one value of it; needed one of these"
+            text = (
+                "it is varied, so it cannot also have one value for all members; use one of the two"
+            )
             problems.append(((VARY, variation.key), text))
     return problems

@@ -117,8 +117,8 @@ def read_variation(key: str, value: Any) -> Variation:
     elif isinstance(value, Mapping):
         variation = _read_table(key, value)
     else:
-        needed = "needed a list of values, or a table such as { uniform = [0.0, 1.0] }"
-        raise TableProblems([((), f"found {quoted(value)}; {needed}")])
+        needed = "expected a list of values, or a table such as { uniform = [0.0, 1.0] }"
+        raise TableProblems([((), f"{needed}; got {quoted(value)}")])
     return variation
 
 
@@ -134,7 +134,7 @@ def _read_table(key: str, value: Mapping[str, Any]) -> Variation:
             return GridVariation(key, values)
         return SampledVariation(key, form, _weights(table, len(values)), values)
     if key.startswith(SWAP):
-        text = f"found '{form}' for a component; needed a list of paths"
+        text = f"expected a list of paths for a component, got '{form}'"
         raise TableProblems([((), text)])
     if form in ("linear", "log"):
         return GridVariation(key, _points(form, table))
@@ -146,22 +146,22 @@ def _form(value: Mapping[str, Any]) -> str:
     forms = [name for name in FORMS if name in value]
     if len(forms) != 1:
         found = " and ".join(f"'{name}'" for name in forms) or "none of them"
-        raise TableProblems([((), f"found {found}; needed one of: {', '.join(FORMS)}")])
+        raise TableProblems([((), f"expected one of: {', '.join(FORMS)}; got {found}")])
     for name, homes in _BELONGS.items():
         if name in value and forms[0] not in homes:
             of = " or ".join(f"'{home}'" for home in homes)
-            text = f"found '{name}' beside '{forms[0]}'; it belongs to {of}"
+            text = f"'{name}' belongs to {of}, got it beside '{forms[0]}'"
             raise TableProblems([((name,), text)])
     return forms[0]
 
 
 def _values(key: str, values: Sequence[Any], place: tuple[str, ...]) -> tuple[Any, ...]:
     if not values:
-        raise TableProblems([(place, "found no value; needed at least one")])
+        raise TableProblems([(place, "expected at least one value, got none")])
     if key.startswith(SWAP):
         for number, value in enumerate(values):
             if not isinstance(value, str):
-                text = f"found {quoted(value)}; needed a path, or a key with a dot"
+                text = f"expected a path, or a key with a dot, got {quoted(value)}"
                 raise TableProblems([((*place, number), text)])
     return tuple(values)
 
@@ -170,7 +170,9 @@ def _points(form: str, table: VariationTable) -> tuple[float, ...]:
     """Return the values of a grid of numbers; the first and the last are those that were given."""
     numbers = (table.linear if form == "linear" else table.log) or ()
     if table.points is None:
-        raise TableProblems([((), f"'points' is missing; needed how many values '{form}' has")])
+        raise TableProblems(
+            [((), f"'points' is missing; expected the number of values of '{form}'")]
+        )
     is_right = len(numbers) == 2 and numbers[0] != numbers[1]
     if form == "linear":
         _need(is_right, form, numbers, "[first, last], two different numbers")
@@ -192,7 +194,7 @@ def _weights(table: VariationTable, count: int) -> tuple[float, ...]:
 
 def _need(is_right: bool, form: str, numbers: Sequence[float], needed: str) -> None:
     if not is_right:
-        raise TableProblems([((form,), f"found {quoted(list(numbers))}; needed {needed}")])
+        raise TableProblems([((form,), f"expected {needed}, got {quoted(list(numbers))}")])
 
 
 # --- distributions ---
@@ -244,7 +246,7 @@ def _distribution(key: str, form: str, table: VariationTable) -> SampledVariatio
     if form == "tolerance":
         tolerance = table.tolerance or 0.0
         if not 0.0 < tolerance < 1.0:
-            text = f"found {tolerance!r}; needed a part between 0 and 1, such as 0.05"
+            text = f"expected a fraction between 0 and 1, such as 0.05, got {tolerance!r}"
             raise TableProblems([((form,), text)])
         name = "tolerance-normal" if table.distribution == "normal" else form
         return SampledVariation(key, name, (tolerance,))
@@ -262,6 +264,6 @@ def _bounds(form: str, table: VariationTable) -> tuple[float, float]:
     lower = first if table.lower is None else table.lower
     upper = last if table.upper is None else table.upper
     if not lower < upper:
-        text = f"found bounds {lower!r} and {upper!r}; needed lower < upper"
+        text = f"expected bounds with lower < upper, got {lower!r} and {upper!r}"
         raise TableProblems([((), text)])
     return lower, upper

@@ -48,7 +48,9 @@ def read_vary_option(text: str) -> Any:
         if name in FORMS and name != "values":
             return _table(name, parts, text)
         if all(_NUMBER.fullmatch(part.strip()) for part in parts):
-            raise UsageError(f"found {quoted(text)}; {nearest(name, FORMS[1:])}")
+            raise UsageError(
+                f"no form {quoted(name)} in {quoted(text)}; {nearest(name, FORMS[1:])}"
+            )
     values = read_values(stripped)
     if len(values) == 1 and _is_bracketed(values[0]):
         return read_values(values[0][1:-1])
@@ -64,7 +66,7 @@ def _table(name: str, parts: list[str], text: str) -> dict[str, Any]:
     numbers = [_number(part, text) for part in parts]
     if name in _GRIDS:
         if len(numbers) != 3 or not numbers[2].is_integer():
-            raise UsageError(f"found {quoted(text)}; needed {name}:FIRST:LAST:POINTS")
+            raise UsageError(f"expected {name}:FIRST:LAST:POINTS, got {quoted(text)}")
         return {name: numbers[:2], "points": int(numbers[2])}
     if name in _BOUNDED and len(numbers) == 4:
         return {name: numbers[:2], "lower": numbers[2], "upper": numbers[3]}
@@ -83,4 +85,4 @@ def _number(part: str, text: str) -> float:
     try:
         return float(part)
     except ValueError as error:
-        raise UsageError(f"found {quoted(part)} in {quoted(text)}; needed a number") from error
+        raise UsageError(f"expected a number, got {quoted(part)} in {quoted(text)}") from error

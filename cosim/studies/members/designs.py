@@ -35,8 +35,7 @@ def decode_designs(text: str) -> dict[str, Design]:
         return {name: decode_design(design) for name, design in json_table(text).items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
-            f"designs: found {quoted(text)}; needed what a runner of the study's members returned "
-            "as its designs"
+            f"designs: expected the designs of an outcome of this study, got {quoted(text)}"
         ) from error
 
 

@@ -174,8 +174,8 @@ class SourceCheck:
         expected = self._expected[path]
         if found != expected:
             raise ChangedFileError(
-                f"{path} has changed since this study began: found the SHA-256 "
-                f"{found[:_SHOWN]}..., needed {expected[:_SHOWN]}..."
+                f"{path} has changed since this study began: expected the SHA-256 "
+                f"{expected[:_SHOWN]}..., got {found[:_SHOWN]}..."
             )
 
     def _digest(self, path: str) -> str:

@@ -57,7 +57,7 @@ def find_element(channels: Mapping[str, Channel], name: str, source: str) -> Rec
         first = begin - port.channel.signal_columns[port.signal.name].start
         elements = range(first, first + port.size)
         names = [f"{port.channel.name}.{port.signal.element(i)}" for i in elements]
-        raise UsageError(f"'{name}' has {port.size} elements; needed one of them: {listing(names)}")
+        raise UsageError(f"'{name}' has {port.size} elements; expected one of: {listing(names)}")
     return port
 
 
@@ -135,7 +135,7 @@ def _common_instants(times: Sequence[Nanoseconds]) -> Nanoseconds:
 def _channels_of(reduction: Reduction, channels: Mapping[str, Channel]) -> Iterator[Channel]:
     """Yield the channels at whose common instants a reduction has rows."""
     if not channels:
-        raise UsageError("found no component in the run; needed one, whose rows have its instants")
+        raise UsageError("expected at least one component in the run, got none")
     if not reduction.signals:
         yield min(channels.values(), key=lambda channel: channel.period)
     for name in reduction.signals:

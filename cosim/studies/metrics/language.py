@@ -163,12 +163,11 @@ class _MetricParser:
             raise nested_too_deep(self._start) from error
         if self._durations:
             raise self._refusal(
-                "'for' behind what is no condition",
-                "needed it at the end of one, such as first(t, plant.y < 1 for 1 s)",
+                "expected 'for' after a condition, such as first(t, plant.y < 1 for 1 s)"
             )
         program = compile_arithmetic(arithmetic, self._source)
         if not self.reductions:
-            raise self._refusal("no reduction", "needed one at least, such as last(plant.y)")
+            raise self._refusal("expected at least one reduction, such as last(plant.y)")
         return Arithmetic(program)
 
     def _arithmetic(self, node: ast.expr) -> ast.expr:
@@ -184,13 +183,15 @@ class _MetricParser:
             case ast.Name(id=name) if name in _CONSTANTS:
                 pass
             case _ if is_condition(node):
-                found = f"the condition {self._quoted(node)} outside a reduction"
+                found = f"the condition {self._quoted(node)} outside of a reduction"
                 is_of_rows = _first_reduction(node) is None
                 example = f", such as share({self._part(node)})" if is_of_rows else ""
-                raise self._refusal(found, f"needed a number{example}")
+                raise self._refusal(f"expected a number{example}, got {found}")
             case _ if is_signal(node) or isinstance(node, ast.Name):
-                found = f"{self._quoted(node)} outside a reduction"
-                raise self._refusal(found, f"needed one of it, such as last({self._part(node)})")
+                part = self._part(node)
+                raise self._refusal(
+                    f"expected a reduction, such as last({part}), got {quoted(part)} outside of one"
+                )
         return node
 
     def _call(self, name: str, node: ast.Call) -> ast.expr:
@@ -200,14 +201,14 @@ class _MetricParser:
             if any(map(_is_over_signals, node.args)):
                 part = self._part(node)
                 raise self._refusal(
-                    f"{quoted(part)} outside a reduction, where {name} is that of two reductions",
-                    f"needed {name}({part}) for that over all rows",
+                    f"expected two reductions in {quoted(part)}; for the {name} over all rows, use "
+                    f"{name}({part})"
                 )
         elif name in KINDS:
             return self._reduction(name, node)
         elif name not in FUNCTIONS:
             known = nearest(name, [*KINDS, *FUNCTIONS])
-            raise self._refusal(f"unknown reduction or function {quoted(name)}", known)
+            raise self._refusal(f"no reduction or function {quoted(name)}; {known}")
         node.args = [self._arithmetic(argument) for argument in node.args]
         return node
 
@@ -225,7 +226,7 @@ class _MetricParser:
         most = 2 if kind.takes_band else 1
         fits = 1 <= len(arguments) <= most and (where is not None or not kind.needs_condition)
         if not fits or is_condition(arguments[0]) is not kind.of_condition:
-            raise self._refusal(self._quoted(node), f"needed {kind.usage}")
+            raise self._refusal(f"expected {kind.usage}, got {self._quoted(node)}")
         values: Program | ConditionProgram
         if kind.of_condition:
             values = compile_condition_part(arguments[0], self._source, durations[0])
@@ -246,7 +247,7 @@ class _MetricParser:
         """
         band = Arithmetic(compile_arithmetic(self._arithmetic(node), self._source))
         if not band.columns and not band.value(np.zeros(1)) >= 0.0:
-            raise self._refusal(f"the band {self._quoted(node)}", "needed 0 or a positive number")
+            raise self._refusal(f"expected a band >= 0, got {self._quoted(node)}")
         return band
 
     def _durations_of(self, call: ast.Call) -> list[int]:
@@ -268,9 +269,8 @@ class _MetricParser:
         inner = _first_reduction(argument)
         if inner is not None:
             raise self._refusal(
-                f"{self._quoted(inner)} inside {name}(...)",
-                "needed an expression over signals there: reductions are joined by arithmetic, and "
-                "not nested",
+                f"expected an expression over signals inside {name}(...), got "
+                f"{self._quoted(inner)}: reductions can be combined by arithmetic, but not nested"
             )
 
     def _part(self, node: ast.expr) -> str:
@@ -279,8 +279,8 @@ class _MetricParser:
     def _quoted(self, node: ast.expr) -> str:
         return quoted(self._part(node))
 
-    def _refusal(self, found: str, needed: str) -> UsageError:
-        return UsageError(f"{self._start}: found {found}; {needed}")
+    def _refusal(self, problem: str) -> UsageError:
+        return UsageError(f"{self._start}: {problem}")
 
 
 def _first_reduction(tree: ast.expr) -> ast.expr | None:

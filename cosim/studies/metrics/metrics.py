@@ -120,9 +120,9 @@ def parse_metrics(texts: Mapping[str, str]) -> Metrics:
 
 def _parsed(name: object, text: object) -> Metric:
     if not isinstance(name, str) or not name:
-        raise UsageError("found this name; needed a text that is not empty")
+        raise UsageError("expected a name that is not empty")
     if not isinstance(text, str):
-        raise UsageError(f"found {quoted(text)}; needed a text such as 'max(abs(plant.y))'")
+        raise UsageError(f"expected an expression such as 'max(abs(plant.y))', got {quoted(text)}")
     return parse_metric_text(name, text)
 
 

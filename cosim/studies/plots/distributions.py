@@ -43,7 +43,7 @@ def plot_histograms(
         panel.set_ylabel("members")
         panel.yaxis.get_major_locator().set_params(integer=True)
         if beyond:
-            panel.set_title(f"{panel.get_title()}, {beyond} beyond the axis", color="0.3")
+            panel.set_title(f"{panel.get_title()}, {beyond} outside of the axis", color="0.3")
             panel.title.set_fontsize("small")
         limits = panel.get_xlim()
         handles = _draw_figures(panel, column.values)

@@ -157,7 +157,7 @@ def check_drawable(name: str, values: Vector) -> None:
     largest = float(np.abs(values).max(initial=0.0))
     if largest > LARGEST_DRAWN:
         raise UsageError(
-            f"{name}: found {largest:g}, too large to be drawn; needed at most {LARGEST_DRAWN:g}"
+            f"{name}: {largest:g} is too large to be drawn; expected at most {LARGEST_DRAWN:g}"
         )
 
 

@@ -69,8 +69,8 @@ def plot_scatter(
     count = len(shown)
     if count < 2:
         raise UsageError(
-            f"a picture of kind 'scatter': found {count_text(count, 'parameter or metric')}, "
-            "needed 2"
+            "plot kind 'scatter': expected at least 2 parameters or metrics, got "
+            f"{count_text(count, 'parameter or metric')}"
         )
     length = _PANEL * count + _MARGIN
     picture = sized_picture(count, count, options, size=(length, length))
@@ -85,7 +85,7 @@ def plot_scatter(
     if results.done > _MOST_POINTS:
         notes.append("the darker, the more members")
     if results.done < LEAST_MEMBERS:
-        notes.append("too few for rank correlations")
+        notes.append("too few members for rank correlations")
     else:
         notes.append("rank correlations above the diagonal")
     picture.save(out, title=shown_text(f"{results.name}: {', '.join(notes)}"))

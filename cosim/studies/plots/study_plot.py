@@ -73,7 +73,7 @@ def plot_study(
     need_plot(out)
     drawn = replace(results, columns=drawn_members(results.columns, results.layout))
     if kind is not None and kind not in KINDS:
-        raise UsageError(f"kind of picture: found {kind!r}; {nearest(kind, KINDS)}")
+        raise UsageError(f"no plot kind {kind!r}; {nearest(kind, KINDS)}")
     varied = _varied(results)
     _check_known(keys, results, varied)
     if kind is None and search is not None and not keys and set(metrics) <= {search.metric}:
@@ -113,19 +113,19 @@ def _checked_search(
     """
     if search is None:
         raise UsageError(
-            "a picture of kind 'search': found a study that was planned, needed one whose members "
-            "a search chose, as those of a tuning"
+            "plot kind 'search': expected a study whose members were chosen by a search, such as "
+            "a tuning, got a planned one"
         )
     if keys:
         raise UsageError(
-            f"a picture of kind 'search': found the key {quoted(keys[0])}, needed none; "
-            "kind 'scatter' shows what was varied"
+            f"plot kind 'search': expected no key, got {quoted(keys[0])}; kind 'scatter' shows "
+            "what was varied"
         )
     for name in metrics:
         if name != search.metric:
             raise UsageError(
-                f"a picture of kind 'search': found the metric {quoted(name)}, needed "
-                f"{quoted(search.metric)}, by which is searched; other kinds show other metrics"
+                f"plot kind 'search': expected the objective {quoted(search.metric)}, got the "
+                f"metric {quoted(name)}; other kinds show other metrics"
             )
     return search
 
@@ -158,6 +158,4 @@ def _check_known(keys: Sequence[str], results: StudyResults, varied: Sequence[st
 def _check_count(kind: str, keys: Sequence[str], count: int) -> None:
     if len(keys) < count:
         found = f"{len(keys)} varied key{'' if len(keys) == 1 else 's'}"
-        raise UsageError(
-            f"a picture of kind {kind!r}: found {found} with several values, needed {count}"
-        )
+        raise UsageError(f"plot kind {kind!r}: expected {count} with several values, got {found}")

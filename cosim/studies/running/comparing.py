@@ -32,17 +32,18 @@ def difference(now: Mapping[str, Any], recorded: Mapping[str, Any], metrics: Seq
     after = now["reason"] or ""
     if now["status"] != recorded["status"] or not same_reason(after, before):
         ends = (after or now["status"], before or recorded["status"])
-        return "it ended with {!r}, and with {!r} before".format(*ends)
+        return "it ended with {!r}; recorded: {!r}".format(*ends)
     for name in ("steps", *metrics):
         if not same_value(now[name], recorded[name]):
-            return f"{name} = {now[name]!r}, and {recorded[name]!r} before; {_cause(now, recorded)}"
+            cause = _cause(now, recorded)
+            return f"{name} = {now[name]!r}; recorded: {recorded[name]!r}; {cause}"
     return ""
 
 
 def _cause(now: Mapping[str, Any], recorded: Mapping[str, Any]) -> str:
     """Return why two runs of a member may differ."""
-    repeats = "what it runs gives other results each time"
+    repeats = "the model is not deterministic"
     machine, before = ((row["worker"] or "").rpartition(":")[0] for row in (now, recorded))
     if machine == before:
         return repeats
-    return f"it ran on {before} before, which may round otherwise than {machine}, or {repeats}"
+    return f"it ran on {before} before, which may round differently from {machine}, or {repeats}"

@@ -92,8 +92,8 @@ def _timed(plan: StudyPlan) -> list[MemberOutcome]:
             "the only member" if len(failed) == 1 else f"each of the first {len(failed)} members"
         )
         raise UsageError(
-            f"{which} failed, so that the others cannot be timed by it; member "
-            f"{failed[0].number}: {failed[0].reason}"
+            f"{which} failed, so the others cannot be timed; member {failed[0].number}: "
+            f"{failed[0].reason}"
         )
     return completed
 

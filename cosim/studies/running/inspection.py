@@ -66,7 +66,7 @@ def inspect_members(
 def _refusal_of(design: StudyDesign, member: StudyMember) -> str:
     if member == design.member(member.number):
         return f"member {member.number} will fail"
-    return f"member {member.number} cannot be built with the draws that were tried"
+    return f"member {member.number} cannot be built with the values that were tried"
 
 
 def inspected_members(design: StudyDesign, checked: CheckedDesign) -> list[StudyMember]:

@@ -149,8 +149,8 @@ class LogKeeper:
         changed = {number for number in changed if self._logs.records[number].is_same}
         if changed:
             self._notice(
-                f"the logs of {_members(sorted(changed))} are not as this study wrote them, cut "
-                "short or replaced: they are made again"
+                f"the logs of {_members(sorted(changed))} were cut short or replaced since this "
+                "study wrote them: they are written again"
             )
         return changed
 
@@ -183,7 +183,7 @@ class LogKeeper:
         now = self._dataset.row_of(StudyMember(number), outcome)
         text = difference(now, recorded, self._metrics)
         if text:
-            self._notice(f"member {number} ran again for its log: {text}")
+            self._notice(f"member {number} was rerun for its log: {text}")
         is_settled = outcome.status == recorded["status"]
         if problem:  # another one than that of the member may pass
             is_settled = is_settled and same_reason(outcome.reason, recorded["reason"] or "")
@@ -200,7 +200,7 @@ class LogKeeper:
             is_there = outcome.details[LOG] is True
             return is_there, "" if is_there else _without_row(outcome)
         if folder is None:
-            return False, f"{outcome.reason}, and what it left of a log is lost with its process"
+            return False, f"{outcome.reason}; its partial log is lost with its process"
         log, problem = _log_of(outcome, folder)
         if log is None:
             return False, problem
@@ -214,8 +214,8 @@ def _can_log_on(client: Client, dataset: StudyDataset, notice: Callable[[str], N
     if any_reaches(client, dataset):
         return True
     notice(
-        f"logs are made on this machine, as no worker of the cluster reaches {dataset.label}; on "
-        "storage that they reach, such as s3://, they make them"
+        f"logs are written on this machine, as no worker of the cluster reaches {dataset.label}; "
+        "with storage that workers reach, such as s3://, they write them"
     )
     return False
 
@@ -264,12 +264,12 @@ def _log_of(outcome: MemberOutcome, folder: Path) -> tuple[Path | None, str]:
         return path, ""
     readable = readable_log(path)
     if readable is None:
-        return None, f"{outcome.reason}, and no row that it left can be read"
+        return None, f"{outcome.reason}; no row of its log can be read"
     return readable, ""
 
 
 def _without_row(outcome: MemberOutcome) -> str:
-    return f"{outcome.reason}, before a row of its log was written"
+    return f"{outcome.reason} before a row of its log was written"
 
 
 def _recording_of(plan: StudyPlan) -> str:
@@ -285,15 +285,14 @@ def _remove_others(logs: LogFiles, chosen: Collection[int], notice: Callable[[st
     if removed:
         logs.remove(removed)
         notice(
-            f"removed the logs of {_members(removed)}, which keep does not name any more; what the "
-            "study records of them was the same in both runs, and they run again where keep names "
-            "them again"
+            f"removed the logs of {_members(removed)}, which keep no longer names; they can be "
+            "reproduced: their recorded metrics were the same in both runs"
         )
     left = sorted(set(others).difference(removed))
     if left:
         notice(
-            f"keep does not name {_members(left)}, whose logs stay: another run may come to "
-            "something else"
+            f"keep does not name {_members(left)}, whose logs are left in place: another run may "
+            "give another result"
         )
 
 

@@ -31,7 +31,7 @@ def check_kept_metric(kept: KeptLogs, columns: Iterable[StudyColumn]) -> None:
     numbers = [column.name for column in metrics if column.type == _NUMBER]
     if kept.metric not in numbers:
         raise UsageError(
-            f"{option('keep')}: {kept.metric!r} is no number that members have; "
+            f"{option('keep')}: {kept.metric!r} is not a numeric metric of the members; "
             f"{nearest(kept.metric, numbers)}"
         )
 

@@ -229,8 +229,8 @@ def _check_kept(study: StudyFile, design: StudyDesign) -> None:
     for number in study.kept_logs.numbers:
         if number >= len(design):
             raise UsageError(
-                f"{option('keep')}: there is no member {number}; there are {len(design)}, "
-                "numbered from 0"
+                f"{option('keep')}: no member {number}; the study has {len(design)}, numbered "
+                "from 0"
             )
 
 

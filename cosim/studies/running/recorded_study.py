@@ -128,6 +128,6 @@ class RecordedStudy:
 
 def _unreadable(problem: str) -> UsageError:
     return UsageError(
-        f"what the dataset says of its study cannot be read by cosim {__version__} ({problem}); "
-        "read it with the version that wrote it, or begin the study anew"
+        f"the description of the study in the dataset cannot be read by cosim {__version__} "
+        f"({problem}); read it with the version that wrote it, or start the study over"
     )

@@ -110,8 +110,7 @@ def named_files(texts: Iterable[str], folder: Path) -> dict[str, str]:
             files[path] = files[real] if real in files else sha256_of(path)
         except OSError as error:
             raise UsageError(
-                f"{path}: cannot be read ({error.strerror or error}); needed a file that the "
-                "study may belong to"
+                f"{path}: cannot be read ({error.strerror or error}); expected a readable file"
             ) from error
         files[real] = files[path]
     return files
@@ -186,7 +185,7 @@ def _answers(
 
 def _add(files: dict[str, str], path: str, digest: str) -> None:
     if files.setdefault(path, digest) != digest:
-        raise RunError(f"{path} has changed while the study was planned; plan it again")
+        raise RunError(f"{path} has changed while the study was being planned; plan it again")
 
 
 def _warnings(lost: Mapping[str, Sequence[int]]) -> Iterator[str]:

@@ -155,7 +155,7 @@ def worker_count(workers: int | None) -> int:
     if count is None:
         return default_workers()
     if count < 1:
-        raise UsageError(f"{option('workers')}: found {count}, needed 1 or more")
+        raise UsageError(f"{option('workers')}: expected 1 or more, got {count}")
     return count
 
 
@@ -212,8 +212,8 @@ def _example_results(plan: StudyPlan) -> Mapping[str, MetricValue]:
                 return outcome.metrics
             reasons.append(f"member {outcome.number}: {outcome.reason}")
     raise UsageError(
-        f"none of the first {len(tried)} members is completed, so that nobody knows what a result "
-        f"says; needed {option('metrics')}, or members that run: {'; '.join(reasons)}"
+        f"none of the first {len(tried)} members completed, so the names of the results are "
+        f"unknown; expected {option('metrics')}, or members that run: {'; '.join(reasons)}"
     )
 
 

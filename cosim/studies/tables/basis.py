@@ -22,4 +22,4 @@ def print_basis(statistics: Mapping[str, MetricStatistics], shares: Sequence[Pas
     if rough:
         names = ", ".join(rough[:_MOST_ROUGH])
         more = f", and {len(rough) - _MOST_ROUGH} more" if len(rough) > _MOST_ROUGH else ""
-        print_line(f"± may be too small, as of few members or skewed values: {names}{more}")
+        print_line(f"± may be too small (few members or skewed values): {names}{more}")

@@ -17,7 +17,7 @@ _WEAKEST: Final = 0.1  # that is shown
 def print_correlations(results: StudyResults, correlations: Sequence[RankCorrelation]) -> None:
     """Print the parameters that each metric goes with, but where chance alone may do that."""
     if correlations and all(one.count < LEAST_MEMBERS for one in correlations):
-        print_line(f"rank correlations: none, of fewer than {LEAST_MEMBERS} members")
+        print_line(f"rank correlations: none for fewer than {LEAST_MEMBERS} members")
         return
     table = new_table("rank correlation", ("", "strongest parameters"))
     for name in results.columns.raw_metrics:
@@ -29,8 +29,10 @@ def print_correlations(results: StudyResults, correlations: Sequence[RankCorrela
     if table.row_count:
         print_table(table)
         if independence_of(results.layout).is_drawn:
-            line = "those that chance alone makes in 1 of 20 studies are left out"
+            line = "correlations not significant at the 5 % level are omitted"
             by_chance = len(correlations) // 20
             if by_chance:
-                line += f"; of {len(correlations)} pairs it makes about {by_chance}"
+                line += (
+                    f"; about {by_chance} of {len(correlations)} pairs are significant by chance"
+                )
             print_line(line)

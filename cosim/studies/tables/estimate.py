@@ -11,20 +11,20 @@ def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False)
     if as_json:
         print_json({"name": name, **estimate.to_dict()})
         return
-    logs = "not known: as many as fail"
+    logs = "unknown (as many as fail)"
     if estimate.log_bytes is not None:
         logs = _bytes(estimate.log_bytes)
     entries = {
         "members": str(estimate.members),
         "first member of a worker": f"{estimate.first_time:.3g} s",
-        "every other member": f"{estimate.member_time:.3g} s, as the one that was timed",
-        f"all, on {estimate.workers} workers": _duration(estimate.study_time),
+        "every other member": f"{estimate.member_time:.3g} s, as measured for one",
+        f"total, on {estimate.workers} workers": _duration(estimate.study_time),
         "dataset": f"about {_bytes(estimate.dataset_bytes)}, before compression",
         "kept logs": logs,
     }
     if estimate.log_bytes == 0:
         del entries["kept logs"]
-    print_section(f"{name}: nothing was recorded", entries)
+    print_section(f"{name}: dry run, nothing was recorded", entries)
 
 
 def _duration(seconds: float) -> str:

@@ -44,7 +44,7 @@ def print_groups(
         print_line(f"±, 95 % intervals: {basis}")
     shown = metrics or with_values
     if any(_is_rough(group, shown) for group in groups):
-        print_line("± may be too small in groups of few members or skewed values")
+        print_line("± may be too small for groups of few members or with skewed values")
 
 
 def _is_rough(group: MemberGroup, metrics: Sequence[str]) -> bool:

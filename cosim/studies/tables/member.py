@@ -53,9 +53,9 @@ def check_is_done(number: int, results: StudyResults) -> None:
     """
     if not 0 <= number < results.planned:
         last = results.planned - 1
-        raise UsageError(f"found member {number}, needed one from 0 to {last}")
+        raise UsageError(f"expected a member from 0 to {last}, got {number}")
     if number in results.missing:
-        raise UsageError(f"member {number} is not done yet: run the study again, it goes on")
+        raise UsageError(f"member {number} has not run yet; run the study again to continue")
 
 
 def _with_units(

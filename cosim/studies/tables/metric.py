@@ -94,18 +94,18 @@ def _notes(
     column = results.columns.metrics[statistics.name]
     if results.layout.kind == "saltelli":
         yield (
-            "of the members of matrices A and B; smallest, largest and members without a value: of "
-            "all members"
+            "statistics: members of matrices A and B; smallest, largest and missing values: all "
+            "members"
         )
     yield f"95 % intervals: {statistics.basis}"
     if statistics.mean_interval != NO_INTERVAL:
         yield _METHODS
     if statistics.is_rough:
-        yield "the interval of the mean may be too short, as of few members or skewed values"
+        yield "the interval of the mean may be too narrow (few members or skewed values)"
     few = [one.parameter for one in correlations if one.count < LEAST_MEMBERS]
     if few:
         which = "" if len(few) == len(correlations) else f" with {listing(few)}"
-        yield f"rank correlations{which}: none, of fewer than {LEAST_MEMBERS} members"
+        yield f"rank correlations{which}: none for fewer than {LEAST_MEMBERS} members"
     for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
         if len(numbers):
             yield f"{words} in members {members_text(numbers)}"

@@ -61,7 +61,7 @@ def _print_indices(indices: SobolIndices, results: StudyResults) -> None:
     table.add_row("sum", total, "", f"{indices.total_order.sum():.3f}", "")
     print_table(table)
     has_intervals = indices.first_intervals[0].lower is not None
-    basis = "rough, by a bootstrap over them" if has_intervals else "none, of so few"
+    basis = "rough (bootstrap)" if has_intervals else "none (too few)"
     points = count_text(indices.base_points, "base point")
     print_line(f"of {points}; 95 % intervals: {basis}")
     if indices.remark:
@@ -69,8 +69,9 @@ def _print_indices(indices: SobolIndices, results: StudyResults) -> None:
     if len(indices.omitted):
         left_out = count_text(len(indices.omitted), "base point")
         print_line(
-            f"left out: {left_out} with a member that failed, has no value or is missing: "
-            f"{members_text(indices.omitted)}; the indices are biased where parameters decide that"
+            f"omitted: {left_out} with a member that failed, has no value or is missing: "
+            f"{members_text(indices.omitted)}; the indices are biased if this depends on the "
+            "parameters"
         )
 
 

@@ -56,7 +56,7 @@ class ShownParts:
 
     def __post_init__(self) -> None:
         if self.worst < 0:
-            raise UsageError(f"{option('worst')}: found {self.worst}, needed 0 or more")
+            raise UsageError(f"{option('worst')}: expected 0 or more, got {self.worst}")
         # Each of these prints something of its own; metrics choose what of it.
         alone = {
             "member": self.member is not None,
@@ -68,7 +68,7 @@ class ShownParts:
         if self.metrics and (self.member is not None or self.conditions):
             given.append(option("metric"))
         if len(given) > 1:
-            raise UsageError(f"found {given[0]} and {given[1]}; needed one of them")
+            raise UsageError(f"expected one of {given[0]} and {given[1]}, got both")
 
 
 def show_study(

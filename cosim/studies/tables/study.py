@@ -72,7 +72,7 @@ def print_study(
     print_basis(statistics, shares)
     print_correlations(results, correlations)
     print_failures(results, command_of)
-    _print_groups("ended before their stop", ends_by_reason(results.columns))
+    _print_groups("ended before their stop time", ends_by_reason(results.columns))
     _print_extremes(results, command_of, worst)
 
 
@@ -209,7 +209,7 @@ def _print_groups(title: str, groups: Sequence[ReasonGroup]) -> None:
     print_table(table)
     more = len(groups) - _MOST_REASONS
     if more > 0:
-        print_line(f"and {more} other reasons, which --json has")
+        print_line(f"and {more} other reasons; see --json")
 
 
 def _print_command(number: int, command_of: CommandOf) -> None:

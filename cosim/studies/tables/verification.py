@@ -17,8 +17,8 @@ def print_verification(found: StudyVerification, *, as_json: bool = False) -> No
         return
     numbers = listing([str(number) for number in found.members], 10)
     print_line(
-        f"{found.name}: {len(found.members)} of {count_text(found.done)} ran again, each alone in "
-        f"a process of its own and built afresh: {numbers}"
+        f"{found.name}: {len(found.members)} of {count_text(found.done)} rerun, each built from "
+        f"scratch in its own process: {numbers}"
     )
     for item in found.differences:
         print_line(f"member {item.member}: {item.name} was {item.recorded!r}, is {item.now!r}")
@@ -26,10 +26,10 @@ def print_verification(found: StudyVerification, *, as_json: bool = False) -> No
     if differing:
         differ = "differs" if len(differing) == 1 else "differ"
         total = count_text(len(found.members))
-        print_line(f"{len(differing)} of {total} {differ} from what is recorded")
+        print_line(f"{len(differing)} of {total} {differ} from the record")
     else:
-        print_line(f"as recorded, bit for bit: {listing(found.values, 10)}")
-    print_line(f"not shown: {'; '.join(_not_shown(found))}")
+        print_line(f"identical bit for bit: {listing(found.values, 10)}")
+    print_line(f"not verified: {'; '.join(_not_shown(found))}")
 
 
 def _not_shown(found: StudyVerification) -> Sequence[str]:
@@ -37,17 +37,17 @@ def _not_shown(found: StudyVerification) -> Sequence[str]:
     texts = []
     others = found.done - len(found.members)
     if others:
-        texts.append(f"{count_text(others)} did not run again")
+        texts.append(f"{count_text(others)} not rerun")
     if found.elsewhere:
         texts.append(
-            f"these ran on {listing(found.elsewhere, 3)}, and again on another machine, whose "
-            "libraries may round otherwise"
+            f"results on the original machine ({listing(found.elsewhere, 3)}): libraries of this "
+            "one may round differently"
         )
     else:
-        texts.append("whether another machine comes to the same")
-    texts.append("signals that no metric is about")
+        texts.append("results on other machines")
+    texts.append("signals without a metric")
     if found.is_searched:
-        texts.append("that the search would choose these members again")
+        texts.append("whether the search would choose these members again")
     for name, (before, now) in found.environment.items():
         texts.append(f"{name} was {before}, is {now}")
     return texts

@@ -12,11 +12,11 @@ def wall_time_text(results: StudyResults) -> str:
     failed = results.columns.failed
     times = results.wall_times
     if failed.all():
-        return f"wall time: {np.median(times):.3g} s a member that failed, the median"
-    median = f"wall time: {np.median(times[~failed]):.3g} s a member, the median"
+        return f"wall time: median {np.median(times):.3g} s per failed member"
+    median = f"wall time: median {np.median(times[~failed]):.3g} s per member"
     if not failed.any():
         return median
-    return f"{median} of those completed; at most {times[failed].max():.3g} s a member that failed"
+    return f"{median} that completed; at most {times[failed].max():.3g} s per failed member"
 
 
 def median_time(results: StudyResults) -> float | None:

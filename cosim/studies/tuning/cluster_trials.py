@@ -30,9 +30,9 @@ def check_batches(method: str) -> None:
     """
     if method not in BATCHES:
         raise UsageError(
-            f"{option('scheduler')}: the method {method!r} tries one member after the other, so "
-            f"that a cluster would not be faster; needed {option('method')} "
-            f"{' or '.join(BATCHES)}, or no scheduler"
+            f"{option('scheduler')}: the method {method!r} runs one member at a time, so a "
+            f"cluster would not be faster; use {option('method')} {' or '.join(BATCHES)}, or no "
+            "scheduler"
         )
 
 

@@ -51,8 +51,8 @@ def _read_key(key: str, value: Any) -> BoundedKey | ChoiceKey:
             items = [absolute(path, Path.cwd()) for path in items]
         return ChoiceKey(name, tuple(items))
     raise UsageError(
-        f"{option('vary', key)}: found {quoted(value)}; needed bounds, such as "
-        "{'linear': [0.0, 1.0]} or {'log': [10.0, 1e4]}, or a list of values"
+        f"{option('vary', key)}: expected bounds, such as {{'linear': [0.0, 1.0]}} or {{'log': "
+        f"[10.0, 1e4]}}, or a list of values, got {quoted(value)}"
     )
 
 

@@ -151,6 +151,6 @@ def _check_first(outcome: MemberOutcome) -> None:
     """
     if outcome.number == 0 and outcome.status != COMPLETE:
         raise UsageError(
-            f"the first member fails, nothing was tuned: {outcome.reason}\nneeded a metric of "
-            f"the run, and first values with which it runs, such as by {option('set')}"
+            f"the first member fails, so nothing was tuned: {outcome.reason}\nexpected a metric of "
+            f"the run, and initial values with which it runs, for example by {option('set')}"
         )

@@ -186,8 +186,8 @@ def _recording(study: StudyFile) -> str | None:
     found = find_recordings(study.settings.replay)
     if len(found) > 1:
         raise UsageError(
-            f"{option('replay')}: found {len(found)} logs ({listing(found, 3)}), and every trial "
-            "replays the same one: needed one log"
+            f"{option('replay')}: expected one log, which every trial replays, got {len(found)} "
+            f"({listing(found, 3)})"
         )
     return found[0] if found else None
 

@@ -185,7 +185,9 @@ def statements(result: TuningResult) -> list[str]:
     if result.best is None:
         return said
     if _is_flat(result):
-        said.append("all members have the same objective: what is varied has no effect on it here")
+        said.append(
+            "all members have the same objective: the varied keys have no effect on it here"
+        )
         return said
     said += [
         f"{key} is at its {side} bound: values beyond it may be better"
@@ -245,11 +247,11 @@ def _elsewhere(result: TuningResult) -> list[str]:
 def _here_text(here: int, starts: int) -> str:
     """Return how many of the starts ended at the best values, none of them elsewhere."""
     if not here:
-        return "no search from a start has ended"
+        return "no local search has finished"
     if starts == 1:
         return "searched from one start"
     if here < starts:
-        return f"{here} of {starts} starts ended, here"
+        return f"all {here} of {starts} starts that finished ended here"
     return f"all {here} starts ended here"
 
 
@@ -260,7 +262,7 @@ def _of_errors(result: TuningResult) -> list[str]:
         return []
     said = [_whiteness(result.residual, result.errors.samples)]
     said += [
-        f"the interval of {key} goes beyond its bounds, where nothing was tried"
+        f"the interval of {key} extends beyond its bounds, where nothing was tried"
         for key in _beyond_bounds(result.space, result.errors)
     ]
     said += [
@@ -283,27 +285,25 @@ def _beyond_bounds(space: SearchSpace, errors: StandardErrors) -> list[str]:
 def _whiteness(residual: ResidualCheck | None, samples: int) -> str:
     """Return what the standard errors assume of the residual, and what it looks like."""
     assumed = (
-        f"the standard errors assume that the {samples} samples of the residual are white, with "
-        "one deviation"
+        f"the standard errors assume that the {samples} samples of the residual are white with a "
+        "constant standard deviation"
     )
     if residual is not None and samples != residual.rows:
         assumed = (
             f"the standard errors assume that {samples} of the {residual.rows} samples of the "
-            "residual are independent, with one deviation"
+            "residual are independent with a constant standard deviation"
         )
     if residual is None:
-        return f"{assumed}: that is not checked"
-    found = f"its neighbours correlate by {residual.neighbours:.2g}"
+        return f"{assumed} (not checked)"
+    found = f"the autocorrelation at lag 1 is {residual.neighbours:.2g}"
     tested = f"over {residual.lags} lags"
     if residual.probability >= NOT_WHITE:
-        return f"{assumed}; {found}, and nothing speaks against white ones {tested}"
-    cause = (
-        "noise with a memory, or a model that cannot follow, whose values have an error of its own"
-    )
+        return f"{assumed}; {found}, and whiteness is not rejected {tested}"
+    cause = "colored noise, or a model error that also biases the values"
     text = f"{assumed}; it is not white {tested}, {found}: {cause}"
     if samples > ABOUT * residual.independent:
         text += (
-            f"; the errors are too small, as if about {residual.independent} samples were "
-            f"independent: {option('samples')}"
+            f"; the errors are too small: only about {residual.independent} samples are "
+            f"independent; set {option('samples')}"
         )
     return text

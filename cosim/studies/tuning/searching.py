@@ -96,21 +96,21 @@ def check_search(search: TuningSearch) -> None:
     check_space(search.space)
     if search.method not in METHODS:
         raise UsageError(
-            f"{option('method')}: found {quoted(search.method)}; needed one of {', '.join(METHODS)}"
+            f"{option('method')}: expected one of {', '.join(METHODS)}, got {quoted(search.method)}"
         )
     if search.members < 1:
-        raise UsageError(f"{option('members')}: found {search.members}, needed 1 or more")
+        raise UsageError(f"{option('members')}: expected 1 or more, got {search.members}")
     if search.starts < 1:
-        raise UsageError(f"{option('starts')}: found {search.starts}, needed 1 or more")
+        raise UsageError(f"{option('starts')}: expected 1 or more, got {search.starts}")
     if search.seed < 0:
-        raise UsageError(f"{option('seed')}: found {search.seed}, needed 0 or more")
+        raise UsageError(f"{option('seed')}: expected 0 or more, got {search.seed}")
     if search.method == "optuna":
         need_optuna()
     elif search.space.choices:
         key = search.space.choices[0].key
         raise UsageError(
-            f"{option('vary', key)}: found a list of values; the method {search.method!r} needs "
-            "bounds, 'optuna' takes lists too"
+            f"{option('vary', key)}: expected bounds for the method {search.method!r}, got a list "
+            "of values; 'optuna' also takes lists"
         )
     if search.with_errors:
         _check_errors(search)
@@ -119,13 +119,13 @@ def check_search(search: TuningSearch) -> None:
 def _check_errors(search: TuningSearch) -> None:
     name = option("standard_errors")
     if search.samples is not None and search.samples < 1:
-        raise UsageError(f"{option('samples')}: found {search.samples}, needed 1 or more")
+        raise UsageError(f"{option('samples')}: expected 1 or more, got {search.samples}")
     if search.space.choices:
-        raise UsageError(f"{name}: found a list of values of a key; needed bounds of all keys")
+        raise UsageError(f"{name}: expected bounds for all keys, got a list of values")
     if search.maximize or not search.is_rms:
         raise UsageError(
-            f"{name}: needed an objective that is the rms of one residual and is minimized, such "
-            "as 'rms(plant.y - measured.y)'"
+            f"{name}: expected an objective that is the rms of one residual and is minimized, "
+            "such as 'rms(plant.y - measured.y)'"
         )
 
 
@@ -199,7 +199,7 @@ def _run(search: TuningSearch, trials: Trials, ends: list[SearchEnd]) -> str:
     if search.method == "global":
         trials.costs([space.point(_first(search))])
         search_globally(space, trials, local, search.seed)
-        return "the population came together, and the search from its best ended"
+        return "the population converged, and the local search from its best member ended"
     local.from_starts(_first(search), search.starts, search.seed)
     return "the searches from all starts ended"
 

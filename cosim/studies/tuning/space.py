@@ -142,27 +142,28 @@ def check_space(space: SearchSpace) -> None:
         for a logarithm), or a list has no value, or one value twice.
     """
     if not space.keys:
-        raise UsageError(f"{option('vary')}: found no key, needed one or more to tune")
+        raise UsageError(f"{option('vary')}: expected at least one key to tune, got none")
     seen: set[str] = set()
     for key in space.keys:
         if key.key in seen:
-            raise UsageError(f"{option('vary', key.key)}: given twice, needed once")
+            raise UsageError(f"{option('vary', key.key)}: expected once, got twice")
         seen.add(key.key)
         if isinstance(key, BoundedKey):
             _check_bounds(key)
         elif len({value_name(choice) for choice in key.choices}) < max(len(key.choices), 1):
             raise UsageError(
-                f"{option('vary', key.key)}: found {quoted(list(key.choices))}; needed one or more "
-                "values that differ"
+                f"{option('vary', key.key)}: expected one or more distinct values, got "
+                f"{quoted(list(key.choices))}"
             )
 
 
 def _check_bounds(key: BoundedKey) -> None:
     name = option("vary", key.key)
-    found = f"found {key.lower!r} to {key.upper!r}"
+    found = f"got {key.lower!r} to {key.upper!r}"
     if not (math.isfinite(key.lower) and math.isfinite(key.upper) and key.lower < key.upper):
-        raise UsageError(f"{name}: {found}; needed two finite bounds, the lower one first")
+        raise UsageError(f"{name}: expected two finite bounds, the lower one first, {found}")
     if key.logarithmic and key.lower <= 0.0:
         raise UsageError(
-            f"{name}: {found}; a logarithm needed positive bounds; without 'log:' it is linear"
+            f"{name}: expected positive bounds with 'log:', {found}; without 'log:' the scale is "
+            "linear"
         )

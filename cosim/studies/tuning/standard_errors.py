@@ -125,7 +125,8 @@ def standard_errors(
     free = samples - len(space.keys)
     if free < 1:
         raise NoStandardErrors(
-            f"{len(space.keys)} values from {samples} samples: needed more samples than values"
+            f"expected more samples than values, got {len(space.keys)} values from {samples} "
+            "samples"
         )
     squares = _SumOfSquares(space, trials, samples)
     center = space.coordinates(best)
@@ -136,7 +137,7 @@ def standard_errors(
     wanted = max(1.0, 100.0 * noise * free)
     if wanted > _LONGEST:
         raise NoStandardErrors(
-            f"the objective is noisy, by {noise / 2:.1g} of its value: that hides its curvature"
+            f"the objective is noisy (relative noise {noise / 2:.2g}), which hides its curvature"
         )
     steps = _steps(squares, center, wanted * level / free)
     curvature = _centered(squares, center, steps, noise)
@@ -360,7 +361,7 @@ def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> Standard
         if error < abs(value) * 10.0 ** (1 - DIGITS):
             raise NoStandardErrors(
                 f"that of {key.key} would be below the {DIGITS} digits of its value: the residual "
-                "is that of rounding"
+                "is rounding noise"
             )
         interval = _interval(key, value, wide * error)
         if interval is None:

@@ -203,13 +203,13 @@ def _expression(minimize: str | None, maximize: str | None) -> str:
     if (minimize is None) == (maximize is None):
         found = "neither" if minimize is None else "both"
         names = f"{option('minimize')} and {option('maximize')}"
-        raise UsageError(f"found {found} of {names}, needed one of them")
+        raise UsageError(f"expected one of {names}, got {found}")
     name = "minimize" if maximize is None else "maximize"
     expression = minimize if maximize is None else maximize
     if not isinstance(expression, str):
         raise UsageError(
-            f"{option(name)}: found {quoted(expression)}; needed a metric, such as "
-            "'rms(observer.delta - delta.y)'"
+            f"{option(name)}: expected a metric, such as 'rms(observer.delta - delta.y)', got "
+            f"{quoted(expression)}"
         )
     return expression
 
@@ -217,5 +217,5 @@ def _expression(minimize: str | None, maximize: str | None) -> str:
 def _whole(name: str, value: object) -> int:
     number = whole_argument(name, value)
     if number is None:
-        raise UsageError(f"{option(name)}: found None; needed a whole number")
+        raise UsageError(f"{option(name)}: expected a whole number, got None")
     return number

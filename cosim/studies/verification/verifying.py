@@ -112,8 +112,8 @@ def _chosen(dataset: StudyDataset, members: Collection[int], sample: int | None)
     for number in members:
         if number not in there:
             raise UsageError(
-                f"{option('member')}: there is no outcome of member {number}; there are "
-                f"{len(there)} of {dataset.layout.total} members, numbered from 0"
+                f"{option('member')}: no outcome of member {number}; available: {len(there)} of "
+                f"{dataset.layout.total} members, numbered from 0"
             )
     chosen = set(members)
     count = sample
@@ -121,7 +121,7 @@ def _chosen(dataset: StudyDataset, members: Collection[int], sample: int | None)
         count = SAMPLE
     if count is not None:
         if count < 1:
-            raise UsageError(f"{option('sample')}: found {count}, needed 1 or more")
+            raise UsageError(f"{option('sample')}: expected 1 or more, got {count}")
         places = np.linspace(0, len(there) - 1, min(count, len(there)))
         chosen.update(there[np.round(places).astype(np.int64)].tolist())
     return sorted(chosen)
@@ -143,8 +143,8 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     found = differences(dataset.identity, _planned_again(recorded))
     if found:
         raise DatasetError(
-            f"{dataset.label}: {found} (by their SHA-256), so that its members cannot "
-            "be run again; needed what they were run with"
+            f"{dataset.label}: {found} (by SHA-256), so its members cannot be rerun; restore what "
+            "they were run with"
         )
 
 

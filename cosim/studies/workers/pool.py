@@ -307,7 +307,7 @@ class WorkerPool:
         if self._lost_openings >= OPENINGS:
             self._refusal = RunError(
                 f"the process that opens {quoted(self._scenario)} {reason}, {OPENINGS} times in a "
-                f"row; 'cosim check' says more of an FMU"
+                "row; run 'cosim check' on its FMUs"
             )
 
     def _refused(self, refusal: WorkerRefusal) -> CosimError:
@@ -345,11 +345,11 @@ class WorkerPool:
 def _check_platform() -> None:
     if sys.platform == "win32":
         raise UsageError(
-            "a study runs its members in processes that it can end with all that they started; "
-            "found Windows, needed Linux or macOS"
+            "a study runs its members in processes that it can end together with their children; "
+            "expected Linux or macOS, got Windows"
         )
 
 
 def _check_positive(name: str, value: float | None) -> None:
     if value is not None and not value > 0:
-        raise UsageError(f"{option(name)}: found {value!r}, needed a positive number")
+        raise UsageError(f"{option(name)}: expected a positive number, got {value!r}")

@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 
+import fsspec
 import pytest
 
 from cosim.errors import RunError, UsageError
@@ -14,20 +15,10 @@ from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.workers.pool import WorkerPool
-from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
+from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, assert_same, identity
 from tests.studies.cluster.processes import LIMIT, cluster
-from tests.studies.dataset.test_object_storage import bucket, server  # noqa: F401
 
-pytest.importorskip("distributed")
-
-APART = {"wall_time", "worker"}
-
-
-@pytest.fixture(scope="module")
-def two_workers(tmp_path_factory):
-    """Serve a scheduler with two workers that nobody ends."""
-    with cluster(tmp_path_factory.mktemp("cluster")) as processes:
-        yield processes
+pytestmark = pytest.mark.slow
 
 
 def run(scheduler, design, place, **options):
@@ -52,18 +43,12 @@ def local(design, place):
         return dataset.read()
 
 
-def assert_same(found, needed):
-    """Compare column by column, but for where and how long members ran."""
-    assert found.column_names == needed.column_names
-    for name in set(found.column_names) - APART:
-        assert found.column(name).to_pylist() == needed.column(name).to_pylist(), name
-
-
 def parts(folder):
     """Return the names of the parts in a folder."""
     return sorted(path.name for path in (folder / "parts").iterdir())
 
 
+@pytest.mark.usefixtures("worker_processes")
 def test_content_is_that_of_the_local_run(two_workers, tmp_path):
     """In every column but wall time and worker, members that crash included; the same parts."""
     design = CountedMembers(210, cost=1e-3, crashes=True)
@@ -77,7 +62,6 @@ def test_content_is_that_of_the_local_run(two_workers, tmp_path):
 
 def test_outcomes_come_back_where_workers_do_not_reach_the_dataset(two_workers, tmp_path):
     """A dataset in the memory of this process is written by this process."""
-    fsspec = pytest.importorskip("fsspec")
     design = CountedMembers(90)
     try:
         found = run(two_workers.address, design, "memory://cluster")
@@ -275,7 +259,7 @@ def test_a_task_that_dask_gives_up_is_not_given_to_another_worker(tmp_path, monk
 
 
 @pytest.mark.usefixtures("bucket")
-def test_workers_write_into_a_bucket(tmp_path, monkeypatch):
+def test_workers_write_into_a_bucket(two_workers, tmp_path, monkeypatch):
     """Most members do not go through this process where storage is shared."""
     design = CountedMembers(400, cost=0.005)
     added = []
@@ -287,8 +271,7 @@ def test_workers_write_into_a_bucket(tmp_path, monkeypatch):
 
     monkeypatch.setattr(StudyDataset, "add", count)
     monkeypatch.setattr(StudyDataset, "write_part", None)  # of whole parts that came back
-    with cluster(tmp_path / _made(tmp_path, "cluster")) as processes:
-        found = run(processes.address, design, "s3://studies/cluster")
+    found = run(two_workers.address, design, "s3://studies/cluster")
     assert len(added) < 200
     assert_same(found, local(design, tmp_path / "b"))
 

@@ -21,7 +21,7 @@ from cosim.studies.contracts import MemberOutcome
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
 
-distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
 
 LIMIT = 20.0  # [s], which nothing here takes
 
@@ -29,6 +29,8 @@ LIMIT = 20.0  # [s], which nothing here takes
 @pytest.fixture(scope="module")
 def local():
     """Serve a cluster without workers, inside of this process."""
+    import distributed
+
     with distributed.LocalCluster(
         processes=False,
         n_workers=0,
@@ -41,6 +43,8 @@ def local():
 @pytest.fixture
 def client(local, monkeypatch):
     """Return a client of a cluster with one worker, where nobody waits for another."""
+    import distributed
+
     monkeypatch.setattr(cluster_workers, "PATIENCE", 0.0)
     local.scale(1)
     with distributed.Client(local, set_as_default=False) as client:
@@ -153,6 +157,8 @@ def test_a_scheduler_that_differs_is_one_error(key, client, tmp_path, monkeypatc
 
 def test_a_scheduler_without_workers_is_one_error(local, tmp_path, monkeypatch):
     """After a while; until then some may come."""
+    import distributed
+
     monkeypatch.setattr(cluster_workers, "PATIENCE", 0.0)
     notices = []
     with (
@@ -169,6 +175,8 @@ def test_files_pass_the_scheduler_only_where_workers_cannot_be_reached(
     is_direct, client, tmp_path, monkeypatch
 ):
     """Each content goes to each worker once."""
+    import distributed
+
     monkeypatch.setattr(file_copies, "_has", lambda path, digest: False)
     sent = []
     scatter = distributed.Client.scatter

@@ -11,7 +11,7 @@ from cosim.errors import UsageError
 from cosim.studies.cluster import connection
 from cosim.studies.cluster.connection import connect
 
-distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -62,4 +62,6 @@ def test_a_client_that_is_interrupted_while_it_connects_is_closed(clients):
 
 
 def _clients():
-    return [one for one in gc.get_objects() if isinstance(one, distributed.Client)]
+    from distributed import Client
+
+    return [one for one in gc.get_objects() if isinstance(one, Client)]

@@ -20,11 +20,12 @@ from cosim.studies.workers.pool import WorkerPool
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
 from tests.scenario.user_modules import RELAY, THERMOSTAT
-from tests.studies.cluster.processes import cluster
-from tests.studies.cluster.test_cluster_run import assert_same
+from tests.studies.cluster.planned import assert_same
 
-pytest.importorskip("distributed")
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is of Linux")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="/proc is of Linux"),
+]
 
 RUNNER = "cosim.studies.members.runner:open_runner"
 HERE = "/proc/self/cwd"
@@ -50,13 +51,6 @@ class ListedMembers:
         return self._members[begin:end]
 
 
-@pytest.fixture(scope="module")
-def workers(tmp_path_factory):
-    """Serve a scheduler with two workers."""
-    with cluster(tmp_path_factory.mktemp("cluster")) as processes:
-        yield processes
-
-
 def identity(members):
     """Return what the study is about."""
     return StudyIdentity(
@@ -77,7 +71,8 @@ def hashed(folder):
     }
 
 
-def test_files_are_sent_and_outcomes_name_those_of_the_planner(workers, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("worker_processes")
+def test_files_are_sent_and_outcomes_name_those_of_the_planner(two_workers, tmp_path, monkeypatch):
     """A scenario with a relative and an absolute path, FMUs that members swap, one that fails."""
     folder = tmp_path / "study"
     (folder / "x").mkdir(parents=True)
@@ -95,7 +90,7 @@ def test_files_are_sent_and_outcomes_name_those_of_the_planner(workers, tmp_path
     subject = StudySubject(f"{HERE}/x/s.toml", metrics={"y": "last(plant.y)"})
     with StudyDataset.open_or_create(tmp_path / "a", identity(12)) as dataset:
         run_on_cluster(
-            workers.address, subject, design, dataset, str(tmp_path / "a"), files=hashed(folder)
+            two_workers.address, subject, design, dataset, str(tmp_path / "a"), files=hashed(folder)
         )
         found = dataset.read()
     with (
@@ -122,18 +117,18 @@ def of_thermostat(folder):
     )
 
 
-def test_modules_of_users_go_with_the_scenario(workers, tmp_path, monkeypatch):
+def test_modules_of_users_go_with_the_scenario(two_workers, tmp_path, monkeypatch):
     """Where they are among the files."""
     design, subject = of_thermostat(tmp_path / "study")
     monkeypatch.chdir(tmp_path / "study")
     with StudyDataset.open_or_create(tmp_path / "a", identity(4)) as dataset:
         place = str(tmp_path / "a")
         files = hashed(tmp_path / "study")
-        run_on_cluster(workers.address, subject, design, dataset, place, files=files)
+        run_on_cluster(two_workers.address, subject, design, dataset, place, files=files)
         assert dataset.read().column("reason").null_count == 4
 
 
-def test_a_worker_without_the_class_of_a_user_is_named(workers, tmp_path, monkeypatch):
+def test_a_worker_without_the_class_of_a_user_is_named(two_workers, tmp_path, monkeypatch):
     """It is found before the first member; here, where the study is planned, it is there."""
     monkeypatch.setattr(cluster_workers, "PATIENCE", 0.0)
     design, subject = of_thermostat(tmp_path / "study")
@@ -144,5 +139,5 @@ def test_a_worker_without_the_class_of_a_user_is_named(workers, tmp_path, monkey
     with StudyDataset.open_or_create(tmp_path / "a", identity(4)) as dataset:
         place = str(tmp_path / "a")
         with pytest.raises(UsageError, match=r"no worker can run the study: tcp://.*relay"):
-            run_on_cluster(workers.address, subject, design, dataset, place, files=files)
+            run_on_cluster(two_workers.address, subject, design, dataset, place, files=files)
         assert len(dataset) == 0

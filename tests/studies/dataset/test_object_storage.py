@@ -1,11 +1,10 @@
 """Datasets at URLs of fsspec: an S3 server on loopback, and what is in this process."""
 
 import socket
-import subprocess
 import sys
 from contextlib import closing
 
-import polars
+import fsspec
 import pytest
 
 import cosim
@@ -15,52 +14,6 @@ from cosim.studies.dataset.object_storage import PutJournal
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, design, identity, member, outcome
 
-fsspec = pytest.importorskip("fsspec")
-
-SERVER = """
-import sys
-from moto.server import ThreadedMotoServer
-server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-server.start()
-print(server.get_host_and_port()[1], flush=True)
-sys.stdin.read()
-"""
-
-
-@pytest.fixture(scope="module")
-def server():
-    """Serve S3 in a process of its own until its input ends; return the URL."""
-    arguments = [sys.executable, "-c", SERVER]
-    with subprocess.Popen(
-        arguments,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as process:
-        yield f"http://127.0.0.1:{process.stdout.readline().strip()}"
-        process.stdin.close()
-
-
-@pytest.fixture
-def bucket(server, monkeypatch):
-    """Return the URL of a bucket, with credentials of nobody."""
-    for name, value in {
-        "AWS_ENDPOINT_URL": server,
-        "AWS_ACCESS_KEY_ID": "nobody",
-        "AWS_SECRET_ACCESS_KEY": "nothing",
-        "AWS_DEFAULT_REGION": "us-east-1",
-        "AWS_CONFIG_FILE": "/nonexistent",
-        "AWS_SHARED_CREDENTIALS_FILE": "/nonexistent",
-        "AWS_EC2_METADATA_DISABLED": "true",
-    }.items():
-        monkeypatch.setenv(name, value)
-    files = fsspec.filesystem("s3", skip_instance_cache=True)
-    if not files.exists("studies"):
-        files.mkdir("studies")
-    yield "s3://studies"
-    fsspec.get_filesystem_class("s3").clear_instance_cache()
-
 
 @pytest.fixture
 def memory():
@@ -69,7 +22,7 @@ def memory():
     fsspec.filesystem("memory").rm("/studies", recursive=True)
 
 
-@pytest.fixture(params=["bucket", "memory"])
+@pytest.fixture(params=[pytest.param("bucket", marks=pytest.mark.slow), "memory"])
 def place(request):
     """Return a place of each kind."""
     return f"{request.getfixturevalue(request.param)}/{request.node.name.partition('[')[0]}"
@@ -138,16 +91,20 @@ def test_another_study_elsewhere_is_refused_and_can_be_begun_anew(place):
     assert files.cat_file(f"{root}/notes.txt") == b"mine"
 
 
-def test_polars_reads_the_parts_from_the_server(bucket, server):
+@pytest.mark.slow
+def test_polars_reads_the_parts_from_the_server(bucket, s3_server):
     """By the same URL."""
+    import polars
+
     place = f"{bucket}/read"
     with StudyDataset.open_or_create(place, identity(20)) as dataset:
         add(dataset, range(20))
-    options = {"aws_endpoint_url": server, "aws_allow_http": "true"}
+    options = {"aws_endpoint_url": s3_server, "aws_allow_http": "true"}
     frame = polars.read_parquet(f"{place}/parts/*.parquet", storage_options=options)
     assert frame["member"].to_list() == list(range(20))
 
 
+@pytest.mark.slow
 def test_storage_that_is_not_there_is_said(bucket, monkeypatch):
     """A bucket that is missing, a server that does not answer: at once, with its URL."""
     with pytest.raises(DatasetWriteError, match=r"s3://nowhere/x/study.json: .*bucket"):

@@ -2,9 +2,7 @@
 
 import sys
 
-import duckdb
 import pandas
-import polars
 import pyarrow.dataset
 import pytest
 
@@ -36,16 +34,22 @@ def test_pandas_reads_the_parts(folder):
     assert frame["error"].isna().tolist() == [error is None for error in errors()]
 
 
+@pytest.mark.slow
 def test_polars_reads_the_parts(folder):
     """By a pattern, and lazily."""
+    import polars
+
     frame = polars.read_parquet(folder / "parts" / "*.parquet")
     assert frame["error"].to_list() == errors()
     failed = polars.scan_parquet(folder / "parts").filter(polars.col("status") == "failed")
     assert failed.collect()["member"].to_list() == [3, 10, 17, 24]
 
 
+@pytest.mark.slow
 def test_duckdb_reads_the_parts(folder):
     """In one line of SQL; the names of the columns are those of the study."""
+    import duckdb
+
     parts = folder / "parts" / "*.parquet"
     query = f"""select member, "observer.filter_rate" from '{parts}' where error < 0.05"""
     found = duckdb.sql(f"{query} order by member").fetchall()
@@ -63,6 +67,14 @@ def test_a_part_that_is_being_written_is_not_seen_by_readers(folder):
     """What a kill has left of it has no name of a part."""
     (folder / "parts" / "_part-0000000030-0000000039.parquet.00ff.tmp").write_bytes(b"PAR1")
     assert len(pyarrow.dataset.dataset(folder / "parts").to_table()) == COUNT
+
+
+@pytest.mark.slow
+def test_duckdb_does_not_see_a_part_that_is_being_written(folder):
+    """Nor by a pattern."""
+    import duckdb
+
+    (folder / "parts" / "_part-0000000030-0000000039.parquet.00ff.tmp").write_bytes(b"PAR1")
     parts = folder / "parts" / "*.parquet"
     assert duckdb.sql(f"select count(*) from '{parts}'").fetchall() == [(COUNT,)]
 
@@ -81,13 +93,18 @@ def test_a_study_says_what_it_holds(folder):
     assert repr(study) == "<Study 'tolerances': 30 of 30 members>"
 
 
-def test_a_study_becomes_frames(folder):
-    """Of pandas by member, and of polars."""
+def test_a_study_becomes_a_frame_of_pandas(folder):
+    """By member."""
     study = cosim.open_study(str(folder))
     frame = study.to_pandas(["error"])
     assert frame.index.tolist() == list(range(COUNT))
     assert frame.columns.tolist() == ["error"]
-    assert study.to_polars()["error"].to_list() == errors()
+
+
+@pytest.mark.slow
+def test_a_study_becomes_a_frame_of_polars(folder):
+    """Missing values are none."""
+    assert cosim.open_study(folder).to_polars()["error"].to_list() == errors()
 
 
 def test_a_study_that_runs_is_read_as_it_was_when_it_was_opened(tmp_path):

@@ -27,8 +27,6 @@ from cosim.studies.running.recorded_study import RecordedSearch
 from tests.studies.tables.made import MadeStudy, tolerances
 from tests.studies.tables.test_tables import saltelli_study
 
-pytest.importorskip("matplotlib")
-
 DRAWN = ["histogram", "distribution", "convergence", "line", "map", "scatter"]
 
 

@@ -111,6 +111,8 @@ def test_the_modules_of_users_belong_to_the_study(tmp_path):
     assert changed == ["code of relay:Relay"]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("worker_processes")
 def test_a_member_that_cannot_be_built_is_no_silence(tmp_path, capsys):
     """The study goes on, as that costs the member only; the dataset says what is not known."""
     (tmp_path / "x.toml").write_text(THERMOSTAT)

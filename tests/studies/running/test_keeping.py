@@ -4,6 +4,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import fsspec
 import pytest
 
 import cosim
@@ -127,7 +128,6 @@ def test_a_study_that_records_less_makes_its_logs_again(run, tmp_path):
 
 def test_logs_are_kept_where_the_dataset_is(run):
     """Also where that is no folder: each is put whole; members run in processes of their own."""
-    fsspec = pytest.importorskip("fsspec")
     study, _ = run(out="memory://kept/x", keep="worst 2 of y")
     assert study.logs == {n: f"memory://kept/x/logs/{n}.mcap" for n in (1, 2)}
     study, notices = run(out="memory://kept/x", keep="worst 1 of y")
@@ -173,6 +173,8 @@ def test_logs_are_made_here_where_no_worker_reaches_the_dataset(run, tmp_path):
     ]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("worker_processes")
 def test_what_is_left_of_failed_members_is_kept_and_the_others_are_named(tmp_path):
     """One hangs after a few steps, one crashes in the first, one fails there and says so."""
     names = ["LIES", "HANGS_LATER", "CRASH", "FAILS_STEP"]

@@ -1,16 +1,14 @@
 """Logs that workers of a cluster make: they go where the dataset is, not through the scheduler."""
 
+import fsspec
 import pytest
 
 import cosim
 from cosim.studies.running import keeping
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.rogues import STATELESS
-from tests.studies.cluster.processes import cluster
-from tests.studies.dataset.test_object_storage import bucket, server  # noqa: F401
+from tests.fmi.test_process import STATELESS
 
-pytest.importorskip("distributed")
-fsspec = pytest.importorskip("fsspec")
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -42,28 +40,26 @@ def study(tmp_path):
     return run
 
 
-@pytest.mark.usefixtures("bucket")
-def test_workers_put_logs_where_the_dataset_is(study, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("bucket", "worker_processes")
+def test_workers_put_logs_where_the_dataset_is(two_workers, study, tmp_path, monkeypatch):
     """In a bucket, and in a folder that is shared; none is made here."""
-    (tmp_path / "cluster").mkdir()
-    with cluster(tmp_path / "cluster", workers=1) as processes:
-        monkeypatch.setattr(keeping, "_log_here", None)
-        stored, notices = study("s3://studies/kept", processes.address)
-        shared, others = study(tmp_path / "out", processes.address)
-        files = fsspec.filesystem("s3")
-        assert stored.logs == {n: f"s3://studies/kept/logs/{n}.mcap" for n in (0, 1)}
-        for number, place in stored.logs.items():
-            copy = tmp_path / f"{number}.mcap"
-            files.get_file(place, str(copy))
-            log = cosim.open_log(copy)
-            assert log.status == ("complete", "failed")[number]
-            assert log.content_hash() == cosim.open_log(shared.logs[number]).content_hash()
-        assert notices == [
-            "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, and what it left of a "
-            "log is lost with its process)"
-        ]
-        assert others == [
-            "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, before a row of its log "
-            "was written)"
-        ]
-        assert len(list((tmp_path / "out" / "logs").iterdir())) == 2
+    monkeypatch.setattr(keeping, "_log_here", None)
+    stored, notices = study("s3://studies/kept", two_workers.address)
+    shared, others = study(tmp_path / "out", two_workers.address)
+    files = fsspec.filesystem("s3")
+    assert stored.logs == {n: f"s3://studies/kept/logs/{n}.mcap" for n in (0, 1)}
+    for number, place in stored.logs.items():
+        copy = tmp_path / f"{number}.mcap"
+        files.get_file(place, str(copy))
+        log = cosim.open_log(copy)
+        assert log.status == ("complete", "failed")[number]
+        assert log.content_hash() == cosim.open_log(shared.logs[number]).content_hash()
+    assert notices == [
+        "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, and what it left of a "
+        "log is lost with its process)"
+    ]
+    assert others == [
+        "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, before a row of its log "
+        "was written)"
+    ]
+    assert len(list((tmp_path / "out" / "logs").iterdir())) == 2

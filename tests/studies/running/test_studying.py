@@ -193,9 +193,9 @@ def test_changed_files_of_members_are_another_study(tmp_path):
     assert [name for name in before if before[name] != after[name]] == ["table u.csv"]
 
 
+@pytest.mark.slow
 def test_a_refusal_leaves_the_dataset_that_is_there(grid):
     """A scheduler that is not there is found before --new removes anything."""
-    pytest.importorskip("distributed")
     before = grid.table()
     with pytest.raises(UsageError, match="scheduler"):
         cosim.study(
@@ -295,6 +295,7 @@ def noisy(place):
     )
 
 
+@pytest.mark.slow
 def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
     """kill -9 of the whole study, several times at other instants: row for row the same."""
     left = kill_and_resume(tmp_path / "killed", (1, 15))

@@ -5,14 +5,22 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import pytest
+
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import metric_column
 from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.members import TrialMembers, in_pool
 from cosim.studies.tuning.recorded import TuningDataset
+from cosim.studies.tuning.searching import METHODS
 
 OBJECTIVE = "J"
+# optuna is not there where the slow tests are left out
+EACH_METHOD = [
+    pytest.param(method, marks=pytest.mark.slow) if method == "optuna" else method
+    for method in METHODS
+]
 
 
 class Recorded:

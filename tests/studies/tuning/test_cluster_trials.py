@@ -5,10 +5,9 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.studies.cluster import connection
-from tests.studies.cluster.processes import cluster
 from tests.studies.tuning.test_tuning import LAG, rows_of
 
-pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -25,14 +24,13 @@ def tuned(lag, **options):
     return cosim.tune(lag, vary=vary, **{**given, **options})
 
 
-def test_a_tuning_on_a_cluster_is_that_on_one_machine(lag, tmp_path):
+def test_a_tuning_on_a_cluster_is_that_on_one_machine(two_workers, lag, tmp_path):
     """Row for row; one that began here goes on there."""
     here = tuned(lag, out=tmp_path / "here", workers=1)
     tuned(lag, out=tmp_path / "there", workers=1, members=15)
-    with cluster(tmp_path, workers=1) as processes:
-        address = processes.address
-        there = tuned(lag, out=tmp_path / "there", workers=1, scheduler=address)
-        kept = tuned(lag, workers=1, scheduler=address)
+    address = two_workers.address
+    there = tuned(lag, out=tmp_path / "there", workers=1, scheduler=address)
+    kept = tuned(lag, workers=1, scheduler=address)
     assert there.to_dict() == here.to_dict()
     assert kept.to_dict() == here.to_dict()
     assert rows_of(tmp_path / "there") == rows_of(tmp_path / "here")

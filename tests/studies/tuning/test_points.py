@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from cosim.studies.dataset.columns import parameter_column
 from cosim.studies.tuning.points import value_name
-from cosim.studies.tuning.searching import METHODS, TuningSearch, search_best
+from cosim.studies.tuning.searching import TuningSearch, search_best
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.temporary import TemporaryFolder
-from tests.studies.tuning.functions import tried
+from tests.studies.tuning.functions import EACH_METHOD, tried
 
 NUMBERS = st.one_of(st.integers(-(2**70), 2**70), st.integers(-3, 3), st.floats())
 VALUES = st.recursive(
@@ -53,11 +53,9 @@ def test_what_is_stopped_and_goes_on_is_what_was_not_stopped(lists, data):
     assert again == rows
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_a_search_that_is_stopped_anywhere_or_grows_is_one_that_was_not(method, tmp_path):
     """Nor does it run anything twice; a batch that was begun is completed first."""
-    if method == "optuna":
-        pytest.importorskip("optuna")
     space = SearchSpace((BoundedKey("p.x", -2.0, 2.0), BoundedKey("p.y", 1e-3, 1e3, True)))
     columns = [parameter_column(key.key, [1.0]) for key in space.keys]
     search = TuningSearch(space, "objective", method=method, members=60)

@@ -9,10 +9,10 @@ import pytest
 from cosim.errors import UsageError
 from cosim.studies.tuning.points import value_name
 from cosim.studies.tuning.result import statements
-from cosim.studies.tuning.searching import METHODS, TuningSearch, check_search, search_best
+from cosim.studies.tuning.searching import TuningSearch, check_search, search_best
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 from cosim.studies.tuning.trials import SearchEnded, Trials
-from tests.studies.tuning.functions import OBJECTIVE, Recorded
+from tests.studies.tuning.functions import EACH_METHOD, OBJECTIVE, Recorded
 
 PLANE = SearchSpace((BoundedKey("x", -2.0, 2.0), BoundedKey("y", 1e-3, 1e3, logarithmic=True)))
 LOCAL = ("cobyqa", "nelder-mead")
@@ -38,11 +38,9 @@ def search(function, space=PLANE, **options):
     return search_best(Recorded(function), TuningSearch(space, OBJECTIVE, **options))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_every_method_comes_close_to_the_lowest_point_of_a_bowl(method):
     """A curvature of 2 turns a distance of r into a cost of r^2."""
-    if method == "optuna":
-        pytest.importorskip("optuna")
     result = search(bowl, method=method, members=400)
     assert len(result.trials) <= 400
     most = 0.3 if method == "optuna" else 1e-3
@@ -50,32 +48,26 @@ def test_every_method_comes_close_to_the_lowest_point_of_a_bowl(method):
     assert math.log10(result.best.point["y"] / 20.0) == pytest.approx(0.0, abs=2 * most)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_maximizing_is_minimizing_the_negative(method):
     """To the bit: the same points are asked for."""
-    if method == "optuna":
-        pytest.importorskip("optuna")
     most = search(lambda point: -bowl(point), method=method, members=60, maximize=True)
     least = search(bowl, method=method, members=60)
     assert [trial.point for trial in most.trials] == [trial.point for trial in least.trials]
     assert most.best.objective == -least.best.objective
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_more_members_go_on_where_fewer_ended(method):
     """A search does not depend on how many members it has."""
-    if method == "optuna":
-        pytest.importorskip("optuna")
     few = search(bowl, method=method, members=37).trials
     many = search(bowl, method=method, members=90).trials
     assert len(few) == 37
     assert few == many[:37]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_no_point_is_run_twice(method):
-    if method == "optuna":
-        pytest.importorskip("optuna")
     recorded = Recorded(bowl)
     search_best(recorded, TuningSearch(PLANE, OBJECTIVE, method=method, members=90))
     names = [repr(point) for point in recorded.points]
@@ -156,10 +148,8 @@ def test_a_constant_in_the_objective_does_not_end_a_global_search(offset):
     assert result.best.point["x"] == pytest.approx(0.5, abs=2e-3)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_what_is_varied_without_effect_is_said(method):
-    if method == "optuna":
-        pytest.importorskip("optuna")
     result = search(lambda point: 3.0, method=method, members=50)
     assert (
         "all members have the same objective: what is varied has no effect on it here"
@@ -167,11 +157,9 @@ def test_what_is_varied_without_effect_is_said(method):
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_failing_members_are_counted_and_named(method):
     """Half of the plane fails, next to the lowest point, too."""
-    if method == "optuna":
-        pytest.importorskip("optuna")
 
     def cliff(point):
         if point["x"] > 0.6:
@@ -188,10 +176,8 @@ def test_failing_members_are_counted_and_named(method):
     assert text.endswith(": x is too much")
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", EACH_METHOD)
 def test_where_all_members_fail_there_is_no_result(method):
-    if method == "optuna":
-        pytest.importorskip("optuna")
 
     def fails(point):
         raise ArithmeticError("never")
@@ -225,9 +211,9 @@ def test_a_search_that_converged_before_the_members_ended_says_both():
     )
 
 
+@pytest.mark.slow
 def test_optuna_searches_lists_of_values_and_ends_when_all_are_tried():
     """Of two lists there are six points; no search asks on for ever."""
-    pytest.importorskip("optuna")
     space = SearchSpace((ChoiceKey("plant", ("a.fmu", "b.fmu")), ChoiceKey("n", (1, 2, 3))))
     result = search(
         lambda point: point["n"] + (point["plant"] == "a.fmu"), space, method="optuna", members=50
@@ -309,9 +295,9 @@ def test_the_unit_of_the_objective_does_not_matter(scale):
     assert np.isfinite(result.best.cost)
 
 
+@pytest.mark.slow
 def test_the_value_of_the_scenario_is_found_in_a_list_by_what_it_is():
     """``True`` is not the 1 that equals it."""
-    pytest.importorskip("optuna")
     space = SearchSpace((ChoiceKey("n", (1, [1.0], True)),))
     for first in (True, [1]):
         result = search(lambda point: 1.0, space, method="optuna", members=1, first={"n": first})

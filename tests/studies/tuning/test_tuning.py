@@ -117,6 +117,7 @@ def test_standard_errors_of_an_fmu_cover_the_truth_over_many_seeds(tmp_path):
     assert (hits >= 87).all()
 
 
+@pytest.mark.slow
 def test_a_tuning_that_is_killed_and_goes_on_ends_as_an_undisturbed_one(lag, tmp_path):
     """Its dataset is the same, row for row and bit for bit, but for times and workers."""
     task = lag_task(lag, "rms(plant.y - 0.5)", with_errors=True, members=40)
@@ -189,9 +190,9 @@ def test_the_dataset_is_shown_as_that_of_a_study(lag, tmp_path, capsys):
     assert command in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_swapped_models_are_searched_with_optuna(lag, tmp_path):
     """The recording that ends at a half is the best, without any trial of a third one."""
-    pytest.importorskip("optuna")
     paths = [tmp_path / "low.csv", tmp_path / "high.csv"]
     for path, value in zip(paths, (0.5, 0.9), strict=True):
         path.write_text(f"time,y\n0,{value}\n2,{value}\n")

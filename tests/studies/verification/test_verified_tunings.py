@@ -86,9 +86,9 @@ def test_a_bit_of_the_objective_that_differs_is_found(lag, tmp_path):
     assert [(item.member, item.name) for item in found.differences] == [(1, "objective")]
 
 
+@pytest.mark.slow
 def test_what_members_of_a_search_are_made_of_must_not_have_changed(lag, tmp_path):
     """Files that were swapped in, and the scenario's own, are among it."""
-    pytest.importorskip("optuna")
     swaps = [str(tmp_path / "low.csv"), str(tmp_path / "high.csv")]
     tune(lag, tmp_path / "d", {"plant": swaps}, method="optuna", members=9)
     assert verify_study(tmp_path / "d").differences == ()
@@ -159,9 +159,9 @@ def test_values_that_never_ran_together_are_not_refused(tmp_path):
     assert verify_study(tmp_path / "d", members=chosen).differences == ()
 
 
+@pytest.mark.slow
 def test_a_file_that_only_failed_members_read_must_not_have_changed(tmp_path):
     """Its members would fail otherwise, or not at all."""
-    pytest.importorskip("optuna")
     good, bad, other = (tmp_path / f"{name}.fmu" for name in ("LIES", "FAILS_STEP", "OTHER_START"))
     for fmu in (good, bad, other):
         compile_fmu(fmu, STATELESS, "rogue2.c", defines=(f"ROGUE={fmu.stem}",))

@@ -11,7 +11,10 @@ import pytest
 
 from cosim.temporary import remove_abandoned
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="waits for processes of others")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="waits for processes of others"),
+]
 
 # each worker completes a member, and says that it has begun the next
 STUDY = """

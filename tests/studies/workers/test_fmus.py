@@ -1,5 +1,7 @@
 """Members whose FMUs crash, hang or end their process, run as a study runs them."""
 
+import pytest
+
 from cosim.studies.contracts import FAILED, StudyMember, StudySubject
 from cosim.studies.workers.pool import WorkerPool
 from tests.fmi.compiled import compile_fmu
@@ -18,6 +20,8 @@ REASONS = {
 }
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("worker_processes")
 def test_each_bad_fmu_costs_the_members_that_have_it(tmp_path, capfd):
     """All others are completed, with the same metrics; what FMUs print is not seen."""
     compile_fmu(tmp_path / "GOOD.fmu", STATELESS, "rogue2.c", defines=("ROGUE=LIES",))

@@ -1,50 +1,18 @@
 """Guarded workers: a member that crashes, hangs or ends its process costs itself, and no other."""
 
-import math
 import os
-import platform
 import select
-import struct
 import sys
 import time
 
 import pytest
 
 from cosim.errors import RunError, UsageError
-from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.contracts import COMPLETE
 from cosim.studies.workers import member_times, pool, worker_process
-from cosim.studies.workers.pool import WorkerPool
+from tests.studies.workers.pools import doing, failures, open_pool, outcomes_of
 
-RUNNERS = "tests.studies.workers.runners"
-
-
-def doing(number, does="nothing", **more):
-    """Return a member that does something."""
-    return StudyMember(number, set={"does": does, **more})
-
-
-def open_pool(count=2, opener="open_doing", scenario="a.toml", subject=None, **options):
-    """Return a pool of workers with a runner of the tests."""
-    subject = StudySubject(scenario, set=subject or {})
-    return WorkerPool(f"{RUNNERS}:{opener}", subject, count, **options)
-
-
-def outcomes_of(members, count=2, **options):
-    """Run members; return outcomes by number, each of which comes once."""
-    with open_pool(count, **options) as workers:
-        results = list(workers.run(members))
-    by_number = {outcome.number: outcome for _, outcome in results}
-    assert len(by_number) == len(results)
-    assert [member.number for member, _ in results] == list(by_number)
-    return by_number
-
-
-def failures(outcomes):
-    """Return the reasons of those that failed."""
-    assert {outcome.status for outcome in outcomes.values()} <= {COMPLETE, FAILED}
-    return {
-        number: outcome.reason for number, outcome in outcomes.items() if outcome.status == FAILED
-    }
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("worker_processes")]
 
 
 def is_alive(pid):
@@ -151,22 +119,6 @@ def test_what_members_print_is_discarded(capfd):
     outcomes = outcomes_of([doing(number, "prints") for number in range(4)])
     assert failures(outcomes) == {}
     assert capfd.readouterr() == ("", "")
-
-
-def test_an_outcome_is_carried_exactly():
-    """Floats keep their bits, texts their characters, of the member and of its outcome."""
-    numbers = [0.1, -0.0, 5e-324, math.pi, math.inf, -math.inf, math.nan]
-    metrics = {f"m{index}": number for index, number in enumerate(numbers)}
-    metrics |= {"text": 'ä\n"\udcff', "none": None}
-    (outcome,) = outcomes_of([doing(7, metrics=metrics)]).values()
-    for name, value in metrics.items():
-        found = outcome.metrics[name]
-        if isinstance(value, float):
-            assert struct.pack("d", found) == struct.pack("d", value)
-        else:
-            assert found == value
-    assert outcome.status == COMPLETE
-    assert outcome.worker == f"{platform.node()}:{int(outcome.metrics['pid'])}"
 
 
 def test_members_are_taken_as_they_are_needed():
@@ -312,12 +264,6 @@ def test_a_worker_has_one_thread_for_linear_algebra(given, told, monkeypatch):
     assert outcome.metrics["told"] == told
 
 
-def test_a_scenario_that_cannot_be_opened_is_one_error():
-    """With the text of the scenario's own error."""
-    with pytest.raises(UsageError, match=r"^a\.toml: unknown kind 'plnat'$"):
-        outcomes_of([doing(number) for number in range(100)], opener="refuse")
-
-
 def test_an_opener_that_fails_otherwise_is_one_error():
     """It names the scenario and the error."""
     match = r"^'a\.toml' cannot be opened: ValueError: invalid literal for int\(\).*'x'$"
@@ -354,33 +300,3 @@ def test_a_worker_that_hangs_while_it_opens_ends_the_study(monkeypatch):
     match = r"^the process that opens 'a\.toml' hangs: did not end within 0\.5 s$"
     with pytest.raises(RunError, match=match):
         outcomes_of([doing(0)], subject={"opening": "sleep"}, timeout=0.1)
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"count": 0}, "^workers: found 0, needed a positive number$"),
-        ({"timeout": 0.0}, "^timeout: found 0.0, needed a positive number$"),
-        ({"timeout": math.nan}, "^timeout: found nan, needed a positive number$"),
-        ({"members_per_worker": -1}, "^members_per_worker: found -1, needed a positive"),
-    ],
-)
-def test_wrong_numbers_are_refused(options, match):
-    """Before any process is started."""
-    with pytest.raises(UsageError, match=match):
-        open_pool(**options)
-
-
-def test_windows_is_refused(monkeypatch):
-    """With what is needed."""
-    monkeypatch.setattr("sys.platform", "win32")
-    with pytest.raises(UsageError, match="found Windows, needed Linux or macOS"):
-        open_pool()
-
-
-def test_the_worker_of_a_failure_is_named():
-    """As that of any other outcome."""
-    outcomes = outcomes_of([doing(0, "SIGSEGV"), doing(1, "ValueError")], count=1)
-    for outcome in outcomes.values():
-        assert isinstance(outcome, MemberOutcome)
-        assert outcome.worker.startswith(f"{platform.node()}:")
