@@ -135,7 +135,7 @@ def build(model: str, version: int = 2, nominal: float = 1.0, *, saves: bool = T
     return compile_fmu(path, xml, "events.c", defines=defines)
 
 
-def friction(folder, version):
+def friction(folder: Path, version: int) -> Path:
     """Compile v' = u - p while it slips, with p tunable."""
     xml = (xml2 if version == 2 else xml3)("FRICTION")
     xml = xml.replace('variability="fixed"', 'variability="tunable"')
@@ -192,11 +192,3 @@ class Run:
         """Return the times of the events of one kind since the last call."""
         texts = [text for *_, text in self.fmu.drain() if text.startswith(kind)]
         return [float(text.split(" = ")[1][:-2]) for text in texts]
-
-
-def friction(folder: Path, version: int) -> Path:
-    """Compile v' = u - p while it slips, with p tunable."""
-    xml = (xml2 if version == 2 else xml3)("FRICTION")
-    xml = xml.replace('variability="fixed"', 'variability="tunable"')
-    defines = (f"FMI={version}", "MODEL=FRICTION", "NOMINAL=1.0")
-    return compile_fmu(folder / f"friction{version}.fmu", xml, "events.c", defines=defines)

@@ -287,8 +287,7 @@ def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path
         archive.writestr("binaries/win64/academic_plant.dll", b"MZ")
     with pytest.raises(
         ScenarioError,
-        match=r"swap\['plant'\]: .*no binary for this platform; found binaries for: win64; expected "
-        r"binaries/",
+        match=r"swap\['plant'\]: .*no binary for this platform; .*win64; expected binaries/",
     ):
         cosim.run("academic", swap={"plant": bare})
 
