@@ -6,7 +6,7 @@ import pytest
 import cosim
 from cosim.studies.running import keeping
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
+from tests.fmi.rogues import STATELESS
 
 pytestmark = pytest.mark.slow
 
