@@ -17,7 +17,7 @@ from cosim.studies.tables.metric import print_metrics
 from cosim.studies.tables.numbers import interval_text, members_text, text_with_half_width
 from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.study import print_study
-from tests.studies.tables.made import MadeStudy, command_of, tolerances
+from tests.studies.tables.made import MadeStudy, command_of, saltelli_study, tolerances
 
 
 def printed(capsys):
@@ -225,21 +225,6 @@ def test_a_member_that_is_not_done_is_an_error():
     for number in (-1, 210):
         with pytest.raises(UsageError, match=rf"found member {number}, needed one from 0 to 209"):
             check_is_done(number, results)
-
-
-def saltelli_study():
-    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 has a failure."""
-    rng = np.random.default_rng(0)
-    points = stats.qmc.Sobol(4, rng=rng).random(256)
-    of_a, of_b = points[:, :2], points[:, 2:]
-    mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
-    rows = np.concatenate([of_a, of_b, *mixed])
-    status = np.full(1024, "complete", object)
-    status[256 + 4] = "failed"
-    columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
-    study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
-    layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
-    return results_of_study(study, layout)
 
 
 def test_sobol_indices_are_printed(capsys):
