@@ -40,7 +40,7 @@ def test_a_file_that_changes_while_a_study_is_planned_is_named():
     """Nothing has begun that could go on."""
     outcome = MemberOutcome(0, COMPLETE, details={f"{FILE}/u.csv": "ab"})
     members = {0: StudyMember(0)}
-    text = "^/u.csv has changed while the study was planned; plan it again$"
+    text = "^/u.csv has changed while the study was being planned; plan it again$"
     with pytest.raises(RunError, match=text):
         found_sources({"/u.csv": "cd"}, [outcome], members, refused=lambda *_: "")
 

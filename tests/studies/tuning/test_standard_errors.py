@@ -155,7 +155,7 @@ def test_an_interval_beyond_the_bounds_is_said_to_be_there():
     assert "the interval of a goes beyond its bounds" not in " ".join(statements(result))
     space = SearchSpace(tuple(replace(key, upper=1e100) for key in result.space.bounded))
     said = statements(replace(result, space=space))
-    assert "the interval of b goes beyond its bounds, where nothing was tried" in said
+    assert "the interval of b extends beyond its bounds, where nothing was tried" in said
 
 
 def test_a_value_without_effect_is_not_determined():
@@ -224,7 +224,7 @@ def test_a_recording_without_noise_has_no_errors_where_the_search_stopped_short(
 def test_few_samples_are_refused():
     search = TuningSearch(LINE, OBJECTIVE, is_rms=True, with_errors=True, samples=2)
     result = search_best(Recorded(rms_of(line, line(T, 1.0, 1.0) + T**2)), search)
-    assert result.errors_problem == "2 values from 2 samples: needed more samples than values"
+    assert result.errors_problem == "expected more samples than values, got 2 values from 2 samples"
 
 
 def test_members_that_fail_beside_the_best_values_are_named():

@@ -254,7 +254,7 @@ def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, messag
 
 def test_a_variable_that_an_fmu_has_not_is_refused(fit, tmp_path):
     search = TuningSearch(SearchSpace((BoundedKey("plant.start.Q", 0.1, 10.0),)), "")
-    with pytest.raises(UsageError, match="small: no variable 'Q'; there is: u, v, x, y, z, A, B"):
+    with pytest.raises(UsageError, match=r"small: no variable 'Q'; .*: u, v, x, y, z, A, B"):
         tune_task(TuningTask(str(fit), EXPRESSION, search), workers=1, out=tmp_path / "d")
     assert not (tmp_path / "d").exists()
 
@@ -269,10 +269,10 @@ def test_a_first_member_that_fails_ends_the_tuning_and_leaves_no_dataset(lag, tm
     old.mkdir()
     (old / "study.json").write_text("{}")
     for place in (tmp_path / "fresh", old):
-        with pytest.raises(UsageError) as caught:
+        with pytest.raises(
+            UsageError, match=r"(?s)the first member fails.*nothing was tuned.* set"
+        ):
             tune_task(task, out=place, workers=1, new=True)
-        assert "the first member fails, nothing was tuned: " in str(caught.value)
-        assert "first values with which it runs, such as by set" in str(caught.value)
     assert not (tmp_path / "fresh").exists()
     assert [path.name for path in old.iterdir()] == ["study.json"]
 
@@ -280,15 +280,15 @@ def test_a_first_member_that_fails_ends_the_tuning_and_leaves_no_dataset(lag, tm
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"workers": 0}, "workers: found 0, needed 1 or more"),
-        ({"workers": 1.5}, "workers: found 1.5; needed a whole number"),
-        ({"new": "yes"}, "new: found 'yes'; needed True or False"),
+        ({"workers": 0}, "workers: .*got 0"),
+        ({"workers": 1.5}, "workers: .*1.5"),
+        ({"new": "yes"}, "new: .*'yes'"),
         ({"timeout": -1.0}, "timeout: "),
-        ({"members": 2.5}, "members: found 2.5; needed a whole number"),
-        ({"minimize": 3}, "minimize: found 3; needed a metric, such as"),
-        ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "needed bounds, such as {'linear'"),
-        ({"vary": ["plant.time_constant"]}, "vary: found ['plant.time_constant']; needed a mapp"),
-        ({"replay": ["a.mcap"]}, "replay: no file matches "),
+        ({"members": 2.5}, "members: .*2.5"),
+        ({"minimize": 3}, "minimize: .*got 3"),
+        ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "bounds, such as {'linear'"),
+        ({"vary": ["plant.time_constant"]}, r"vary: .*\['plant.time_constant'\]"),
+        ({"replay": ["a.mcap"]}, "replay: .*no file matches '.*a.mcap"),
     ],
 )
 def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, message):
@@ -301,9 +301,8 @@ def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, m
         "new": True,
         **options,
     }
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=message):
         cosim.tune(lag, out=place, **given)
-    assert message in str(caught.value)
     assert [path.name for path in place.iterdir()] == ["study.json"]
 
 

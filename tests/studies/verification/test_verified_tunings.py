@@ -186,4 +186,4 @@ def test_that_the_search_was_not_repeated_is_said(lag, tmp_path, capsys):
     """Members with the recorded bits do not make the best of them the optimum."""
     tune(lag, tmp_path / "d", {"plant.time_constant": {"log": [0.1, 1.0]}}, members=2)
     print_verification(verify_study(tmp_path / "d"))
-    assert "that the search would choose these members again" in capsys.readouterr().out
+    assert "whether the search would choose these members again" in capsys.readouterr().out
