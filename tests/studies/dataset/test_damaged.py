@@ -45,7 +45,7 @@ def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, monkeypatch, room
     dataset = opened(folder, 60, 10)
     with monkeypatch.context() as patch:
         patch.setattr(local_storage.os, "write", FullDisk(room))
-        with pytest.raises(DatasetWriteError, match=rf"No space left on device; the {FULL}"):
+        with pytest.raises(DatasetWriteError, match=rf"No space left on device; all {FULL}"):
             complete(dataset, seed=1, report=added.append)
         dataset.close()
     with opened(folder, 60, 10) as dataset:
@@ -242,7 +242,7 @@ def test_a_part_that_is_removed_while_it_is_read_is_named(folder):
     """As by a study that begins anew."""
     dataset = StudyDataset.open(folder)
     (folder / "parts" / parts(folder)[0]).unlink()
-    with pytest.raises(DatasetError, match=r"0009.parquet: it was removed while it was read"):
+    with pytest.raises(DatasetError, match=r"0009.parquet: removed while it was being read"):
         dataset.read()
 
 

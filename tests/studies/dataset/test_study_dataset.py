@@ -78,7 +78,7 @@ def test_a_study_that_was_planned_larger_than_it_went_can_end_before(tmp_path):
     with StudyDataset.open_or_create(tmp_path, identity(15)) as dataset:
         add(dataset, [13, 14])
     assert parts(tmp_path)[-1] == "part-0000000010-0000000014.parquet"
-    problem = "member 14 is recorded, and 12 members are planned; a study can only grow"
+    problem = "member 14 is recorded, but only 12 members are planned; a study can only grow"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open_or_create(tmp_path, identity(12))
     assert StudyDataset.open(tmp_path).layout.total == 15
@@ -298,7 +298,7 @@ def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
     with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
         add(dataset, [0])
         problem = (
-            r"another study is writing there \(process \d+ on .*\); wait until it ends, or give"
+            r"another study is writing there \(process \d+ on .*\); wait until it ends, or choose"
         )
         with pytest.raises(DatasetError, match=problem):
             StudyDataset.open_or_create(tmp_path, identity(5))

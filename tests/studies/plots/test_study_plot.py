@@ -567,7 +567,7 @@ def test_a_picture_without_room_for_its_names_is_an_error(tmp_path):
     """Not one whose panels have no size."""
     results, keys = long_names("map")
     options = PictureOptions(size=(6.0, 6.0))
-    with pytest.raises(UsageError, match=r"size: found 6 x 6 cm; needed more for the names at the"):
+    with pytest.raises(UsageError, match=r"size: .*6 x 6 cm"):
         plot_study(results, tmp_path / "a.png", kind="map", keys=keys, options=options)
     assert not (tmp_path / "a.png").exists()
 

@@ -47,6 +47,7 @@ def test_a_log_is_replayed_with_every_point(log, tmp_path, is_scenario):
     assert metric_of_command(result.command, ERROR, tmp_path) == result.best.objective
 
 
+@pytest.mark.slow
 def test_a_tuning_of_a_log_goes_on_and_its_dataset_has_the_command(log, tmp_path, capsys):
     """With another log, or other edits, it is another tuning."""
     options = {"minimize": ERROR, "vary": RATE, "workers": 1, "out": tmp_path / "d"}

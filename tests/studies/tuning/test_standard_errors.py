@@ -96,8 +96,8 @@ def test_noise_that_hides_the_curvature_is_said():
     measured = decay(T, 2.0, 3.0) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
     result = fitted(decay, DECAY, measured, noise=0.1)
     assert result.errors is None
-    assert "the objective is noisy, by 0.0" in result.errors_problem
-    assert "that hides its curvature" in statements(result)[-1]
+    assert "the objective is noisy (relative noise 0.0" in result.errors_problem
+    assert "which hides its curvature" in statements(result)[-1]
 
 
 def test_a_value_at_its_bound_has_no_standard_error():
@@ -196,7 +196,7 @@ def test_a_residual_of_rounding_has_no_errors_or_right_ones(deviation):
     measured = slope_only(T, 0.7) + deviation * np.random.default_rng(3).standard_normal(T.size)
     result = fitted(slope_only, space, measured, starts=1)
     if deviation < 1e-10:
-        assert "the objective is noisy, by " in result.errors_problem  # from rounded values
+        assert "the objective is noisy" in result.errors_problem  # from rounded values
     else:
         _, covariance = curve_fit(slope_only, T, measured, p0=[0.7])
         expected = float(np.sqrt(covariance[0, 0]))
@@ -249,11 +249,11 @@ def test_members_are_kept_for_the_errors_where_starts_would_use_all():
     assert len(result.trials) <= 90
 
 
-def test_what_is_assumed_is_said():
+def test_the_assumptions_of_standard_errors_are_said():
     measured = line(T, 3.0, -2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
     assert statements(fitted(line, LINE, measured))[-1] == (
-        "the standard errors assume that the 201 samples of the residual are white, with one "
-        "deviation: that is not checked"
+        "the standard errors assume that the 201 samples of the residual are white with a "
+        "constant standard deviation (not checked)"
     )
 
 

@@ -101,7 +101,7 @@ def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(fit, tmp_path
     neighbours = residual[1:] @ residual[:-1] / (residual @ residual)
     assert result.residual.neighbours == pytest.approx(neighbours, abs=1e-9)
     assert result.residual.rows == TIMES.size
-    assert "501 samples of the residual are white, with one deviation" in result.statements[-1]
+    assert "501 samples of the residual are white with a constant" in result.statements[-1]
 
 
 @pytest.mark.campaign
@@ -215,7 +215,7 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
     for other, what in [
         (
             lag_task(lag, members=3, seed=2),
-            "another study: the seed changed; give",
+            "another study: the seed changed; choose",
         ),
         (lag_task(lag, "last(plant.y)", members=3), "the objective changed"),
         (
@@ -245,7 +245,7 @@ def test_a_first_point_that_is_refused_is_named_by_its_key(lag):
         ("last(plant.y", "plant.time_constant", "minimize: metric 'last(plant.y'"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, message):
+def test_errors_are_said_before_anything_runs(lag, expression, key, message):
     search = TuningSearch(SearchSpace((BoundedKey(key, 0.1, 10.0),)), "")
     with pytest.raises(UsageError) as caught:
         tune_task(TuningTask(str(lag), expression, search), workers=1)
@@ -322,7 +322,7 @@ def test_a_trial_at_a_bound_may_fail():
     assert 0.5 < result.estimate[key] < 1.0
 
 
-def test_what_is_tuned_in_python_is_what_the_command_tunes(lag, tmp_path):
+def test_python_and_the_command_tune_the_same(lag, tmp_path):
     """1 - exp(-2 / T) = 0.5 has T = 2 / log 2; its first run is that of the scenario."""
     result = cosim.tune(
         lag,

@@ -124,6 +124,7 @@ def test_a_file_behind_a_link_is_the_one_that_it_was(lag, tmp_path):
         verify_study(tmp_path / "d")
 
 
+@pytest.mark.slow
 def test_a_log_behind_a_link_is_the_one_that_it_was(tmp_path):
     """Every trial replayed that one."""
     link = tmp_path / "latest.mcap"

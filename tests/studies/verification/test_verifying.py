@@ -40,14 +40,14 @@ def recorded(tmp_path_factory):
     return folder
 
 
-def test_what_may_have_made_a_difference_is_said():
+def test_possible_causes_of_a_difference_are_said():
     """Of another machine nobody knows whether it rounds otherwise."""
     now = {"status": "complete", "reason": "", "steps": 3, "y": 1.0, "worker": "here:5"}
-    text = "y = 1.0, and 2.0 before; "
-    cause = "what it runs gives other results each time"
+    text = "y = 1.0; recorded: 2.0; "
+    cause = "the model is not deterministic"
     assert difference(now, {**now, "y": 2.0, "worker": "here:4"}, ["y"]) == f"{text}{cause}"
     assert difference(now, {**now, "y": 2.0, "worker": "there:4"}, ["y"]) == (
-        f"{text}it ran on there before, which may round otherwise than here, or {cause}"
+        f"{text}it ran on there before, which may round differently from here, or {cause}"
     )
 
 
@@ -109,7 +109,7 @@ def test_a_dataset_whose_fmu_has_changed_is_refused(recorded):
     before = plant.read_bytes()
     shutil.copy(recorded / "OTHER_START.fmu", plant)
     try:
-        with pytest.raises(DatasetError, match=r"out: FMU LIES.fmu changed \(by their SHA-256\)"):
+        with pytest.raises(DatasetError, match=r"out: FMU LIES.fmu changed \(by SHA-256\)"):
             verify_study(recorded / "out")
     finally:
         plant.write_bytes(before)
@@ -128,6 +128,7 @@ def test_members_that_cannot_run_again_are_refused(recorded, given, text):
         verify_study(recorded / "out", **given)
 
 
+@pytest.mark.slow
 def test_replays_and_their_results_are_verified(tmp_path):
     """Designs of the study and what it keeps built have no part in it."""
     log = cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.5})
