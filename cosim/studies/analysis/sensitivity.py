@@ -80,10 +80,10 @@ class SobolIndices:
             cause += ", or those that were left out"
         total = float(self.total_order.sum())
         if total < 1.0 - _SUM_TOLERANCE:
-            return f"{cause}: total orders sum to {total:.3g}, below 1"
+            return f"{cause}: total orders sum to {total:.2f}, below 1"
         first = float(self.first_order.sum())
         if first > 1.0 + _SUM_TOLERANCE:
-            return f"{cause}: first orders sum to {first:.2f}, which is above 1"
+            return f"{cause}: first orders sum to {first:.2f}, above 1"
         return ""
 
     def to_dict(self) -> dict[str, Any]:

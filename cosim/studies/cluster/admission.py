@@ -145,8 +145,8 @@ class Admission:
         size = Path(path).stat().st_size
         if not is_direct and size > MOST_RELAYED:
             raise UsageError(
-                f"{path} has {size / 1000000.0:.0f} MB, and this machine cannot connect to the "
-                f"worker directly; through the scheduler at most {MOST_RELAYED / 1000000.0:.0f} "
+                f"{path} has {size / 1e6:.0f} MB, and this machine cannot connect to the "
+                f"worker directly; through the scheduler at most {MOST_RELAYED / 1e6:.0f} "
                 "MB are sent; put a copy of the file at the same path on the worker, for example "
                 "on shared storage"
             )

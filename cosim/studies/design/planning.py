@@ -110,7 +110,7 @@ def _check_swapped(study: StudyFile, scenario: Scenario, cases: Mapping[str, obj
         name = key.removeprefix(SWAP)
         if key.startswith(SWAP) and name not in scenario.specs:
             raise UsageError(
-                f"file {study.settings.cases}, column {name!r}: no component {name!r} to swap, "
+                f"file {study.settings.cases!r}, column {name!r}: no component {name!r} to swap, "
                 f"and keys have a dot, such as 'scenario.stop'; {nearest(name, scenario.specs)}"
             )
 

@@ -137,7 +137,7 @@ def standard_errors(
     wanted = max(1.0, 100.0 * noise * free)
     if wanted > _LONGEST:
         raise NoStandardErrors(
-            f"the objective is noisy (relative noise {noise / 2:.2g}), which hides its curvature"
+            f"the objective is noisy (relative noise {noise / 2:.1g}), which hides its curvature"
         )
     steps = _steps(squares, center, wanted * level / free)
     curvature = _centered(squares, center, steps, noise)

@@ -37,13 +37,13 @@ def test_texts_are_counted():
     assert column.is_text
     assert column.texts == {"yes": 2, "no": 1}
     assert column.without_value.tolist() == [3]
-    with pytest.raises(UsageError, match=r"metric 'verdict': found texts, needed numbers"):
+    with pytest.raises(UsageError, match=r"metric 'verdict': .*got texts"):
         columns.metric("verdict")
 
 
 def test_a_metric_that_is_not_there_is_an_error():
     """It names those that are."""
-    with pytest.raises(UsageError, match=r"no metric 'rsm'; did you mean 'rms'\? There is: rms"):
+    with pytest.raises(UsageError, match=r"no metric 'rsm'; did you mean 'rms'\? .*: rms"):
         columns_of({"rms": [1.0]}).metric("rsm")
 
 

@@ -157,12 +157,12 @@ def test_one_parameter_has_all_of_the_variance():
         (
             StudyLayout("random", samples=32),
             np.arange(32.0),
-            r"found the design 'random', needed 'saltelli': a study with \[study\] sampling = ",
+            r"'saltelli'.*got 'random'",
         ),
-        (layout_of(2, 4, seeds=2), np.arange(32.0), r"found 2 members of each sample, needed 1"),
-        (layout_of(2, 8), np.ones(32), r"'y': found one value in all members, needed a metric"),
-        (layout_of(2, 8), 0.3 + 2.0**-54 * np.arange(32.0), r"'y': found one value in all members"),
-        (layout_of(2, 4), np.arange(16.0), r"'y': found 4 of 4 base points with a value in all"),
+        (layout_of(2, 4, seeds=2), np.arange(32.0), r"one member per sample.*got 2"),
+        (layout_of(2, 8), np.ones(32), r"'y': .*got the same value in all"),
+        (layout_of(2, 8), 0.3 + 2.0**-54 * np.arange(32.0), r"'y': .*got the same value in all"),
+        (layout_of(2, 4), np.arange(16.0), r"'y': .*base points.*got 4 of 4"),
     ],
 )
 def test_a_study_without_indices_says_why(layout, raw, message):
@@ -245,10 +245,10 @@ def test_sums_that_no_function_has_are_remarked(function, dimension, expected):
     whole = sobol_indices(columns_of({"y": values.ravel()}), layout_of(dimension, 4096), "y")
     assert whole.remark == ""
     first = whole.first_order * (1.2 / max(whole.first_order.sum(), 1e-9))
-    assert "first orders sum to 1.20, which is above 1" in replace(whole, first_order=first).remark
+    assert "first orders sum to 1.20, above 1" in replace(whole, first_order=first).remark
     total = whole.total_order * (0.63 / whole.total_order.sum())
     few = replace(whole, total_order=total)
-    assert few.remark == "too few base points: total orders sum to 0.63, which is below 1"
+    assert few.remark == "too few base points: total orders sum to 0.63, below 1"
     assert few.to_dict()["remark"] == few.remark
     omitted = replace(few, omitted=np.array([3]))
     assert omitted.remark.startswith("too few base points, or those that were left out: total")

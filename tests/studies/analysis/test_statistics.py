@@ -56,7 +56,7 @@ def test_a_grid_has_no_interval_and_one_with_seeds_has_that_of_its_seeds():
     chosen = study_statistics(columns_of({"a": values[:6]}), StudyLayout("grid", grid=6))["a"]
     assert chosen.mean_interval.to_list() == [None, None]
     assert chosen.quantiles[1].interval.to_list() == [None, None]
-    assert chosen.basis == "none, as the members were chosen, not drawn"
+    assert chosen.basis == "none: the members were chosen, not drawn"
     layout = StudyLayout("grid", seeds=40, grid=6)
     drawn = study_statistics(columns_of({"a": values}), layout)["a"]
     expected = stats.ttest_1samp(of_seed + of_point.mean(), 0.0).confidence_interval(0.95)
@@ -73,7 +73,7 @@ def test_the_members_of_a_sample_count_together():
     found = study_statistics(columns_of({"a": values}), layout)["a"]
     expected = stats.ttest_1samp(of_sample, 0.0).confidence_interval(0.95)
     assert found.mean_interval.to_list() == pytest.approx([expected.low, expected.high])
-    assert found.basis.endswith("; the 2 members of a sample count together")
+    assert found.basis.endswith("; the 2 members of a sample count as one")
 
 
 def test_of_a_saltelli_design_only_the_drawn_members_count():
@@ -135,12 +135,12 @@ def test_a_member_without_a_value_does_not_pass():
 @pytest.mark.parametrize(
     ("condition", "message"),
     [
-        ("rms", r"condition 'rms': found 'rms'; needed a metric, a comparison \(one of <"),
+        ("rms", r"condition 'rms': .*got 'rms'"),
         ("rsm < 1", r"the study has no metric 'rsm'; did you mean 'rms'"),
-        ("rms < small", r"metric 'rms': found < 'small'; needed a number"),
-        ("verdict < a", r"metric 'verdict': found < 'a'; needed a number, or, of a metric that is"),
-        ("verdict < 1", r"metric 'verdict': found texts, needed numbers"),
-        ("rms < nan", r"metric 'rms': found < 'nan'; needed a number"),
+        ("rms < small", r"metric 'rms': .*< 'small'"),
+        ("verdict < a", r"metric 'verdict': .*< 'a'"),
+        ("verdict < 1", r"metric 'verdict': .*got texts"),
+        ("rms < nan", r"metric 'rms': .*< 'nan'"),
     ],
 )
 def test_what_is_no_condition_is_an_error(condition, message):

@@ -15,8 +15,9 @@ LIMIT = 60.0  # s
 class ClusterProcesses:
     """A scheduler and the workers that were started; all are ended by :meth:`end`."""
 
-    def __init__(self, folder, scheduler_changes):
+    def __init__(self, folder, changes):
         self.folder = folder
+        self._changes = changes
         self.workers = []
         self._file = folder / "scheduler.json"
         self.scheduler = self._start(
@@ -31,12 +32,11 @@ class ClusterProcesses:
             "--scheduler-file",
             self._file,
             "--no-jupyter",
-            changes=scheduler_changes,
         )
         self.address = self._address()
 
     def start_worker(self, **changes):
-        """Start a worker of one thread; changes are of its environment."""
+        """Start a worker of one thread; changes are of its environment, over those of all."""
         number = len(self.workers)
         folder = self.folder / f"worker-{number}"
         folder.mkdir()
@@ -65,12 +65,12 @@ class ClusterProcesses:
             process.wait(LIMIT)
 
     def _start(self, program, *options, folder=None, changes=None):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), **(changes or {})}
+        own = {"PYTHONPATH": str(ROOT), **self._changes, **(changes or {})}
         with (self.folder / f"{program}.txt").open("ab") as output:
             return subprocess.Popen(
                 [sys.executable, "-m", f"distributed.cli.{program}", *map(str, options)],
                 cwd=folder or self.folder,
-                env=environment,
+                env={**os.environ, **own},
                 stdout=output,
                 stderr=output,
                 stdin=subprocess.DEVNULL,
@@ -87,11 +87,11 @@ class ClusterProcesses:
 
 
 @contextmanager
-def cluster(folder, workers=2, **scheduler_changes):
-    """Yield a scheduler with workers that are there; changes are of its environment."""
+def cluster(folder, workers=2, **changes):
+    """Yield a scheduler with workers that are there; changes are of their environment."""
     from distributed import Client
 
-    processes = ClusterProcesses(folder, scheduler_changes)
+    processes = ClusterProcesses(folder, changes)
     try:
         for _ in range(workers):
             processes.start_worker()

@@ -106,9 +106,7 @@ def test_a_worker_killed_in_the_middle_costs_nothing(tmp_path):
         found = run(processes.address, design, tmp_path / "a", notice=note)
         killer.join(LIMIT)
         assert victim.wait(LIMIT) == -signal.SIGKILL
-    assert [re.sub("tcp://[^ ]*", "X", text) for text in notices] == [
-        "worker X has gone; 1 is left"
-    ]
+    assert [re.sub("tcp://[^ ]*", "X", text) for text in notices] == ["worker X is gone; 1 is left"]
     assert found.column("member").to_pylist() == list(range(300))
     assert_same(found, local(design, tmp_path / "b"))
 
@@ -191,7 +189,7 @@ def test_a_scheduler_that_goes_is_one_error(tmp_path):
         with (
             StudyDataset.open_or_create(tmp_path / "a", identity(3000)) as dataset,
             pytest.raises(
-                RunError, match=r"the connection to tcp://.* was lost; the same study goes"
+                RunError, match=r"the connection to tcp://.* was lost; run the same study again"
             ),
         ):
             run_on_cluster(

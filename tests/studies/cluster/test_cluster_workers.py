@@ -117,22 +117,22 @@ def test_a_study_waits_for_another_worker_where_one_is_excluded(
         local.scale(2)
 
     assert run(client, tmp_path / "a", notice=add) == 6
-    reason = f"it has numpy 0.1, needed {own['numpy']}"
+    reason = f"expected numpy {own['numpy']}, got 0.1"
     assert [text.replace(*_address(text)) for text in notices] == [
         f"worker X is not used: {reason}",
-        f"no worker can run the study: X: {reason}; waiting 20 s for a worker that can run it",
+        f"no worker can run the study: X: {reason}; waiting 20 s for a suitable worker",
     ]
 
 
 @pytest.mark.parametrize(
     ("key", "reason"),
     [
-        ("python", "it has Python other, needed 3"),
-        ("cosim", "it has cosim other, needed "),
-        ("content", "it has a cosim whose source has the hash other, needed "),
-        ("numpy", "it has numpy other, needed "),
-        ("scipy", "it has scipy other, needed "),
-        ("system", r"plant.fmu has no binary for .*-other; it has x86_64-linux;"),
+        ("python", "expected Python 3.*, got other"),
+        ("cosim", "expected cosim .*, got other"),
+        ("content", "expected a cosim whose source has the hash .*, got other"),
+        ("numpy", "expected numpy .*, got other"),
+        ("scipy", "expected scipy .*, got other"),
+        ("system", r"plant.fmu has no binary for .*-other; available: x86_64-linux;"),
     ],
 )
 def test_a_worker_that_differs_is_not_used(key, reason, client, tmp_path, monkeypatch):
@@ -151,7 +151,7 @@ def test_a_scheduler_that_differs_is_one_error(key, client, tmp_path, monkeypatc
     """It reads the tasks."""
     other = {**environment.describe_environment(), key: "other"}
     monkeypatch.setattr(worker_functions, "describe_environment", lambda: other)
-    with pytest.raises(UsageError, match=r"^the scheduler at inproc.* cannot read .*has \w+ other"):
+    with pytest.raises(UsageError, match=r"^the scheduler at inproc.* cannot read .*got other"):
         run(client, tmp_path / "a")
 
 
@@ -163,11 +163,11 @@ def test_a_scheduler_without_workers_is_one_error(local, tmp_path, monkeypatch):
     notices = []
     with (
         distributed.Client(local, set_as_default=False) as client,
-        pytest.raises(RunError, match=r"^the scheduler had no workers for 0 s; start some, as wi"),
+        pytest.raises(RunError, match=r"^the scheduler had no workers for 0 s; start some"),
     ):
         run(client, tmp_path / "a", notice=notices.append)
     (notice,) = notices
-    assert notice.startswith("the scheduler has no workers for the study; waiting 0 s for a worker")
+    assert notice.startswith("the scheduler has no workers for the study; waiting 0 s for a ")
 
 
 @pytest.mark.parametrize("is_direct", [True, False])
@@ -205,7 +205,7 @@ def test_a_large_file_does_not_pass_the_scheduler(client, tmp_path, monkeypatch)
     monkeypatch.setattr(admission, "MOST_RELAYED", 2_000_000)
     path = tmp_path / "large.csv"
     path.write_bytes(bytes(3_000_000))
-    with pytest.raises(UsageError, match=r"large.csv has 3 MB, and .* at most 2 MB pass through"):
+    with pytest.raises(UsageError, match=r"large.csv has 3 MB, and .* at most 2 MB are sent"):
         run(client, tmp_path / "a", files={str(path): hash_of(path)})
 
 
@@ -214,7 +214,7 @@ def test_a_file_that_changes_meanwhile_is_not_sent(client, tmp_path, monkeypatch
     monkeypatch.setattr(file_copies, "_has", lambda path, digest: False)
     path = tmp_path / "table.csv"
     path.write_bytes(b"1")
-    with pytest.raises(UsageError, match=r"table.csv was changed while the study ran; run it agai"):
+    with pytest.raises(UsageError, match=r"table.csv changed while the study ran; run it agai"):
         run(client, tmp_path / "a", files={str(path): "0" * 64})
 
 

@@ -33,7 +33,7 @@ def test_a_scheduler_that_is_not_there_is_one_error(address, clients):
     with (
         pytest.raises(
             UsageError,
-            match=r"cannot connect to a scheduler of dask at '.*' \(.*\); needed the addr",
+            match=r"cannot connect to a dask scheduler at '.*' \(.*\); expected the addr",
         ),
         connect(address),
     ):

@@ -16,7 +16,7 @@ from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.killed import complete, opened, processes
 from tests.studies.dataset.outcomes import add, identity, member, outcome, parts
 
-FULL = r"outcomes written so far are there: run the study again when that is mended, and it goes on"
+FULL = r"outcomes so far are saved: fix this and run the study again to continue"
 
 
 class FullDisk:
@@ -45,7 +45,7 @@ def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, monkeypatch, room
     dataset = opened(folder, 60, 10)
     with monkeypatch.context() as patch:
         patch.setattr(local_storage.os, "write", FullDisk(room))
-        with pytest.raises(DatasetWriteError, match=rf"No space left on device; the {FULL}"):
+        with pytest.raises(DatasetWriteError, match=rf"No space left on device; all {FULL}"):
             complete(dataset, seed=1, report=added.append)
         dataset.close()
     with opened(folder, 60, 10) as dataset:
@@ -150,7 +150,7 @@ def test_a_file_of_another_program_is_not_replaced(tmp_path, content):
     """Though it has the name of the description."""
     path = tmp_path / "study.json"
     path.write_text(content)
-    text = r"study\.json is not that of a dataset; give another folder, or remove it"
+    text = r"study\.json is not that of a dataset; choose another folder, or remove it"
     with pytest.raises(DatasetError, match=text):
         StudyDataset.open_or_create(tmp_path, identity(3), new=True)
     assert path.read_text() == content
@@ -160,14 +160,14 @@ def test_a_file_of_another_program_is_not_replaced(tmp_path, content):
 
 def test_an_empty_path_is_refused():
     """It would be the working directory."""
-    with pytest.raises(UsageError, match="found an empty path of a dataset; needed a folder"):
+    with pytest.raises(UsageError, match="got an empty path"):
         StudyDataset.open_or_create("", identity(3))
 
 
 def test_a_damaged_description_is_named(folder):
     """Whatever byte is damaged."""
     path = folder / "study.json"
-    problem = r"study.json( is damaged; take it from a copy, or new=True begins|: found format)"
+    problem = r"study.json( is damaged; .* new=True|: expected dataset format 1, got )"
     for damaged in flips(path.read_bytes()):
         path.write_bytes(damaged)
         with pytest.raises(DatasetError, match=problem):
@@ -181,7 +181,7 @@ def test_a_damaged_description_is_named(folder):
 def test_parts_without_a_description_are_refused(folder):
     """Nobody knows of which study they are."""
     (folder / "study.json").unlink()
-    problem = r"0009.parquet belongs to a dataset, but there is no study.json that says to which; "
+    problem = r"0009.parquet belongs to a dataset, but no study.json says to which; "
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open_or_create(folder, identity(30))
     assert len(parts(folder)) == 2
@@ -193,7 +193,7 @@ def test_a_damaged_line_of_the_journal_is_named(folder, line):
     path = folder / "_journal.jsonl"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([lines[0], line + "\n", *lines[1:]]))
-    problem = r"_journal.jsonl: line 2 is damaged; remove that line and run the study again: its m"
+    problem = r"_journal.jsonl: line 2 is damaged; remove that line and run the study again"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open(folder)
     path.write_text("".join([*lines, line]))
@@ -206,7 +206,7 @@ def test_a_damaged_line_of_the_journal_is_named(folder, line):
 def test_a_part_that_no_dataset_of_this_size_has_is_refused(folder):
     """As of a study that was planned otherwise."""
     (folder / "parts" / "part-0000000020-0000000023.parquet").touch()
-    problem = r"0023.parquet: no part of this dataset has these members; remove it and run the st"
+    problem = r"0023.parquet: not a part of this dataset; remove it and run the st"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open(folder)
 
@@ -215,7 +215,7 @@ def test_a_format_of_a_later_version_is_refused(folder):
     """With the version of cosim that reads it."""
     path = folder / "study.json"
     path.write_text(path.read_text().replace('"format": 1', '"format": 2'))
-    problem = r"found format 2 of a dataset, needed 1; read it with cosim 1.0, or give another fol"
+    problem = r"format 1, got 2; read it with cosim 1.0"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open(folder)
 
@@ -226,7 +226,7 @@ def test_a_description_with_other_content_is_refused(folder):
     content = json.loads(path.read_text())
     del content["checksum"], content["designs"]
     path.write_text(json.dumps({**content, "checksum": digest_of(content)}))
-    with pytest.raises(DatasetError, match=r"study.json: its content is that of another state of"):
+    with pytest.raises(DatasetError, match=r"study.json: written by another revision of"):
         StudyDataset.open(folder)
 
 
@@ -234,7 +234,7 @@ def test_a_description_with_other_content_is_refused(folder):
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     """As the system says it."""
     tmp_path.chmod(0o500)
-    with pytest.raises(DatasetError, match="Permission denied; needed a folder that can be writ"):
+    with pytest.raises(DatasetError, match="Permission denied; expected a writable folder"):
         StudyDataset.open_or_create(tmp_path, identity(5))
 
 
@@ -242,7 +242,7 @@ def test_a_part_that_is_removed_while_it_is_read_is_named(folder):
     """As by a study that begins anew."""
     dataset = StudyDataset.open(folder)
     (folder / "parts" / parts(folder)[0]).unlink()
-    with pytest.raises(DatasetError, match=r"0009.parquet: it was removed while it was read"):
+    with pytest.raises(DatasetError, match=r"0009.parquet: removed while it was being read"):
         dataset.read()
 
 

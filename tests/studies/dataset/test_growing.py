@@ -67,7 +67,7 @@ def test_a_grid_grows_at_the_end_of_its_first_key(tmp_path):
         ([10.0, 20.0], [1.0, 2.0, 3.0, 4.0], "member 3 was observer.filter_rate = 20.0, is 10.0"),
         ([5.0, 10.0, 20.0], [1.0, 2.0, 3.0], "member 0 was observer.filter_rate = 10.0, is 5.0"),
         ([10.0, 20.0], [1.0, 2.0, 3.5], "member 2 was identifier.P0 = 3.0, is 3.5"),
-        ([10.0], [1.0, 2.0, 3.0], "member 5 is recorded, and 3 members are planned"),
+        ([10.0], [1.0, 2.0, 3.0], "member 5 is recorded, but only 3 members are planned"),
     ],
 )
 def test_a_grid_that_changed_otherwise_is_refused(tmp_path, first, second, problem):

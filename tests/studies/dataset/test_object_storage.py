@@ -124,7 +124,7 @@ def test_kinds_of_storage_that_are_unknown_are_refused(tmp_path, monkeypatch):
     with pytest.raises(DatasetError, match="nothing://x: Protocol not known: nothing"):
         StudyDataset.open("nothing://x")
     monkeypatch.setitem(sys.modules, "fsspec", None)
-    problem = r"s3://x: a dataset elsewhere than in a folder needs fsspec, which is not installed"
+    problem = r"s3://x: a dataset outside of a local folder needs fsspec, which is not installed"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open("s3://x")
     place = f"file://{tmp_path}/x%20y"

@@ -134,7 +134,7 @@ def test_studies_without_pyarrow_are_refused(tmp_path, monkeypatch):
     assert not (tmp_path / "x").exists()
 
 
-def test_what_is_no_study_is_refused(tmp_path):
-    """With what was needed."""
-    with pytest.raises(DatasetError, match=r"there is no study.json; needed the dataset of a stud"):
+def test_a_folder_without_a_study_is_refused(tmp_path):
+    """With what was expected."""
+    with pytest.raises(DatasetError, match=r"no study.json there; expected the dataset of a stud"):
         cosim.open_study(tmp_path)

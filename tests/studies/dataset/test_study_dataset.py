@@ -78,7 +78,7 @@ def test_a_study_that_was_planned_larger_than_it_went_can_end_before(tmp_path):
     with StudyDataset.open_or_create(tmp_path, identity(15)) as dataset:
         add(dataset, [13, 14])
     assert parts(tmp_path)[-1] == "part-0000000010-0000000014.parquet"
-    problem = "member 14 is recorded, and 12 members are planned; a study can only grow"
+    problem = "member 14 is recorded, but only 12 members are planned; a study can only grow"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open_or_create(tmp_path, identity(12))
     assert StudyDataset.open(tmp_path).layout.total == 15
@@ -160,7 +160,7 @@ def test_a_part_that_a_task_writes_twice_is_there_once(tmp_path):
         assert dataset.read(["member"])["member"].to_pylist() == [10, 11, 12, 13, 14]
     with StudyDataset.open_or_create(tmp_path, identity(3, version="2.0"), new=True):
         pass
-    with pytest.raises(DatasetError, match="holds the dataset of another study by now; give each"):
+    with pytest.raises(DatasetError, match="now holds the dataset of another study"):
         StudyDataset.open(tmp_path, sha256=dataset.sha256)
 
 
@@ -248,7 +248,7 @@ def test_another_study_is_refused_by_what_differs(tmp_path):
         f"{tmp_path} holds the dataset of another study: it was made by cosim 1.0, this is 2.0; "
         "key scenario.stop changed; FMU plant.fmu is no longer part of it; the metrics changed; "
         "observer.filter_rate is no longer varied; the values of noise.seed were of type int64, "
-        "are double; give another folder, or new=True, which removes it and begins anew"
+        "are double; choose another folder, or use new=True to delete it and start over"
     )
     assert len(StudyDataset.open(tmp_path)) == 5
     with StudyDataset.open_or_create(tmp_path, other, new=True) as dataset:
@@ -298,7 +298,7 @@ def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
     with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
         add(dataset, [0])
         problem = (
-            r"another study is writing there \(process \d+ on .*\); wait until it ends, or give"
+            r"another study is writing there \(process \d+ on .*\); wait until it ends, or choose"
         )
         with pytest.raises(DatasetError, match=problem):
             StudyDataset.open_or_create(tmp_path, identity(5))
@@ -310,18 +310,18 @@ def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
 
 
 def test_a_dataset_needs_a_folder_and_to_be_read_its_description(tmp_path):
-    with pytest.raises(DatasetError, match=r"there is no study.json; needed the dataset of a"):
+    with pytest.raises(DatasetError, match=r"no study.json there; expected the dataset of a"):
         StudyDataset.open(tmp_path)
     file = tmp_path / "file"
     file.touch()
-    with pytest.raises(DatasetError, match=r"file: .*; needed a folder that can be written"):
+    with pytest.raises(DatasetError, match=r"file: .*; expected a writable folder"):
         StudyDataset.open_or_create(file, identity(5))
 
 
 @pytest.mark.parametrize("name", ["steps", "log", "noise.seed"])
 def test_two_columns_of_one_name_are_refused(tmp_path, name):
     """A metric with the name of a parameter, or of a column that every dataset has."""
-    problem = f"metric '{name}': a dataset has another column of that name; needed another name"
+    problem = f"metric '{name}': a column of the dataset already has this name"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open_or_create(
             tmp_path / "x", identity(5, of=(*columns(), metric_column(name)))

@@ -126,19 +126,19 @@ def test_a_parquet_table_has_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "has no rows; needed a line of keys, and a row for each case"),
+        ("", "has no rows"),
         ("a.x,a.y\n", "has no rows"),
-        ("a.x,a.y\n1,2\n3\n", "line 3: found 1 cells, needed 2; a cell with commas needs double"),
-        ("a.x\n[1,2]\n", "line 2: found 2 cells, needed 1; a cell with commas needs double quotes"),
+        ("a.x,a.y\n1,2\n3\n", "line 3: .*2 cells, got 1"),
+        ("a.x\n[1,2]\n", "line 2: .*1 cells, got 2"),
         ('a.x\n"1\n', "line 3: unexpected end of data"),
-        ("a.x,a.x\n1,2\n", "two columns 'a.x'; needed a key for each column"),
+        ("a.x,a.x\n1,2\n", "two columns 'a.x'"),
         ("a.x,components.a.x\n1,2\n", "two columns 'components.a.x'"),
-        ("a.x;a.y\n1,5;2\n", "found ';' between its columns; needed commas, and points in numbers"),
-        ("a.x\ta.y\n1\t2\n", r"found '\\t' between its columns; needed commas"),
-        ("a.x,\n1,2\n", r"a column without a name; needed a key for each column \(of pandas: "),
-        ("plant\n3\n", "column 'plant': found 3; needed a path, or a key with a dot"),
+        ("a.x;a.y\n1,5;2\n", "got ';' between columns"),
+        ("a.x\ta.y\n1\t2\n", r"got '\\t' between columns"),
+        ("a.x,\n1,2\n", r"a column without a name.* \(of pandas: "),
+        ("plant\n3\n", "column 'plant': .*got 3"),
         ("a.x\n" + 60 * "[" + 60 * "]" + "\n", r"column 'a.x': .*nested"),
-        ("a.x\n1979-05-27\n", r"column 'a.x': found datetime.date\(1979, 5, 27\); needed a number"),
+        ("a.x\n1979-05-27\n", r"column 'a.x': .*datetime.date\(1979, 5, 27\)"),
     ],
 )
 def test_what_is_no_table_of_cases_is_refused(write, text, message):
@@ -158,7 +158,7 @@ def test_other_files_are_refused(tmp_path, write):
     """Missing ones, those of other types, and Parquet files that are none."""
     with pytest.raises(UsageError, match=r"cases.csv' cannot be read: No such file"):
         read_cases(tmp_path / "cases.csv")
-    with pytest.raises(UsageError, match=r"found '.*x.txt'; needed a path that ends in .csv or"):
+    with pytest.raises(UsageError, match=r"got '.*x.txt'"):
         read_cases(tmp_path / "x.txt")
     with pytest.raises(UsageError, match=r"x.parquet' cannot be read as Parquet: "):
         read_cases(write("a", "x.parquet"))
@@ -167,5 +167,5 @@ def test_other_files_are_refused(tmp_path, write):
     with pytest.raises(UsageError, match=r"y.parquet' has no rows"):
         read_cases(path)
     parquet.write_table(pyarrow.table({"a.x": [b"1"]}), path)
-    with pytest.raises(UsageError, match=r"y.parquet', column 'a.x': found b'1'; needed"):
+    with pytest.raises(UsageError, match=r"y.parquet', column 'a.x': .*b'1'"):
         read_cases(path)

@@ -210,7 +210,7 @@ def test_a_column_of_no_component_is_named(tmp_path):
     """Such as one of comments."""
     path = tmp_path / "cases.csv"
     path.write_text("observer.filter_rate,note\n100.0,good\n")
-    text = r"cases\.csv', column 'note': there is no component 'note' to swap, and keys have a dot"
+    text = r"cases\.csv', column 'note': no component 'note' to swap, and keys have a dot"
     with pytest.raises(UsageError, match=text):
         planned(cases=path)
 
@@ -286,8 +286,7 @@ def test_a_choice_is_drawn(tmp_path):
     [
         (
             {"vary": THETA},
-            r"--samples: found none, and 'delta.terms\[0\].theta' has a distribution; needed how "
-            "often it is drawn, such as --samples 100",
+            r"--samples: .*'delta.terms\[0\].theta'.*got none",
         ),
         (
             {"samples": 10},
@@ -297,44 +296,44 @@ def test_a_choice_is_drawn(tmp_path):
         ({"sampling": "sobol"}, "--sampling: nothing is drawn: no key has a distribution"),
         (
             {"vary": THETA, "samples": 2, "cases": "x.csv"},
-            r"found both --cases and distributions \('delta.terms\[0\].theta'\); needed one",
+            r"--cases or distributions \('delta.terms\[0\].theta'\)",
         ),
         ({"cases": "x.csv"}, r"file '.*x.csv' cannot be read"),
-        ({"replay": "field-*.mcap"}, r"--replay: no file matches '.*field-\*.mcap'; needed logs"),
-        ({"replay": __file__}, r"--replay: .*: expected a log \(.mcap\)"),
+        ({"replay": "field-*.mcap"}, r"--replay: .*no file matches '.*field-\*.mcap'"),
+        ({"replay": __file__}, r"--replay: .*: expected a log"),
         (
             {"vary": {**THETA, "delta.terms": [[]]}, "samples": 2},
-            r"found both 'delta.terms' and 'delta.terms\[0\].theta'; needed one of them",
+            r"'delta.terms' and 'delta.terms\[0\].theta'",
         ),
         (
             {"vary": {"plant.x_a0": [[0.0, 1.0]]}, "set": {"plant.x_a0[1]": 1.0}},
-            r"found both 'plant.x_a0' and 'plant.x_a0\[1\]', varied and set; needed one of them",
+            r"'plant.x_a0' and 'plant.x_a0\[1\]', got both, varied and set",
         ),
         (
             {"vary": {"sensor.seed": [1, 2]}, "seeds": 2},
-            "found both 'sensor.seed' and 'sensor.seed'; needed one of them",
+            "'sensor.seed' and 'sensor.seed'",
         ),
         (
             {"vary": {"u.rate": {"linear": [1.0, 2.0], "points": 100_000}}, "seeds": 20_000},
-            "found 20000 x 100000 = 2000000000 members; needed at most 20000000",
+            "20000000 members, got 20000 x 100000 = 2000000000",
         ),
         (
             {"vary": {"plant.x_a0": {"tolerance": 0.1}}, "samples": 2},
-            r"--vary plant.x_a0: a tolerance is relative to a number; found \[1.0, -1.0\]; name an "
+            r"--vary plant.x_a0: a tolerance is relative to a number; got \[1.0, -1.0\]; name an "
             r"element: plant.x_a0\[0\]",
         ),
         (
             {"vary": {"observer.x_a0[0]": {"tolerance": 0.1}}, "samples": 2},
             "--vary observer.x_a0.0.: a tolerance is relative to the scenario's own value, which "
-            "is 0; needed another distribution",
+            "is 0; .*another distribution",
         ),
         (
             {"vary": {"plant.x0": {"tolerance": 0.1}}, "samples": 2},
-            "--vary plant.x0: the scenario has no value of it that a tolerance could be relative",
+            "--vary plant.x0: the scenario sets no value that the tolerance could be relative",
         ),
         (
             {"vary": {"u.rate": {"lognormal": [1.0, 1e3]}}, "samples": 20},
-            r"--vary u.rate: lognormal of \[1.0, 1000.0\] gives inf; needed numbers that stay",
+            r"--vary u.rate: lognormal of \[1.0, 1000.0\] gives inf",
         ),
     ],
 )
@@ -347,13 +346,13 @@ def test_what_does_not_go_together_is_refused(options, message):
 def test_seeds_need_a_source_of_noise():
     """Else all members would be the same."""
     study = read_study("academic").with_options(seeds=3)
-    with pytest.raises(UsageError, match="seeds: nothing in the scenario has a seed; needed a"):
+    with pytest.raises(UsageError, match="seeds: nothing in the scenario has a seed"):
         plan_design(study, cosim.load("academic"))
 
 
 def test_a_member_that_is_not_there_is_refused():
     """By its number."""
-    with pytest.raises(UsageError, match="there is no member 6; there are 6, numbered from 0"):
+    with pytest.raises(UsageError, match="no member 6; the study has 6"):
         planned(vary=RATES).member(6)
 
 

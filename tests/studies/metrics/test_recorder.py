@@ -118,7 +118,7 @@ def test_before_a_run_there_are_no_values():
     """None of them, rather than those of no rows."""
     metrics = parse_metrics({"m": "last(plant.y)", "t": "last(t)"})
     assert MetricRecorder(metrics).values() == {"m": None, "t": None}
-    with pytest.raises(UsageError, match="found no component in the run; needed one"):
+    with pytest.raises(UsageError, match="one component in the run, got none"):
         parse_metrics({"t": "last(t)"}).of(Memory())
 
 

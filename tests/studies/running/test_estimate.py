@@ -64,7 +64,7 @@ def test_kept_logs_are_counted(keep, count):
 def test_a_member_that_fails_is_no_measure(planned, tmp_path):
     """It is named with its reason."""
     (tmp_path / "x.toml").write_text(SCENARIO + 'v = { kind = "expression", y = "1/(t - 0.5)" }\n')
-    with pytest.raises(UsageError, match="each of the first 7 members failed, so that the others"):
+    with pytest.raises(UsageError, match="each of the first 7 members failed, so the others"):
         estimate_study(planned(), 1)
 
 

@@ -79,11 +79,11 @@ def test_the_folder_has_the_logs_of_the_members_that_are_kept_now(run, tmp_path)
     study, notices = run((1.0, 2.0, 3.0, 4.0), keep="worst 1 of y")
     assert set(study.logs) == {3}
     (text,) = notices
-    assert text.startswith("removed the logs of member 2, which keep does not name any more")
+    assert text.startswith("removed the logs of member 2, which keep no longer names")
     (tmp_path / "out" / "logs" / "1.mcap").write_bytes(b"mine")
     study, notices = run((1.0, 2.0, 3.0, 4.0), keep=[0])
     assert set(study.logs) == {0, 1}
-    assert notices[1].startswith("keep does not name member 1, whose logs stay")
+    assert notices[1].startswith("keep does not name member 1, whose logs are left in place")
     assert set(run((1.0, 2.0, 3.0, 4.0))[0].logs) == {0, 1}
 
 
@@ -93,8 +93,8 @@ def test_a_log_that_was_cut_short_is_made_again(run):
     Path(study.logs[1]).write_bytes(whole[1][:1000])
     study, notices = run(keep=[0, 1])
     assert notices == [
-        "the logs of member 1 are not as this study wrote them, cut short or replaced: they are "
-        "made again"
+        "the logs of member 1 were cut short or replaced since this study wrote them: they are "
+        "written again"
     ]
     assert len(cosim.open_log(study.logs[1])["u.y"]) == len(cosim.open_log(study.logs[0])["u.y"])
     assert run(keep=[0, 1])[1] == []
@@ -111,7 +111,8 @@ def test_a_log_that_differs_from_the_recorded_run_is_never_removed(run):
     study, notices = run(keep=[2])
     assert set(study.logs) == {1, 2}
     assert notices == [
-        "keep does not name member 1, whose logs stay: another run may come to something else"
+        "keep does not name member 1, whose logs are left in place: another run may give another "
+        "result"
     ]
 
 
@@ -168,8 +169,8 @@ def test_logs_are_made_here_where_no_worker_reaches_the_dataset(run, tmp_path):
         keep_logs(plan, dataset, workers=1, notice=notices.append, client=Unreached())
     assert set(study.logs) == {1}
     assert notices == [
-        f"logs are made on this machine, as no worker of the cluster reaches {tmp_path / 'out'}; "
-        "on storage that they reach, such as s3://, they make them"
+        "logs are written on this machine, as no worker of the cluster reaches "
+        f"{tmp_path / 'out'}; with storage that workers reach, such as s3://, they write them"
     ]
 
 
@@ -204,7 +205,7 @@ def test_what_is_left_of_failed_members_is_kept_and_the_others_are_named(tmp_pat
     assert log.steps >= 1
     assert cosim.open_log(study.logs[3]).status == "failed"
     (text,) = notices
-    assert text.startswith("no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, before")
+    assert text.startswith("no log of 1 failed member that is kept: 2 (crashes: SIGSEGV before")
     left = sorted(path.name for path in (tmp_path / "out" / "logs").iterdir())
     assert left == ["1.mcap", "3.mcap"]
     made = [(tmp_path / "out" / "logs" / name).stat().st_mtime_ns for name in left]
@@ -245,7 +246,7 @@ def test_a_log_that_failed_for_another_reason_is_made_again(run, tmp_path):
         keeper.take(outcome, recorded)
         assert 0 not in logs.records
         keeper.take(replace(outcome, reason="crashes: SIGSEGV"), recorded)
-        assert logs.records[0].problem == "crashes: SIGSEGV, before a row of its log was written"
+        assert logs.records[0].problem == "crashes: SIGSEGV before a row of its log was written"
 
 
 def test_keeping_has_a_progress_of_its_own(run):
@@ -258,7 +259,7 @@ def test_keeping_has_a_progress_of_its_own(run):
 
 def test_the_metric_of_kept_logs_is_a_number(tmp_path):
     """What results say is known when one member has run; the dataset is not begun."""
-    with pytest.raises(UsageError, match="keep: 'nothing' is no number that members have"):
+    with pytest.raises(UsageError, match="keep: 'nothing' is not a numeric metric"):
         cosim.study(
             "academic",
             set={"scenario.stop": 0.1},

@@ -55,11 +55,11 @@ def test_workers_put_logs_where_the_dataset_is(two_workers, study, tmp_path, mon
         assert log.status == ("complete", "failed")[number]
         assert log.content_hash() == cosim.open_log(shared.logs[number]).content_hash()
     assert notices == [
-        "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, and what it left of a "
-        "log is lost with its process)"
+        "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV; its partial log "
+        "is lost with its process)"
     ]
     assert others == [
-        "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, before a row of its log "
+        "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV before a row of its log "
         "was written)"
     ]
     assert len(list((tmp_path / "out" / "logs").iterdir())) == 2

@@ -1,6 +1,7 @@
 """Studies from their file to their dataset: run, resumed, grown, refused, kept."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -70,14 +71,14 @@ def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
     ("changed", "text"),
     [
         ({"metrics": {"error": "rms(plant.y)"}}, "the metrics changed"),
-        ({"set": {"scenario.stop": 0.4}}, "study: key scenario.stop changed; give"),
+        ({"set": {"scenario.stop": 0.4}}, "study: key scenario.stop changed; choose"),
         (
             {"set": {**SHORT, "observer.L": [3.0, 0.5]}},
-            "study: key components.observer changed; give",
+            "study: key components.observer changed; choose",
         ),
         (
             {"set": {**SHORT, "scenario.until": "t > 0.2"}},
-            "study: key scenario.until is new; give",
+            "study: key scenario.until is new; choose",
         ),
         (
             {"vary": {"observer.filter_rate": {"log": [10.0, 1e4], "points": 6}}},
@@ -135,7 +136,7 @@ def test_workers_do_not_change_what_members_come_to(grid, tmp_path):
         ({"metrics": {"a": "rms(observer.delt)"}}, "did you mean 'delta'"),
         ({"metrics": {"a": "observer.delta"}}, "metrics.a"),
         ({"workers": 0}, "workers"),
-        ({"keep": "worst 3 of b"}, "there is no metric 'b'"),
+        ({"keep": "worst 3 of b"}, "no metric 'b'"),
         ({"swap": {"plant": "none.fmu"}}, "none.fmu"),
     ],
 )
@@ -336,13 +337,13 @@ def test_members_with_refused_draws_fail_and_no_others(tmp_path):
     notices = []
     done = cosim.study(study, out=tmp_path / "x", workers=1, notice=notices.append)
     assert sorted(done.failures) == np.flatnonzero(drawn < 0.0).tolist()
-    assert all("noise: expected" in reason for reason in done.failures.values())
+    assert all("noise: " in reason for reason in done.failures.values())
     (notice,) = notices
     assert notice.startswith("member 0 will fail: ")
-    assert "noise: expected" in notice
+    assert re.search(r"noise: .*-\d", notice)
     assert estimate_study(plan_study(study), 1).members == 5
     hopeless = study.with_options(vary={"sensor.noise": {"uniform": [-2.0, -1.0]}})
-    with pytest.raises(UsageError, match=r"member 0: .*noise: .*got -"):
+    with pytest.raises(UsageError, match=r"member 0: .*noise: .*-\d"):
         cosim.study(hopeless, out=tmp_path / "y")
 
 

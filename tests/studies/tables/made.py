@@ -2,6 +2,7 @@
 
 import numpy as np
 import pyarrow
+from scipy import stats
 
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
@@ -78,3 +79,18 @@ def tolerances(count=200):
     )
     layout = StudyLayout("random", samples=count + 10, parameters=parameters)
     return study, results_of_study(study, layout)
+
+
+def saltelli_study():
+    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 has a failure."""
+    rng = np.random.default_rng(0)
+    points = stats.qmc.Sobol(4, rng=rng).random(256)
+    of_a, of_b = points[:, :2], points[:, 2:]
+    mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
+    rows = np.concatenate([of_a, of_b, *mixed])
+    status = np.full(1024, "complete", object)
+    status[256 + 4] = "failed"
+    columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
+    study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
+    layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
+    return results_of_study(study, layout)

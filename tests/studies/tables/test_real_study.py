@@ -17,7 +17,6 @@ from cosim.studies.design.commands import run_command
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
 from cosim.studies.members.runner import open_runner
-from cosim.studies.plots import plot_study
 from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.show import ShownParts, show_study
 
@@ -36,7 +35,7 @@ STUDY = """
 [study]
 scenario = "ishigami.toml"
 sampling = "saltelli"
-samples = 1024
+samples = SAMPLES
 [vary]
 "a.value" = { uniform = [-3.141592653589793, 3.141592653589793] }
 "b.value" = { uniform = [-3.141592653589793, 3.141592653589793] }
@@ -48,15 +47,20 @@ made = "last(made.y)"
 
 @pytest.fixture(scope="module")
 def ishigami(tmp_path_factory):
-    """Return the study, its file, its design and its place."""
-    folder = tmp_path_factory.mktemp("ishigami")
+    """Return a study of 64 base points, its file and its design."""
+    return studied(tmp_path_factory.mktemp("ishigami"), 64)
+
+
+def studied(folder, samples):
+    """Return the study of a number of base points, its file and its design."""
+    text = STUDY.replace("SAMPLES", str(samples))
     (folder / "ishigami.toml").write_text(SCENARIO)
-    (folder / "study.toml").write_text(STUDY)
+    (folder / "study.toml").write_text(text)
     study = read_study(str(folder / "study.toml"))
     design = plan_design(study, cosim.load(str(folder / "ishigami.toml")))
     columns = [parameter_column(name, design.column(name)) for name in design.names]
     columns.append(metric_column("made", "last(made.y)"))
-    identity = StudyIdentity(study.name, STUDY, {}, tuple(columns), len(design))
+    identity = StudyIdentity(study.name, text, {}, tuple(columns), len(design))
     with (
         StudyDataset.open_or_create(folder / "data", identity) as dataset,
         open_runner(study.subject) as runner,
@@ -66,9 +70,10 @@ def ishigami(tmp_path_factory):
     return open_study(folder / "data"), study, design
 
 
-def test_sobol_indices_of_a_study_are_those_of_the_closed_form(ishigami, capsys):
+@pytest.mark.slow
+def test_sobol_indices_of_a_study_are_those_of_the_closed_form(tmp_path, capsys):
     """Within 0.02 of them, of 5120 runs."""
-    study, _, design = ishigami
+    study, _, design = studied(tmp_path, 1024)
     results = results_of_study(study, StudyLayout.of(design))
     print_sobol(results, as_json=True)
     content = json.loads(capsys.readouterr().out)["made"]
@@ -82,7 +87,7 @@ def test_sobol_indices_of_a_study_are_those_of_the_closed_form(ishigami, capsys)
     assert content["base_points"] == 1024
 
 
-def test_a_study_and_its_members_are_shown(ishigami, capsys, tmp_path):
+def test_a_study_and_its_members_are_shown(ishigami, capsys):
     """The command of a member is the one that runs it."""
     study, file, design = ishigami
     layout = StudyLayout.of(design)
@@ -95,7 +100,7 @@ def test_a_study_and_its_members_are_shown(ishigami, capsys, tmp_path):
         return capsys.readouterr().out
 
     out = shown(conditions=("made > 0",))
-    assert "saltelli: 1024 base points x 5; 5120 of 5120 members done, none failed" in out
+    assert "saltelli: 64 base points x 5; 320 of 320 members done, none failed" in out
     assert "made > 0" in out
     row = study.table(members=[7]).to_pylist()[0]
     out = shown(member=7)
@@ -104,19 +109,17 @@ def test_a_study_and_its_members_are_shown(ishigami, capsys, tmp_path):
     assert json.loads(shown(member=7, as_json=True))["made"] == row["made"]
     assert "standard deviation" in shown(metrics=("made",))
     assert list(json.loads(shown(sobol=True, as_json=True))) == ["made"]
-    plot_study(results_of_study(study, layout), tmp_path / "sobol.png")
-    assert (tmp_path / "sobol.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"member": 5120}, r"found member 5120, needed one from 0 to 5119"),
+        ({"member": 320}, r"0 to 319, got 320"),
         ({"metrics": ("mad",)}, r"the study has no metric 'mad'; did you mean 'made'"),
-        ({"conditions": ("made",)}, r"condition 'made': found 'made'; needed a metric, a compar"),
+        ({"conditions": ("made",)}, r"condition 'made': .*got 'made'"),
     ],
 )
-def test_what_cannot_be_shown_is_an_error(ishigami, parts, message):
+def test_parts_that_cannot_be_shown_are_an_error(ishigami, parts, message):
     """Found before anything is printed."""
     study, _, design = ishigami
     with pytest.raises(UsageError, match=message):
@@ -126,11 +129,11 @@ def test_what_cannot_be_shown_is_an_error(ishigami, parts, message):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"worst": -1}, r"--worst: found -1, needed 0 or more"),
-        ({"member": 1, "sobol": True}, r"found --member and --sobol; needed one of them"),
-        ({"member": 1, "metrics": ("a",)}, r"found --member and --metric; needed one of them"),
-        ({"conditions": ("a < 1",), "sobol": True}, r"found --pass and --sobol; needed one of"),
-        ({"by": "a", "sobol": True}, r"found --by and --sobol; needed one of"),
+        ({"worst": -1}, r"--worst: .*0 or more, got -1"),
+        ({"member": 1, "sobol": True}, r"--member and --sobol"),
+        ({"member": 1, "metrics": ("a",)}, r"--member and --metric"),
+        ({"conditions": ("a < 1",), "sobol": True}, r"--pass and --sobol"),
+        ({"by": "a", "sobol": True}, r"--by and --sobol"),
     ],
 )
 def test_options_that_do_not_go_together_are_an_error(parts, message):

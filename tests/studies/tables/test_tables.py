@@ -17,7 +17,7 @@ from cosim.studies.tables.metric import print_metrics
 from cosim.studies.tables.numbers import interval_text, members_text, text_with_half_width
 from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.study import print_study
-from tests.studies.tables.made import MadeStudy, command_of, tolerances
+from tests.studies.tables.made import MadeStudy, command_of, saltelli_study, tolerances
 
 
 def printed(capsys):
@@ -34,8 +34,7 @@ def test_a_study_says_what_is_done_and_what_is_not(capsys):
         "204, and 5 more), 3 failed"
     )
     assert second == (
-        "wall time: 0.25 s a member, the median of those completed; at most 0.25 s a member that "
-        "failed"
+        "wall time: median 0.25 s per member that completed; at most 0.25 s per failed member"
     )
 
 
@@ -69,7 +68,7 @@ def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
     largest = ", ".join(f"{k}: {rms[k]:.6g}" for k in worst)
     assert ["rms", f"{np.nanargmin(rms)}: {kept.min():.6g}", largest] in lines
     assert ["settling", "plant.mass +0.86"] in lines
-    assert ["those that chance alone makes in 1 of 20 studies are left out"] in lines
+    assert ["correlations not significant at the 5 % level are omitted"] in lines
 
 
 def test_json_has_all_of_it(capsys):
@@ -103,17 +102,15 @@ def test_two_members_are_said_to_be_too_few(capsys):
     results = results_of_study(study, StudyLayout("random", samples=2))
     print_study(results, command_of)
     lines = printed(capsys)
-    assert ["rank correlations: none, of fewer than 10 members"] in lines
-    assert ["± may be too small, as of few members or skewed values: y"] in lines
+    assert ["rank correlations: none for fewer than 10 members"] in lines
+    assert ["± may be too small (few members or skewed values): y"] in lines
     print_metrics(results, ["y"])
     lines = printed(capsys)
-    assert ["rank correlations: none, of fewer than 10 members"] in lines
-    assert [
-        "the interval of the mean may be too short, as of few members or skewed values"
-    ] in lines
+    assert ["rank correlations: none for fewer than 10 members"] in lines
+    assert ["the interval of the mean may be too narrow (few members or skewed values)"] in lines
 
 
-def test_what_chance_makes_is_not_called_a_strong_parameter(capsys):
+def test_correlations_of_chance_are_not_called_strong(capsys):
     """Of 40 members +0.2 says nothing, and the one that changes the metric is shown alone."""
     rng = np.random.default_rng(4)
     cause, other = rng.normal(size=(2, 40))
@@ -137,8 +134,8 @@ def test_members_that_hung_do_not_change_how_long_one_takes(capsys):
     }
     results = results_of_study(MadeStudy(columns, (), ("y",)), StudyLayout("random", samples=10))
     print_study(results, command_of)
-    expected = "wall time: 0.5 s a member, the median of those completed; at most 60 s a member"
-    assert printed(capsys)[1] == [f"{expected} that failed"]
+    expected = "wall time: median 0.5 s per member that completed; at most 60 s per failed member"
+    assert printed(capsys)[1] == [expected]
     print_study(results, command_of, as_json=True)
     assert json.loads(capsys.readouterr().out)["median_wall_time"] == 0.5
 
@@ -151,7 +148,7 @@ def test_a_study_in_which_every_member_failed_says_so(capsys):
     lines = printed(capsys)
     assert lines[0][0].startswith("tolerances: grid of 4; 4 of 4 members done, 4 failed")
     assert ["4", "0, 1, 2, 3", "crashed"] in lines
-    assert ["wall time: 0.25 s a member that failed, the median"] in lines
+    assert ["wall time: median 0.25 s per failed member"] in lines
 
 
 def test_a_study_that_has_not_begun_has_no_figures(capsys):
@@ -220,26 +217,11 @@ def test_a_member_that_is_not_done_is_an_error():
     """Nor is there one beyond the last."""
     _, results = tolerances()
     check_is_done(199, results)
-    with pytest.raises(UsageError, match=r"member 205 is not done yet: run the study again"):
+    with pytest.raises(UsageError, match=r"member 205 has not run yet"):
         check_is_done(205, results)
     for number in (-1, 210):
-        with pytest.raises(UsageError, match=rf"found member {number}, needed one from 0 to 209"):
+        with pytest.raises(UsageError, match=rf"from 0 to 209, got {number}"):
             check_is_done(number, results)
-
-
-def saltelli_study():
-    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 has a failure."""
-    rng = np.random.default_rng(0)
-    points = stats.qmc.Sobol(4, rng=rng).random(256)
-    of_a, of_b = points[:, :2], points[:, 2:]
-    mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
-    rows = np.concatenate([of_a, of_b, *mixed])
-    status = np.full(1024, "complete", object)
-    status[256 + 4] = "failed"
-    columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
-    study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
-    layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
-    return results_of_study(study, layout)
 
 
 def test_sobol_indices_are_printed(capsys):
@@ -252,15 +234,15 @@ def test_sobol_indices_are_printed(capsys):
     assert [line[0] for line in lines[2:5]] == ["p", "q", "sum"]
     assert abs(float(lines[2][1]) - 9.0 / 13.0) < 0.02
     assert abs(float(lines[3][3]) - 4.0 / 13.0) < 0.02
-    assert ["of 255 base points; 95 % intervals: rough, by a bootstrap over them"] in lines
-    assert lines[-1][0].startswith("left out: 1 base point with a member that failed")
-    assert lines[-1][0].endswith(": 4; the indices are biased where parameters decide that")
-    assert "Sobol indices of 'z': found one value in all members" in captured.err
+    assert ["of 255 base points; 95 % intervals: rough (bootstrap)"] in lines
+    assert lines[-1][0].startswith("omitted: 1 base point with a member that failed")
+    assert lines[-1][0].endswith(": 4; the indices are biased if this depends on the parameters")
+    assert "Sobol indices of 'z': expected a metric that depends on the parameters" in captured.err
     print_sobol(results, as_json=True)
     assert list(json.loads(capsys.readouterr().out)) == ["y"]
-    with pytest.raises(UsageError, match=r"'z': found one value"):
+    with pytest.raises(UsageError, match=r"'z': .*same value"):
         print_sobol(results, ["z"])
-    with pytest.raises(UsageError, match=r"needed 'saltelli'"):
+    with pytest.raises(UsageError, match=r"'saltelli'"):
         print_sobol(tolerances()[1])
 
 
@@ -305,7 +287,9 @@ def test_groups_of_few_members_are_said_to_have_rough_means(capsys):
     columns = {"rate": np.array([10.0, 100.0])[numbers % 2], "y": np.sqrt(numbers)}
     study = MadeStudy(columns, ("rate",), ("y",))
     print_groups(results_of_study(study, StudyLayout("grid", seeds=5, grid=2)), "rate")
-    assert printed(capsys)[-1] == ["± may be too small in groups of few members or skewed values"]
+    assert printed(capsys)[-1] == [
+        "± may be too small for groups of few members or with skewed values"
+    ]
 
 
 def seeded_grid():
@@ -344,7 +328,7 @@ def test_each_value_of_a_key_has_statistics(capsys):
     ("key", "metrics", "message"),
     [
         ("rat", (), r"the study does not vary 'rat'; did you mean 'rate'"),
-        ("rate", ("z",), r"the study has no metric 'z'; there is: y"),
+        ("rate", ("z",), r"the study has no metric 'z'; .*: y"),
     ],
 )
 def test_groups_of_what_is_not_there_are_an_error(key, metrics, message):
@@ -355,5 +339,5 @@ def test_groups_of_what_is_not_there_are_an_error(key, metrics, message):
 
 def test_a_key_of_very_many_values_has_no_groups():
     """One that is drawn from a continuous distribution."""
-    with pytest.raises(UsageError, match=r"'plant.mass': found 300 values, needed at most 200"):
+    with pytest.raises(UsageError, match=r"'plant.mass': .*at most 200 values.*got 300"):
         print_groups(tolerances(300)[1], "plant.mass")

@@ -38,7 +38,7 @@ def test_a_tuning_on_a_cluster_is_that_on_one_machine(two_workers, lag, tmp_path
 
 @pytest.mark.parametrize("method", ["cobyqa", "nelder-mead"])
 def test_a_method_that_tries_one_after_the_other_is_refused(lag, tmp_path, method):
-    message = f"scheduler: the method '{method}' tries one member after the other"
+    message = f"scheduler: the method '{method}' runs one member at a time"
     with pytest.raises(UsageError, match=message):
         tuned(lag, method=method, scheduler="tcp://127.0.0.1:1", out=tmp_path / "d")
     assert not (tmp_path / "d").exists()
@@ -48,6 +48,6 @@ def test_a_scheduler_that_is_not_there_leaves_the_dataset(lag, tmp_path, monkeyp
     monkeypatch.setattr(connection, "CONNECTING", 0.2)
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "study.json").write_text("{}")
-    with pytest.raises(UsageError, match="cannot connect to a scheduler of dask at 'tcp:"):
+    with pytest.raises(UsageError, match="cannot connect to a dask scheduler at 'tcp:"):
         tuned(lag, scheduler="tcp://127.0.0.1:1", out=tmp_path / "d", new=True)
     assert (tmp_path / "d" / "study.json").exists()

@@ -152,7 +152,7 @@ def test_a_constant_in_the_objective_does_not_end_a_global_search(offset):
 def test_what_is_varied_without_effect_is_said(method):
     result = search(lambda point: 3.0, method=method, members=50)
     assert (
-        "all members have the same objective: what is varied has no effect on it here"
+        "all members have the same objective: the varied keys have no effect on it here"
         in statements(result)
     )
 
@@ -236,21 +236,21 @@ def test_a_search_that_asks_for_no_new_point_ends():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "newton"}, "method: found 'newton'; needed one of cobyqa, nelder-mead, global"),
-        ({"members": 0}, "members: found 0, needed 1 or more"),
-        ({"starts": 0}, "starts: found 0, needed 1 or more"),
+        ({"method": "newton"}, "method: .*got 'newton'"),
+        ({"members": 0}, "members: .*got 0"),
+        ({"starts": 0}, "starts: .*got 0"),
         (
             {"with_errors": True, "is_rms": True, "samples": 0},
-            "samples: found 0, needed 1 or more",
+            "samples: .*got 0",
         ),
-        ({"seed": -1}, "seed: found -1, needed 0 or more"),
+        ({"seed": -1}, "seed: .*got -1"),
         (
             {"space": SearchSpace((ChoiceKey("plant", (1, 2)),))},
-            "vary['plant']: found a list of values; the method 'cobyqa' needs bounds, 'optuna'",
+            r"vary\['plant'\]: .*bounds.*'cobyqa'.*a list of values",
         ),
         (
             {"with_errors": True},
-            "standard_errors: needed an objective that is the rms of one residual and is minimized",
+            "standard_errors: .*rms of one residual and is minimized",
         ),
         (
             {"with_errors": True, "is_rms": True, "maximize": True},
@@ -259,9 +259,8 @@ def test_a_search_that_asks_for_no_new_point_ends():
     ],
 )
 def test_wrong_searches_are_refused(options, message):
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=message):
         check_search(TuningSearch(**{"space": PLANE, "objective": OBJECTIVE, **options}))
-    assert message in str(caught.value)
 
 
 def test_optuna_is_needed_by_its_method_only(monkeypatch):

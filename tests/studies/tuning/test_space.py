@@ -46,17 +46,16 @@ def test_the_widest_bounds_do_not_overflow():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ((), "vary: found no key, needed one or more to tune"),
-        ((LINEAR, LINEAR), "vary['a.x']: given twice, needed once"),
-        ((BoundedKey("k", 2.0, 1.0),), "found 2.0 to 1.0; needed two finite bounds, the lower one"),
-        ((BoundedKey("k", 0.0, math.inf),), "found 0.0 to inf; needed two finite bounds"),
-        ((BoundedKey("k", 0.0, 1.0, True),), "a logarithm needed positive bounds; without 'log:'"),
-        ((ChoiceKey("k", ()),), "vary['k']: found []; needed one or more values that differ"),
-        ((ChoiceKey("k", (1, 1)),), "found [1, 1]; needed one or more values that differ"),
-        ((ChoiceKey("k", (1, 1.0)),), "found [1, 1.0]; needed one or more values that differ"),
+        ((), "vary: .*none"),
+        ((LINEAR, LINEAR), r"vary\['a\.x'\]: .*twice"),
+        ((BoundedKey("k", 2.0, 1.0),), "got 2.0 to 1.0"),
+        ((BoundedKey("k", 0.0, math.inf),), "got 0.0 to inf"),
+        ((BoundedKey("k", 0.0, 1.0, True),), "positive bounds.*0.0 to 1.0"),
+        ((ChoiceKey("k", ()),), r"vary\['k'\]: .*got \[\]"),
+        ((ChoiceKey("k", (1, 1)),), r"got \[1, 1\]"),
+        ((ChoiceKey("k", (1, 1.0)),), r"got \[1, 1.0\]"),
     ],
 )
 def test_wrong_keys_are_refused(keys, message):
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=message):
         check_space(SearchSpace(keys))
-    assert message in str(caught.value)

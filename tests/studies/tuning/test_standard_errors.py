@@ -96,8 +96,8 @@ def test_noise_that_hides_the_curvature_is_said():
     measured = decay(T, 2.0, 3.0) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
     result = fitted(decay, DECAY, measured, noise=0.1)
     assert result.errors is None
-    assert "the objective is noisy, by 0.0" in result.errors_problem
-    assert "that hides its curvature" in statements(result)[-1]
+    assert "the objective is noisy (relative noise 0.0" in result.errors_problem
+    assert "which hides its curvature" in statements(result)[-1]
 
 
 def test_a_value_at_its_bound_has_no_standard_error():
@@ -155,7 +155,7 @@ def test_an_interval_beyond_the_bounds_is_said_to_be_there():
     assert "the interval of a goes beyond its bounds" not in " ".join(statements(result))
     space = SearchSpace(tuple(replace(key, upper=1e100) for key in result.space.bounded))
     said = statements(replace(result, space=space))
-    assert "the interval of b goes beyond its bounds, where nothing was tried" in said
+    assert "the interval of b extends beyond its bounds, where nothing was tried" in said
 
 
 def test_a_value_without_effect_is_not_determined():
@@ -196,7 +196,7 @@ def test_a_residual_of_rounding_has_no_errors_or_right_ones(deviation):
     measured = slope_only(T, 0.7) + deviation * np.random.default_rng(3).standard_normal(T.size)
     result = fitted(slope_only, space, measured, starts=1)
     if deviation < 1e-10:
-        assert "the objective is noisy, by " in result.errors_problem  # from rounded values
+        assert "the objective is noisy" in result.errors_problem  # from rounded values
     else:
         _, covariance = curve_fit(slope_only, T, measured, p0=[0.7])
         expected = float(np.sqrt(covariance[0, 0]))
@@ -224,7 +224,7 @@ def test_a_recording_without_noise_has_no_errors_where_the_search_stopped_short(
 def test_few_samples_are_refused():
     search = TuningSearch(LINE, OBJECTIVE, is_rms=True, with_errors=True, samples=2)
     result = search_best(Recorded(rms_of(line, line(T, 1.0, 1.0) + T**2)), search)
-    assert result.errors_problem == "2 values from 2 samples: needed more samples than values"
+    assert result.errors_problem == "expected more samples than values, got 2 values from 2 samples"
 
 
 def test_members_that_fail_beside_the_best_values_are_named():
@@ -249,11 +249,11 @@ def test_members_are_kept_for_the_errors_where_starts_would_use_all():
     assert len(result.trials) <= 90
 
 
-def test_what_is_assumed_is_said():
+def test_the_assumptions_of_standard_errors_are_said():
     measured = line(T, 3.0, -2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
     assert statements(fitted(line, LINE, measured))[-1] == (
-        "the standard errors assume that the 201 samples of the residual are white, with one "
-        "deviation: that is not checked"
+        "the standard errors assume that the 201 samples of the residual are white with a "
+        "constant standard deviation (not checked)"
     )
 
 

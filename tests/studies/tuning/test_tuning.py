@@ -101,7 +101,7 @@ def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(fit, tmp_path
     neighbours = residual[1:] @ residual[:-1] / (residual @ residual)
     assert result.residual.neighbours == pytest.approx(neighbours, abs=1e-9)
     assert result.residual.rows == TIMES.size
-    assert "501 samples of the residual are white, with one deviation" in result.statements[-1]
+    assert "501 samples of the residual are white with a constant" in result.statements[-1]
 
 
 @pytest.mark.campaign
@@ -215,7 +215,7 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
     for other, what in [
         (
             lag_task(lag, members=3, seed=2),
-            "another study: the seed changed; give",
+            "another study: the seed changed; choose",
         ),
         (lag_task(lag, "last(plant.y)", members=3), "the objective changed"),
         (
@@ -245,7 +245,7 @@ def test_a_first_point_that_is_refused_is_named_by_its_key(lag):
         ("last(plant.y", "plant.time_constant", "minimize: metric 'last(plant.y'"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, message):
+def test_errors_are_said_before_anything_runs(lag, expression, key, message):
     search = TuningSearch(SearchSpace((BoundedKey(key, 0.1, 10.0),)), "")
     with pytest.raises(UsageError) as caught:
         tune_task(TuningTask(str(lag), expression, search), workers=1)
@@ -254,7 +254,7 @@ def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, messag
 
 def test_a_variable_that_an_fmu_has_not_is_refused(fit, tmp_path):
     search = TuningSearch(SearchSpace((BoundedKey("plant.start.Q", 0.1, 10.0),)), "")
-    with pytest.raises(UsageError, match="small: no variable 'Q'; there is: u, v, x, y, z, A, B"):
+    with pytest.raises(UsageError, match=r"small: no variable 'Q'; .*: u, v, x, y, z, A, B"):
         tune_task(TuningTask(str(fit), EXPRESSION, search), workers=1, out=tmp_path / "d")
     assert not (tmp_path / "d").exists()
 
@@ -269,10 +269,10 @@ def test_a_first_member_that_fails_ends_the_tuning_and_leaves_no_dataset(lag, tm
     old.mkdir()
     (old / "study.json").write_text("{}")
     for place in (tmp_path / "fresh", old):
-        with pytest.raises(UsageError) as caught:
+        with pytest.raises(
+            UsageError, match=r"(?s)the first member fails.*nothing was tuned.* set"
+        ):
             tune_task(task, out=place, workers=1, new=True)
-        assert "the first member fails, nothing was tuned: " in str(caught.value)
-        assert "first values with which it runs, such as by set" in str(caught.value)
     assert not (tmp_path / "fresh").exists()
     assert [path.name for path in old.iterdir()] == ["study.json"]
 
@@ -280,15 +280,15 @@ def test_a_first_member_that_fails_ends_the_tuning_and_leaves_no_dataset(lag, tm
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"workers": 0}, "workers: found 0, needed 1 or more"),
-        ({"workers": 1.5}, r"workers: .*1\.5"),
+        ({"workers": 0}, "workers: .*got 0"),
+        ({"workers": 1.5}, "workers: .*1.5"),
         ({"new": "yes"}, "new: .*'yes'"),
         ({"timeout": -1.0}, "timeout: "),
-        ({"members": 2.5}, r"members: .*2\.5"),
-        ({"minimize": 3}, "minimize: found 3; needed a metric, such as"),
-        ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "needed bounds, such as {'linear'"),
-        ({"vary": ["plant.time_constant"]}, "vary: found ['plant.time_constant']; needed a mapp"),
-        ({"replay": ["a.mcap"]}, "replay: no file matches "),
+        ({"members": 2.5}, "members: .*2.5"),
+        ({"minimize": 3}, "minimize: .*got 3"),
+        ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "bounds, such as {'linear'"),
+        ({"vary": ["plant.time_constant"]}, r"vary: .*\['plant.time_constant'\]"),
+        ({"replay": ["a.mcap"]}, "replay: .*no file matches '.*a.mcap"),
     ],
 )
 def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, message):
@@ -301,9 +301,8 @@ def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, m
         "new": True,
         **options,
     }
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=message):
         cosim.tune(lag, out=place, **given)
-    assert message in str(caught.value)
     assert [path.name for path in place.iterdir()] == ["study.json"]
 
 
@@ -323,7 +322,7 @@ def test_a_trial_at_a_bound_may_fail():
     assert 0.5 < result.estimate[key] < 1.0
 
 
-def test_what_is_tuned_in_python_is_what_the_command_tunes(lag, tmp_path):
+def test_python_and_the_command_tune_the_same(lag, tmp_path):
     """1 - exp(-2 / T) = 0.5 has T = 2 / log 2; its first run is that of the scenario."""
     result = cosim.tune(
         lag,

@@ -58,7 +58,7 @@ def test_independent_samples_are_those_of_the_closed_form(memory):
     assert check_rows(white(1, rows)).independent == pytest.approx(rows, rel=0.1)
 
 
-def test_what_cannot_be_checked_is_none():
+def test_residuals_that_cannot_be_checked_have_no_check():
     assert check_rows(np.zeros(100)) is None
     assert check_rows(white(1, 9)) is None
     assert check_rows(np.array([np.inf] * 20)) is None
@@ -80,7 +80,7 @@ def truth(t):
 def test_a_right_model_with_white_noise_has_nothing_against_it():
     _, text = said_of(truth, 0.02 * white(1, T.size))
     assert text.startswith("the standard errors assume that the 201 samples of the residual are w")
-    assert "and nothing speaks against white ones over 20 lags" in text
+    assert "and whiteness is not rejected over 20 lags" in text
 
 
 def test_colored_noise_is_said_to_make_errors_too_small():
@@ -101,7 +101,9 @@ def test_colored_noise_is_said_to_make_errors_too_small():
     assert hits["all"] <= 24
     assert hits["independent"] >= 32
     _, text = said_of(truth, lfilter([1.0], [1.0, -0.9], 0.01 * white(1, T.size)))
-    assert re.search(r"errors are too small, as if about \d+ samples were independent: samp", text)
+    assert re.search(
+        r"errors are too small: only about \d+ samples are independent; set samp", text
+    )
 
 
 def test_a_wrong_model_is_said_to_be_possible():
@@ -109,7 +111,7 @@ def test_a_wrong_model_is_said_to_be_possible():
     result, text = said_of(lambda t: truth(t) + 0.1, 0.005 * white(1, T.size))
     assert abs(result.best.point["k"] - 3.0) > 5.0 * result.errors.errors["k"]
     assert "it is not white over 20 lags" in text
-    assert "or a model that cannot follow, whose values have an error of its own" in text
+    assert "or a model error that also biases the values" in text
 
 
 def test_samples_that_are_given_are_compared_with_those_that_are_independent():

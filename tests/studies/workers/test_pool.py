@@ -1,4 +1,4 @@
-"""Guarded workers: a member that crashes, hangs or ends its process costs itself, and no other."""
+"""Guarded workers: a crash, a hang or an exit affects only the member in it."""
 
 import os
 import select
@@ -84,7 +84,7 @@ def wait_for_reply(workers):
 
 
 @pytest.mark.parametrize("does", ["sleep", "search in C"])
-def test_a_member_that_hangs_costs_itself(does):
+def test_a_hang_affects_only_its_member(does):
     """Also one that keeps Python's lock; those that waited behind it are completed."""
     members = [doing(number, does if number == 5 else "nothing") for number in range(40)]
     outcomes = outcomes_of(members, timeout=2.0)
@@ -281,7 +281,7 @@ def test_an_opener_that_fails_otherwise_is_one_error():
 )
 def test_a_worker_that_is_lost_while_it_opens_ends_the_study(does, reason):
     """After the third time in a row."""
-    match = f"^the process that opens 'a.toml' {reason}, 3 times in a row; 'cosim check' says"
+    match = f"^the process that opens 'a.toml' {reason}, 3 times in a row; run 'cosim check'"
     with pytest.raises(RunError, match=match):
         outcomes_of([doing(number) for number in range(10)], subject={"opening": does})
 
