@@ -134,7 +134,7 @@ def test_a_wrong_connection_is_told_once_where_others_follow_from_it(edit, place
     (line,) = report(wrong)
     assert line.startswith(f"x.toml:{line_of(wrong, place)}: ")
     assert text in line
-    assert "identifier" not in line.split("There is:")[0]
+    assert "identifier" not in line.split("Available:")[0]
 
 
 def test_a_connection_that_follows_from_another_one_is_told_where_that_stands():
@@ -297,14 +297,14 @@ def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, ca
         (["replay", "a.toml"], "expected a log (.mcap); 'cosim run' runs a scenario"),
         (["replay", "a.fmu"], "expected a log (.mcap); 'cosim info' shows an FMU"),
         (["replay", "academic"], "expected a log (.mcap); 'cosim run' runs a scenario"),
-        (["diff", "a.toml", "a.mcap"], "needed a log (.mcap)"),
-        (["info", "."], "is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv"),
-        (["check", "a.mcap"], "needed an FMU (.fmu); 'cosim info' shows a log"),
-        (["linearize", "academic"], "needed an FMU (.fmu); 'cosim info' shows a scenario"),
-        (["linearize", "a.toml"], "needed an FMU (.fmu)"),
+        (["diff", "a.toml", "a.mcap"], "expected a log (.mcap)"),
+        (["info", "."], "expected a log (.mcap), an FMU (.fmu), samples (.csv"),
+        (["check", "a.mcap"], "expected an FMU (.fmu); 'cosim info' shows a log"),
+        (["linearize", "academic"], "expected an FMU (.fmu); 'cosim info' shows a scenario"),
+        (["linearize", "a.toml"], "expected an FMU (.fmu)"),
         (["export", "a.fmu", "--component", "x", "--out", "b.fmu"], "needed a scenario (.toml)"),
         (["show", "a.mcap"], "needed a scenario (.toml)"),
-        (["plot", "a.toml", "u.y", "--out", "b.png"], "needed a path that ends in .mcap"),
+        (["plot", "a.toml", "u.y", "--out", "b.png"], "expected a log (.mcap)"),
     ],
     ids=" ".join,
 )

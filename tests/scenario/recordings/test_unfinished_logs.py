@@ -100,7 +100,7 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
         ({"flush": "1", "out": "a.mcap"}, "flush: .*'1'"),
         ({"flush": 1.0}, "found flush=True, which is about the log at out, and no out"),
         ({"sync": True}, "found sync=True, which is about the log at out, and no out"),
-        ({"sync": 1, "out": "a.mcap"}, "sync: found 1"),
+        ({"sync": 1, "out": "a.mcap"}, "sync: .* 1$"),
     ],
 )
 def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, options, message):
