@@ -155,7 +155,7 @@ def test_commands_say_whether_they_run_code(call):
     _, out, _ = call("info", "--help")
     assert "Runs no code of FMUs or user classes." in " ".join(out.split())
     _, out, _ = call("check", "--help")
-    assert "its classes of kind python imported, which runs their code" in " ".join(out.split())
+    assert "Python classes imported, which runs their code" in " ".join(out.split())
 
 
 # --- replays ---
