@@ -279,7 +279,7 @@ def describe_scenario(name: str) -> Section:
         "description": settings.description or None,
         "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
         "until": settings.until,
-        "schedule": ", ".join(stages) or "not known: ports of some components are not known",
+        "schedule": ", ".join(stages) or "not known, as the ports of some components are not",
     }
     signals: list[Section] = []
     for component, spec in loaded.specs.items():

@@ -3,8 +3,8 @@
 import json
 import re
 
-RUN = ("run", "academic", "--stop", "0.2")
-ROTATED = (*RUN, "--rotate", "0.08s", "--out", "run.mcap")
+RUN = ("run", "academic", "--stop", "1")
+ROTATED = (*RUN, "--rotate", "0.4s", "--out", "run.mcap")
 
 
 def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
@@ -13,7 +13,7 @@ def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
     assert (code, err) == (0, "")
     lines = out.splitlines()
     assert lines[0] == "status\tcomplete"
-    assert lines[1] == "steps\t200, up to 0.2 s"
+    assert lines[1] == "steps\t1000, up to 1.0 s"
     names = ["run.mcap", "run.part2.mcap", "run.part3.mcap"]
     assert lines[3:6] == [f"log\t{name}" for name in names]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
@@ -24,14 +24,14 @@ def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
     assert call("replay", "run.part2.mcap", "--verify")[0] == 0
     code, out, _ = call("info", "run.part2.mcap")
     assert code == 0
-    assert "part 2 of its log, from 0.08 s to 0.159 s" in out
+    assert "part 2 of its log, from 0.4 s to 0.799 s" in out
 
 
 def test_json_has_the_results_of_the_whole_run(call):
     """With the files."""
     code, out, _ = call(*ROTATED, "--json")
     shown = json.loads(out)
-    assert (code, shown["status"], shown["steps"], shown["end"]) == (0, "complete", 200, 0.2)
+    assert (code, shown["status"], shown["steps"], shown["end"]) == (0, "complete", 1000, 1.0)
     assert shown["logs"] == ["run.mcap", "run.part2.mcap", "run.part3.mcap"]
     assert "u.y" in shown["results"]["last"]
     assert call(*ROTATED, "--force", "--quiet") == (0, "", "")
@@ -39,7 +39,7 @@ def test_json_has_the_results_of_the_whole_run(call):
 
 def test_a_run_within_the_limit_is_shown_as_ever(call, tmp_path):
     """It has one file."""
-    code, out, _ = call(*RUN, "--rotate", "0.3s", "--out", "run.mcap")
+    code, out, _ = call(*RUN, "--rotate", "3s", "--out", "run.mcap")
     assert code == 0
     assert out.splitlines()[-1] == "log\trun.mcap"
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]

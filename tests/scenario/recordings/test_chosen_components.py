@@ -170,7 +170,7 @@ def test_the_command_line_names_what_was_not_verified(tmp_path, call):
     found = {entry["component"]: entry for entry in json.loads(out)["components"]}
     equal = {name for name, entry in found.items() if entry["status"] == "equal"}
     assert equal == {"observer", "u"}
-    assert found["regressor"]["reason"] == "other components were chosen"
+    assert found["regressor"]["reason"] == "not chosen"
     assert "a plant" in found["plant"]["reason"] or "plants" in found["plant"]["reason"]
     code, _, err = call("replay", "a.mcap", "--component", "nothing")
     assert code == 2

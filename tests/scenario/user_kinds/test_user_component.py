@@ -129,7 +129,7 @@ def test_a_dry_run_says_what_it_imports(folder, call):
     assert "dry run: no problems found" in out
     code, out, _ = call("run", "--help")
     help_text = " ".join(out.split())
-    assert "classes of kind python are imported and initialized" in help_text
+    assert "Python classes are loaded and initialized" in help_text
 
 
 def test_what_a_class_prints_is_no_data(folder, call):
@@ -153,9 +153,9 @@ def test_what_a_class_prints_is_no_data(folder, call):
 
 def test_commands_say_whether_they_run_code(call):
     _, out, _ = call("info", "--help")
-    assert "Nothing of an FMU or of a user's class runs." in " ".join(out.split())
+    assert "Runs no code of FMUs or user classes." in " ".join(out.split())
     _, out, _ = call("check", "--help")
-    assert "its classes of kind python imported, which runs their code" in " ".join(out.split())
+    assert "Python classes imported, which runs their code" in " ".join(out.split())
 
 
 # --- replays ---
