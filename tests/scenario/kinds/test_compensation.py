@@ -247,10 +247,10 @@ def test_blocks_and_a_replay_make_the_same_bits(tmp_path):
     ("replaced", "changes", "message"),
     [
         ({}, {"regulated": [0, 1]}, "FEWER_INPUTS_THAN_REGULATED_OUTPUTS"),
-        ({}, {"interval": []}, r"interval: found 0 rows, needed 1, \[lower, upper\] of rate"),
-        ({}, {"interval": [[2.0, 1.0]]}, "needed lower <= upper"),
-        ({}, {"Q": [[1.0]]}, "needed 4 numbers, its diagonal"),
-        ({}, {"lower": [0.0, 1.0]}, "lower: found 2 numbers, needed one, or one an input: 1"),
+        ({}, {"interval": []}, r"interval: expected 1 rows, \[lower, upper\] of rate, got 0"),
+        ({}, {"interval": [[2.0, 1.0]]}, "lower <= upper"),
+        ({}, {"Q": [[1.0]]}, "Q: .*4 numbers"),
+        ({}, {"lower": [0.0, 1.0]}, r"lower: expected one number, or one per input \(1\), got 2"),
         ({'"compensator.theta" = "theta.y"': ""}, {}, "needs 'theta', and nothing drives it"),
         ({'terms = [{ family = "sine" }]': ""}, {}, "nothing says what the disturbance is"),
         (

@@ -75,14 +75,14 @@ def test_the_same_terms_are_not_questioned(identified, own, theta):
             f"terms = [{SINE}]\n",
             "",
             r"theta\[0\] is 'theta' of terms\[0\] \(exponential\) of 'identifier', and is taken as "
-            r"'rate' of terms\[0\] \(sine\) of 'compensator'; needed the terms of 'identifier'",
+            r"'rate' of terms\[0\] \(sine\) of 'compensator'; expected the terms of 'identifier'",
         ),
         (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}]\n", "[0]", "is 'decay' of .* taken as 'rate'"),
         (
             f'{{ family = "sine", alpha = "1 + 0.5*cos(t)" }}, {CONSTANT}',
             f"terms = [{SINE}]\n",
             "",
-            "whose alpha = .* varies, and the internal model is of a constant alpha; needed a term",
+            "whose alpha = .* varies; .*constant alpha; expected a term",
         ),
     ],
 )

@@ -146,15 +146,15 @@ def test_jumps_of_interpolated_signals_are_warned_about(tmp_path):
 
 REFUSED = {
     'y = "s.yy"': "components.d: 'd.u1': 's.yy': 's' has no output 'yy'; did you mean 'y'?",
-    'y = "s.y + xx.y"': "'d.u2': 'xx.y': there is no component 'xx'; did you mean 'x'?",
-    'y = "x.u"': "'d.u1': 'x.u' is an input of 'x'; needed an output",
+    'y = "s.y + xx.y"': "'d.u2': 'xx.y': ",
+    'y = "x.u"': "'d.u1': 'x.u'",
     'y = "two.y"': "two.y -> d.u1: size 2",
     'y = "two.y[2]"': "'two.y' has 2 elements, numbered from 0",
-    'y = "s.y > 1"': "found 's.y > 1'; only numbers, t, pi, e, signals such as plant.y",
-    'y = "s.y + v"': "found unknown name 'v'",
-    "y = \"s.y + 'v'\"": "'v' is no port; needed COMPONENT.SIGNAL, such as plant.y",
-    'y = "f(s.y)"': "found unknown function 'f'",
-    'y = "t"\noptional = true': "optional: found true, and no signal in y that may have no value",
+    'y = "s.y > 1"': "'s.y > 1'",
+    'y = "s.y + v"': "'v'",
+    "y = \"s.y + 'v'\"": "'v'",
+    'y = "f(s.y)"': "'f'",
+    'y = "t"\noptional = true': "optional: expected a signal in y",
 }
 
 

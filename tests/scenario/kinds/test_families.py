@@ -87,11 +87,14 @@ def test_terms_are_added_in_their_elements(tmp_path):
     [
         ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
         ('family = "chirp", theta = 1.0', r"'chirp': .* is outside \(5\)"),
-        ('family = "exponential"', r"theta of family 'exponential': found 0 numbers; needed 1"),
-        ('family = "sine", theta = [1.0, 2.0]', r"found 2 numbers: 1, 2; needed 1: rate"),
-        ('family = "damped-sine", theta = 1.0', r"found 1 number: 1; needed 2: decay, rate"),
-        ('family = "constant", theta = 1.0, level = 1.0', r"needed none: leave it out"),
-        ('family = "constant"', r"family 'constant': needed level"),
+        (
+            'family = "exponential"',
+            r"'exponential': expected 1 .*got 0 numbers",
+        ),
+        ('family = "sine", theta = [1.0, 2.0]', r"expected 1 \(rate\), got 2 numbers: 1, 2"),
+        ('family = "damped-sine", theta = 1.0', r"expected 2 \(decay, rate\), got 1 number: 1"),
+        ('family = "constant", theta = 1.0, level = 1.0', r"expected none, got 1 number: 1"),
+        ('family = "constant"', r"level is missing; family 'constant'"),
         ('family = "ramp", constants = [1.0, 2.0]', r"constants: family 'ramp' has none; it has l"),
         (
             'family = "polynomial", degree = 1, level = 1.0',
@@ -99,22 +102,22 @@ def test_terms_are_added_in_their_elements(tmp_path):
         ),
         (
             'family = "polynomial", degree = 2, constants = [1.0]',
-            r"found 1 number: 1; needed 3: level, slope, coefficient_2",
+            r"expected 3 \(level, slope, coefficient_2\), got 1 number: 1",
         ),
-        ('family = "ramp", level = 1.0', r"family 'ramp': needed slope"),
+        ('family = "ramp", level = 1.0', r"slope is missing; family 'ramp'"),
         ('family = "ramp", amplitude = 1.0', r"amplitude: family 'ramp' has none; it has level"),
         ('family = "exponential", theta = 1.0, phase = 1.0', r"phase: family 'exponential' has no"),
         (
             'family = "sine", theta = 1.0, phase = 1.0, constants = [1.0, 1.0]',
             r"constants: family 'sine' has none; it has amplitude and phase",
         ),
-        ('family = "polynomial", constants = [1.0]', r"family 'polynomial': needed degree"),
-        ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: found 9; needed 0 to 8"),
+        ('family = "polynomial", constants = [1.0]', r"degree is missing; family 'polynomial'"),
+        ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: expected 0 to 8, got 9"),
         ('family = "ramp", degree = 1, level = 1.0, slope = 1.0', r"degree: is of family 'polyn"),
-        ('family = "linear", c = [1.0], constants = [1.0]', r"family 'linear': needed G0"),
+        ('family = "linear", c = [1.0], constants = [1.0]', r"G0 is missing; family 'linear'"),
         (
             'family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]',
-            r"G0: found rows of lengths \[2, 1\]",
+            r"G0: .*\[2, 1\]",
         ),
         (
             'family = "linear", G0 = [[0, 0], [0, -1]], c = [1, 0], constants = [1, 1]',
@@ -124,7 +127,7 @@ def test_terms_are_added_in_their_elements(tmp_path):
     ],
 )
 def test_wrong_numbers_of_a_term_are_refused(term, message, tmp_path):
-    """Every message names the term, what was found and what was needed."""
+    """Every message names the term, what was expected and what was found."""
     with pytest.raises(CosimError, match=message):
         cosim.run(source(tmp_path, [f"{{ {term} }}"]))
 
@@ -429,7 +432,11 @@ def test_elements_may_have_signals_as_alphas(tmp_path):
     ("terms", "more", "message"),
     [
         (TWO, 'method = "least-squares"', r'"least-squares": the terms are of 2 elements'),
-        ([{**TWO[1], "element": 2}, TWO[0]], "", r"none is of element 1; needed at least one for"),
+        (
+            [{**TWO[1], "element": 2}, TWO[0]],
+            "",
+            r"got none for element 1",
+        ),
         ([TWO[0]], "", r"regressor|size 2|2 unknown disturbances"),
     ],
 )
@@ -454,4 +461,4 @@ def test_output_error_needs_no_independent_products_of_many_alphas(tmp_path):
     told = check_assumptions(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
     own = told.of("regressor")
     assert all(own[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
-    assert 'method = "output-error" is needed' in own[CLASS].evidence
+    assert 'method = "output-error"' in own[CLASS].evidence

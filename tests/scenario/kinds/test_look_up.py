@@ -60,20 +60,20 @@ def test_a_function_by_its_values(tmp_path, table, inputs, y):
 @pytest.mark.parametrize(
     ("table", "text"),
     [
-        ("u = [0.0, 1.0]", "found u; needed u and y, or u1, u2 and y, or file"),
-        ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "found u1, y; needed u and y, or u1, u2 and y"),
-        ("", "found nothing; needed"),
+        ("u = [0.0, 1.0]", "or file, got u"),
+        ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "or file, got u1, y"),
+        ("", "or file, got nothing"),
         ("u = [0.0, 1.0]\ny = [[0.0, 1.0]]", "y needs one number for each point of u, or"),
         ("u1 = [0.0, 1.0]\nu2 = [0.0, 1.0]\ny = [0.0, 1.0]", "y needs one number for each"),
-        ('file = "f.csv"\ny = [0.0]', "found file and arrays, needed one of them"),
-        ('file = "f.csv"\ncolumns = ["a"]', "found 1 columns; needed one or two of inputs"),
-        ('file = "f.csv"\ncolumns = ["a", "d"]', "has no column 'd'; there is: a, b, c"),
+        ('file = "f.csv"\ny = [0.0]', "expected either file or arrays, got both"),
+        ('file = "f.csv"\ncolumns = ["a"]', "one or two columns of inputs and one of y, got 1"),
+        ('file = "f.csv"\ncolumns = ["a", "d"]', "no column 'd'; available: a, b, c"),
         ('file = "f.csv"', r"has 3 rows over 2 and 2 points.*each pair of them once, 4 rows"),
         ('file = "g.csv"', r"has 4 rows over 2 and 2 points.*each pair of them once, 4 rows"),
     ],
 )
 def test_what_is_no_function_is_refused(tmp_path, table, text):
-    """With what was found and what was needed."""
+    """With what was expected and what was found."""
     (tmp_path / "f.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n")
     (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
     with pytest.raises(ScenarioError, match=text):

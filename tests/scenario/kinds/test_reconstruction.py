@@ -348,17 +348,20 @@ def test_a_recorded_choice_that_is_none_is_refused(key, value, message, academic
     ("changes", "message"),
     [
         ({"filter": "median"}, r"filter"),
-        ({"filter": "savitzky-golay"}, r"half_width is missing; needed with filter = 'savitzky-"),
-        ({"half_width": 0.1}, r"half_width: found it with filter = 'first-order', which has none"),
-        ({"noise": 0.1}, r"noise: found it with filter = 'first-order'.* needed filter = 'auto'"),
-        ({"filter": "auto"}, r"needed either noise, its deviation, or noise_from"),
-        ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"needed either noise"),
-        ({"filter": "auto", "noise": -1.0}, r"noise: found \[-1.0\]; needed deviations of 0"),
-        ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: found 2 numbers, needed 1"),
+        ({"filter": "savitzky-golay"}, r"half_width is missing; filter = 'savitzky-"),
+        (
+            {"half_width": 0.1},
+            r"half_width: .*got filter = 'first-order'",
+        ),
+        ({"noise": 0.1}, r"noise: .*filter = 'auto' only, got filter = 'first-order'"),
+        ({"filter": "auto"}, r"expected either noise, .*or noise_from"),
+        ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"expected either noise"),
+        ({"filter": "auto", "noise": -1.0}, r"noise: expected .*>= 0, got \[-1.0\]"),
+        ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected 1 numbers, .*got 2"),
         ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
         ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
         ({"filter": "savitzky-golay", "half_width": 0.0105}, r"half_width.*nearest"),
-        ({"filter": "savitzky-golay", "half_width": 0.0}, r"half width of 0 samples; needed 1"),
+        ({"filter": "savitzky-golay", "half_width": 0.0}, r"half.width.* 0\\b"),
         ({"filter": "savitzky-golay", "half_width": 0.1, "order": 11}, r"order 11 with 201"),
     ],
 )
@@ -372,8 +375,8 @@ def test_what_cannot_be_reconstructed_is_refused(changes, message, academic):
 @pytest.mark.parametrize(
     ("noise", "message"),
     [
-        (-1.0, r"noise: found \[-1.0\]; needed deviations of 0"),
-        ([0.1, 0.1], r"noise: found 2 numbers, needed 1"),
+        (-1.0, r"noise: expected .*>= 0, got \[-1.0\]"),
+        ([0.1, 0.1], r"noise: expected 1 numbers, .*got 2"),
         (0.1, r"give both, or a regressor of exponentials alone whose alphas vary"),
     ],
 )
@@ -399,7 +402,7 @@ def test_an_identifier_waits_for_the_window():
     """Its start comes after the longest delay and the window; a computed one by itself."""
     changes = {"scenario.stop": 9.0, "identifier.start": 8.0, "observer.half_width": 2.6}
     changes["observer.filter"] = "savitzky-golay"
-    message = "found 8.0 s, needed at least the longest delay, 3.0 s and the observer's window, 5.2"
+    message = "at least the longest delay, 3.0 s and the observer's window, 5.2"
     with pytest.raises(ScenarioError, match=message):
         cosim.run("academic", set=changes)
     start = {"epsilon_observer": 1e-3, "epsilon_filter": 1e-3}
@@ -427,7 +430,7 @@ def test_a_filter_without_its_rate_is_refused(two):
     text = two.read_text(encoding="utf-8").replace("filter_rate = 200.0\n", "")
     path = two.parent / "no-rate.toml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ScenarioError, match="filter_rate is missing; needed with filter = 'first-"):
+    with pytest.raises(ScenarioError, match="filter_rate is missing; filter = 'first-"):
         cosim.run(path)
     changes = {"observer.filter": "savitzky-golay", "observer.half_width": 0.1}
     assert summarize(cosim.run(path, set=changes)).signals[0].largest < 1e-4
@@ -455,7 +458,7 @@ def test_a_log_without_the_observer_has_no_noise_of_its_y(academic, tmp_path):
     path = tmp_path / "watcher.toml"
     path.write_text(text, encoding="utf-8")
     changes = {"watcher.filter": "auto", "watcher.noise_from": str(other.path)}
-    with pytest.raises(ScenarioError, match=r"has no 'watcher\.y'; needed a log of a run of this"):
+    with pytest.raises(ScenarioError, match=r"noise_from: .*without 'watcher\.y'"):
         cosim.run(path, set=changes)
 
 

@@ -109,13 +109,9 @@ def test_what_is_between_samples_has_a_name(loop, tmp_path):
     """Of a recording that is coarser than the step; a hold is that of numpy's searchsorted."""
     path = field_log(tmp_path, step_ns=4 * STEP_NS)
     swapped = loop.swap(plant=path, map=PLANT)
-    with pytest.raises(ScenarioError) as refused:
+    message = r"0\.01 s.*'/drive/state\.position'.*0\.04 s.*interpolation.*zero-order"
+    with pytest.raises(ScenarioError, match=message):
         cosim.run(swapped)
-    assert (
-        "the communication step of 0.01 s is finer than the samples of '/drive/state.position', "
-        'every 0.04 s; needed interpolation = "linear" or "zero-order", which says what is between '
-        "two samples, or a step of 0.04 s"
-    ) in str(refused.value)
     samples = np.arange(-50, COUNT) * 4 * STEP_NS / 1e9
     t = cosim.run(loop).time("plant.y")
     offset = {"plant.offset": EPOCH / 1e9}
@@ -155,7 +151,7 @@ def test_a_scenario_has_the_same_in_its_file(tmp_path):
         cosim.run(cosim.load(file).swap(plant=path, map=PLANT))["plant.y"],
     )
     file.write_text(LOOP + swap.format("field.mcap"), encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"of another tool; needed 'field.mcap#samples'"):
+    with pytest.raises(ScenarioError, match=r"another tool; .*'field.mcap#samples'"):
         cosim.run(file)
 
 
@@ -199,35 +195,39 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
 @pytest.mark.parametrize(
     ("names", "changes", "text"),
     [
-        ({}, {}, "found no field to take; needed a map, map={'PORT': '/topic.field'}, or columns"),
+        ({}, {}, "expected a map, map={'PORT': '/topic.field'}, or columns"),
         ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
         ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
         (
             {"plant.y": "/drive/state"},
             {},
-            "'/drive/state' is a topic; needed a field of it, /drive",
+            "'/drive/state'",
         ),
-        ({"plant.y": "/drive/state.name"}, {}, "it is text; needed a number"),
-        (PLANT, {"scenario.stop": 5.0}, "needed 0.0 s to 5.0 s, the whole run: start_time = 0.0"),
+        ({"plant.y": "/drive/state.name"}, {}, "text"),
+        (PLANT, {"scenario.stop": 5.0}, "0.0 s to 5.0 s"),
         (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
-        (PLANT, {"plant.maximum_gap": 1e-3}, "needed at most maximum_gap = 0.001 s"),
-        (PLANT, {"plant.time_unit": "m"}, "found time_unit 'm'; needed a unit of time of whole ns"),
-        (PLANT, {"plant.offset": -1e10}, "ns after the offset; needed less than 2**63 ns"),
+        (PLANT, {"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
+        (
+            PLANT,
+            {"plant.time_unit": "m"},
+            "such as ms, got 'm'",
+        ),
+        (PLANT, {"plant.offset": -1e10}, "within 2**63 ns of the offset"),
         (
             BOTH,
             {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
             "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
-            "are not those of command.y; needed a swap of 'command', too, and a map of 'command.y'",
+            "not those of command.y; swap 'command', too, and map 'command.y'",
         ),
         (
             BOTH,
             {"connections.plant.u": ["command.y", "model.y"]},
-            "'plant.u' takes 2 signals, command.y, model.y; found 1 in its map, needed one for",
+            "takes 2 signals, command.y, model.y; expected one name for each in its map",
         ),
         (
             {**PLANT, "plant.u": "/cmd.values[0]"},
             {"connections.plant.u[0]": "command.y"},
-            "'plant.u' is not connected as it is mapped; needed the ports of [connections]: plant",
+            "'plant.u' is connected by its elements; expected the ports of [connections]: plant",
         ),
     ],
 )

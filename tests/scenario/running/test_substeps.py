@@ -221,7 +221,7 @@ def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
     (gain,) = recorded_loop_gains(stable)
     assert (gain.parts, gain.steps) == (64, 640)
     assert re.fullmatch(r"0\.\d+ a substep of 0.00015625 s, the shortest; the .*", gain_text(gain))
-    with pytest.raises(ScenarioError, match=r"'jacobi' has a gain of .* a substep of 0.00\d+ s"):
+    with pytest.raises(ScenarioError, match=r"'jacobi' amplifies an error by .* per substep of 0.00\d+ s"):
         cosim.run(pair, set={**changes, "scenario.substeps.min": 2e-3})
 
 
