@@ -26,6 +26,7 @@ from cosim.theory.estimators.least_squares import (
 )
 from tests.log.crafting import put_together, take_apart
 from tests.scenario.exported import columns
+from tests.scenario.refusals import check_refused
 
 H = 1e-3
 SHORT = {"scenario.stop": 9.0}
@@ -316,60 +317,66 @@ def test_the_noise_can_be_that_of_a_log_which_a_replay_does_not_need(academic, t
     assert found == pytest.approx(1e-3, rel=0.05)
     source.unlink()
     assert cosim.diff(log, cosim.replay(log)).equal
-    with pytest.raises(ScenarioError, match="a replay opens no file that only the log names"):
+    with pytest.raises(ScenarioError, match="a replay opens no files that only the log names"):
         cosim.replay(log, set={"observer.bandwidth": 3.0})
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
-        ("half_width_steps", 0, "the recorded choice of 'observer' cannot be used: .* 0 samples"),
-        ("order", "six", "cannot be understood: choice.result.order"),
-    ],
-)
-def test_a_recorded_choice_that_is_none_is_refused(key, value, message, academic, tmp_path):
+NO_CHOICES = [
+    ("half_width_steps", 0, "the recorded choice of 'observer' cannot be used: .* 0 samples"),
+    ("order", "six", "cannot be understood: choice.result.order"),
+]
+
+
+def test_a_damaged_recorded_choice_is_refused(academic, tmp_path):
     """A log may come from anywhere."""
-    log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | AUTO)
-    content = take_apart(log.path)
-    for name, items in content.metadata:
-        if name == "cosim.component.observer":
-            table = json.loads(items["metadata"])
-            table["choice"]["result"][key] = value
-            items["metadata"] = json.dumps(table)
-    path = put_together(content, tmp_path / "b.mcap")
-    with pytest.raises((LogError, ScenarioError), match=message):
+
+    def refuse(case):
+        key, value = case
+        log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | AUTO)
+        content = take_apart(log.path)
+        for name, items in content.metadata:
+            if name == "cosim.component.observer":
+                table = json.loads(items["metadata"])
+                table["choice"]["result"][key] = value
+                items["metadata"] = json.dumps(table)
+        path = put_together(content, tmp_path / "b.mcap")
         cosim.replay(path)
+
+    cases = [(case, message) for *case, message in NO_CHOICES]
+    check_refused(cases, refuse, (LogError, ScenarioError))
 
 
 # --- refusals ---
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"filter": "median"}, r"filter"),
-        ({"filter": "savitzky-golay"}, r"half_width is missing; filter = 'savitzky-"),
-        (
-            {"half_width": 0.1},
-            r"half_width: .*got filter = 'first-order'",
-        ),
-        ({"noise": 0.1}, r"noise: .*filter = 'auto' only, got filter = 'first-order'"),
-        ({"filter": "auto"}, r"expected either noise, .*or noise_from"),
-        ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"expected either noise"),
-        ({"filter": "auto", "noise": -1.0}, r"noise: expected .*>= 0, got \[-1.0\]"),
-        ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected 1 numbers, .*got 2"),
-        ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
-        ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
-        ({"filter": "savitzky-golay", "half_width": 0.0105}, r"half_width.*nearest"),
-        ({"filter": "savitzky-golay", "half_width": 0.0}, r"half.width.* 0\\b"),
-        ({"filter": "savitzky-golay", "half_width": 0.1, "order": 11}, r"order 11 with 201"),
-    ],
-)
-def test_what_cannot_be_reconstructed_is_refused(changes, message, academic):
+WRONG_FILTERS = [
+    ({"filter": "median"}, r"filter"),
+    ({"filter": "savitzky-golay"}, r"half_width is missing; filter = 'savitzky-"),
+    (
+        {"half_width": 0.1},
+        r"half_width: .*got filter = 'first-order'",
+    ),
+    ({"noise": 0.1}, r"noise: .*filter = 'auto' only, got filter = 'first-order'"),
+    ({"filter": "auto"}, r"expected either noise, .*or noise_from"),
+    ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"expected either noise"),
+    ({"filter": "auto", "noise": -1.0}, r"noise: expected .*>= 0, got \[-1.0\]"),
+    ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected 1 numbers, .*got 2"),
+    ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
+    ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
+    ({"filter": "savitzky-golay", "half_width": 0.0105}, r"half_width.*nearest"),
+    ({"filter": "savitzky-golay", "half_width": 0.0}, r"half.width.* 0\\b"),
+    ({"filter": "savitzky-golay", "half_width": 0.1, "order": 11}, r"order 11 with 201"),
+]
+
+
+def test_a_wrong_filter_is_refused(academic):
     """Each with what was found, what is needed and the way out; nothing is guessed."""
-    named = {f"observer.{key}": value for key, value in changes.items()}
-    with pytest.raises(ScenarioError, match=message):
+
+    def refuse(changes):
+        named = {f"observer.{key}": value for key, value in changes.items()}
         cosim.run(academic, set=SHORT | named)
+
+    check_refused([(changes, message) for changes, message in WRONG_FILTERS], refuse, ScenarioError)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,7 @@ from tests.scenario.field_recordings import (
     field_log,
     level,
 )
+from tests.scenario.refusals import check_refused
 
 
 @pytest.fixture
@@ -192,56 +195,59 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
     assert log["plant.y"][100] == 100.0
 
 
-@pytest.mark.parametrize(
-    ("names", "changes", "text"),
-    [
-        ({}, {}, "expected a map, map={'PORT': '/topic.field'}, or columns"),
-        ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
-        ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
-        (
-            {"plant.y": "/drive/state"},
-            {},
-            "'/drive/state'",
-        ),
-        ({"plant.y": "/drive/state.name"}, {}, "text"),
-        (PLANT, {"scenario.stop": 5.0}, "0.0 s to 5.0 s"),
-        (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
-        (PLANT, {"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
-        (
-            PLANT,
-            {"plant.time_unit": "m"},
-            "such as ms, got 'm'",
-        ),
-        (PLANT, {"plant.offset": -1e10}, "within 2**63 ns of the offset"),
-        (
-            BOTH,
-            {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
-            "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
-            "not those of command.y; swap 'command', too, and map 'command.y'",
-        ),
-        (
-            BOTH,
-            {"connections.plant.u": ["command.y", "model.y"]},
-            "takes 2 signals, command.y, model.y; expected one name for each in its map",
-        ),
-        (
-            {**PLANT, "plant.u": "/cmd.values[0]"},
-            {"connections.plant.u[0]": "command.y"},
-            "'plant.u' is connected by its elements; expected the ports of [connections]: plant",
-        ),
-    ],
-)
-def test_what_cannot_be_right_is_refused(loop, tmp_path, names, changes, text):
+WRONG_OPTIONS = [
+    ({}, {}, "expected a map, map={'PORT': '/topic.field'}, or columns"),
+    ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
+    ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
+    (
+        {"plant.y": "/drive/state"},
+        {},
+        "'/drive/state'",
+    ),
+    ({"plant.y": "/drive/state.name"}, {}, "text"),
+    (PLANT, {"scenario.stop": 5.0}, "0.0 s to 5.0 s"),
+    (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
+    (PLANT, {"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
+    (
+        PLANT,
+        {"plant.time_unit": "m"},
+        "such as ms, got 'm'",
+    ),
+    (PLANT, {"plant.offset": -1e10}, "within 2**63 ns of the offset"),
+    (
+        BOTH,
+        {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
+        "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
+        "not those of command.y; swap 'command', too, and map 'command.y'",
+    ),
+    (
+        BOTH,
+        {"connections.plant.u": ["command.y", "model.y"]},
+        "takes 2 signals, command.y, model.y; expected one name for each in its map",
+    ),
+    (
+        {**PLANT, "plant.u": "/cmd.values[0]"},
+        {"connections.plant.u[0]": "command.y"},
+        "'plant.u' is connected by its elements; expected the ports of [connections]: plant",
+    ),
+]
+
+
+def test_wrong_options_are_refused(loop, tmp_path):
     """Before the run, with the way out."""
-    if "connections.plant.u[0]" in changes:
-        document = tmp_path / "parts.toml"
-        document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
-        loop = cosim.load(document)
-        changes = {}
-    swapped = {"plant": str(field_log(tmp_path))}
-    with pytest.raises(ScenarioError) as refused:
+
+    def refuse(case):
+        names, changes = case
+        if "connections.plant.u[0]" in changes:
+            document = tmp_path / "parts.toml"
+            document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
+            loop = cosim.load(document)
+            changes = {}
+        swapped = {"plant": str(field_log(tmp_path))}
         cosim.run(loop, swap=swapped, map=names, set=changes)
-    assert text in str(refused.value)
+
+    cases = [(case, re.escape(text)) for *case, text in WRONG_OPTIONS]
+    check_refused(cases, refuse, ScenarioError)
 
 
 def test_several_signals_that_drive_an_input_are_recorded_one_by_one(loop, tmp_path):

@@ -149,11 +149,11 @@ def test_valid_drives_another_component(tmp_path):
         ("delay = -1e-3", "delay: expected a time >= 0 s, got -0.001 s"),
         ("jitter = -1e-3\nseed = 1", "jitter: expected a time >= 0 s, got -0.001 s"),
         ("jitter = 1e-3\nseed = 1", "jitter: "),
-        ("delay = 1.5e-10", "1.5e-10 s is not a whole number of nanoseconds"),
+        ("delay = 1.5e-10", "1.5e-10 s"),
         ("lower = 1\nupper = 1", "lower < upper"),
         ("bits = 12", "bits: "),
         ("dropout = 1.0\nseed = 1", "dropout: "),
-        ("period = 1.5e-3", "period of 'sensor': 0.0015 s is not a whole number of 0.001 s steps"),
+        ("period = 1.5e-3", "period of 'sensor': "),
     ],
 )
 def test_a_wrong_value_is_one_problem_of_the_file(tmp_path, errors, text):
