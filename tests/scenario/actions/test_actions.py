@@ -185,7 +185,7 @@ CASES = {
     ),
     "unknown component": (
         'at = 1.0\nsignal = "xx.u"\noffset = 1.0',
-        r"actions\.0\.signal: 'xx\.u': there is no component 'xx'; did you mean 'x'\?",
+        r"actions\.0\.signal: 'xx\.u': component 'xx'; did you mean 'x'\?",
     ),
     "output": (
         'at = 1.0\nsignal = "s.y"\noffset = 1.0',

@@ -197,7 +197,7 @@ def test_a_setting_is_set_from_outside(write):
 CASES = {
     "unknown component": (
         'set = { "h.K" = 1.0 }',
-        r":27: actions\.0\.set\.h\.K: there is no component 'h'; ",
+        r":27: actions\.0\.set\.h\.K: component 'h'; ",
     ),
     "not tunable": (
         'set = { "x.initial" = 1.0 }',
@@ -264,7 +264,7 @@ CASES = {
     ),
     "matrix of an unknown component": (
         'set = { "h.K" = [[1.0]] }',
-        r"actions\.0\.set\.h\.K: there is no component 'h'; ",
+        r"actions\.0\.set\.h\.K: component 'h'; ",
     ),
     "matrix for a number": (
         'set = { "x.time_constant" = [[1.0]] }',

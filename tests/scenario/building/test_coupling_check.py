@@ -327,14 +327,14 @@ def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
     assert abs(memory["plant.y"][-1] - 1.0) < 0.05
     ((_, warning),) = recorded_warnings(memory)
     assert warning.startswith(
-        "after the action when 'plant.y > 5', taken as at the start, the loop of pid, plant: "
+        "after the action when 'plant.y > 5', linearized at the start, the loop of pid, plant: "
     )
     with pytest.raises(SystemExit) as left:
         main(["check", str(path)])
     assert not left.value.code
     output = capsys.readouterr().out
     assert (
-        "pid, plant after the action when 'plant.y > 5', taken as at the start\tnot dec" in output
+        "pid, plant after the action when 'plant.y > 5', linearized at the start\tnot dec" in output
     )
 
 

@@ -237,7 +237,7 @@ WRONG = {
     "no such component": (
         True,
         {"plnt.u": "force"},
-        r"map\['plnt\.u'\]: there is no component 'plnt'; did you mean 'plant'\?",
+        r"map\['plnt\.u'\]: unknown component 'plnt'; did you mean 'plant'\?",
     ),
     "no such port": (
         True,
