@@ -38,7 +38,7 @@ def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
     for command, needed in [
         (("check", "A.Mcap"), "needed an FMU"),
         (("replay", "P.FMU"), "needed a log"),
-        (("run", "P.FMU"), "needed a scenario"),
+        (("run", "P.FMU"), "expected a scenario"),
         (("run", "no.Toml"), "cannot be read"),
         (("run", "academic", "--out", "a.log"), "a log needs a path that ends in .mcap"),
         ((*export, "P.so"), "needed a path that ends in .fmu"),

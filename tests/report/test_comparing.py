@@ -123,10 +123,10 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     code, out, err = call("compare", "academic", *swaps)
     assert (code, out) == (2, "")
     assert err.splitlines() == [
-        "cosim: --swap plant: found '/dev/zero', needed a path that ends in .fmu (an FMU), .mcap "
-        "(a recorded log) or .csv, .parquet or .mcap#samples (samples with their times)",
-        "cosim: --swap plant: found '#xs' after the path, needed '#me' (model exchange) or '#cs' "
-        "(co-simulation)",
+        "cosim: --swap plant: expected a path that ends in .fmu (an FMU), .mcap (a recorded log), "
+        "or .csv, .parquet or .mcap#samples (samples with their times), got '/dev/zero'",
+        "cosim: --swap plant: expected '#me' (model exchange) or '#cs' (co-simulation) after the "
+        "path, got '#xs'",
     ]
 
 

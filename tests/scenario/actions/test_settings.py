@@ -207,7 +207,7 @@ CASES = {
         'set = { "pid.gian" = 1.0 }',
         r"'pid' has no tunable parameter 'gian'; did you mean 'gain'\? There is: gain, ",
     ),
-    "wrong type": ('set = { "g.K" = "much" }', r"set\.g\.K: found 'much'; needed a number or a"),
+    "wrong type": ('set = { "g.K" = "much" }', r"set\.g\.K: expected a number or a"),
     "wrong value": (
         'set = { "x.time_constant" = -1.0 }',
         r"set\.x\.time_constant: lag: found time_constant = -1\.0 s, needed a positive time",
@@ -222,11 +222,11 @@ CASES = {
     ),
     "true for a number": (
         'set = { "c.value" = true }',
-        r"set\.c\.value: found True; needed a number or a list of numbers$",
+        r"set\.c\.value: expected a number or a list of numbers, got True$",
     ),
     "true among numbers": (
         'set = { "c.value" = [true, false] }',
-        r"set\.c\.value: found \[True, False\]; needed a number or a list of numbers$",
+        r"set\.c\.value: expected a number or a list of numbers, got \[True, False\]$",
     ),
     "a number for true": (
         'set = { "flag.value" = 0.0 }',
@@ -268,17 +268,17 @@ CASES = {
     ),
     "matrix for a number": (
         'set = { "x.time_constant" = [[1.0]] }',
-        r"set\.x\.time_constant: found \[\[1\.0\]\]; needed a number or a list of numbers$",
+        r"set\.x\.time_constant: expected a number or a list of numbers, got \[\[1\.0\]\]$",
     ),
     "matrix for a row": (
         'set = { "c.value" = [[1.0], [2.0]] }',
-        r"set\.c\.value: found \[\[1\.0\], \[2\.0\]\]; needed a number or a list of numbers$",
+        r"set\.c\.value: expected a number or a list of numbers, got \[\[1\.0\], \[2\.0\]\]$",
     ),
     "table": (
         'set = { "x.time_constant" = { a = 1 } }',
-        r"set\.x\.time_constant: found \{'a': 1\}; needed a number or a list of numbers$",
+        r"set\.x\.time_constant: expected a number or a list of numbers, got \{'a': 1\}$",
     ),
-    "infinity": ('set = { "g.K" = inf }', r"set\.g\.K: found inf; needed a finite number"),
+    "infinity": ('set = { "g.K" = inf }', r"set\.g\.K: expected a finite number, got inf"),
     "nothing": ("set = {}", r"actions\.0\.set: found nothing; needed a parameter and its value$"),
     "no swap": ("swap = {}", r"actions\.0\.swap: found nothing; needed a component and its \.fmu$"),
 }

@@ -111,7 +111,7 @@ def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
     [
         ({"filtr": "filter.fmu"}, {}, ScenarioError, "component 'filtr'; did you mean"),
         ({"filter": "none.fmu"}, {}, ScenarioError, r"none\.fmu: there is no such file"),
-        ({"filter": "f.toml"}, {}, ScenarioError, r"needed a path that ends in \.fmu"),
+        ({"filter": "f.toml"}, {}, ScenarioError, r"expected a path that ends in \.fmu"),
         ({}, {"filter.u": "force"}, UsageError, "found map and no swap; needed both"),
         ({"filter": 3}, {}, UsageError, r"swap\['filter'\]: path: found 3; needed a path"),
     ],

@@ -33,9 +33,9 @@ def test_a_thousand_combinations_are_the_most():
         ({"a.x": []}, r"vary\['a.x'\]: found no value; needed at least one"),
         ({"a.x": "12"}, r"vary\['a.x'\]: found '12'; needed a list"),
         ({"a.x": 3.0}, r"vary\['a.x'\]: found 3.0; needed a list"),
-        ({"a.x": [object]}, r"vary\['a.x'\]: found <class 'object'>; needed a number, true or"),
+        ({"a.x": [object]}, r"vary\['a.x'\]: expected a number, true or"),
         ([1.0], r"vary: found \[1.0\]; needed a mapping"),
-        ({1: [1.0]}, "vary: found the key 1; needed a string"),
+        ({1: [1.0]}, "vary: .*key.* 1"),
     ],
 )
 def test_what_is_no_list_of_values_is_refused(vary, message):

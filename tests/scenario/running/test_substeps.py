@@ -221,7 +221,9 @@ def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
     (gain,) = recorded_loop_gains(stable)
     assert (gain.parts, gain.steps) == (64, 640)
     assert re.fullmatch(r"0\.\d+ a substep of 0.00015625 s, the shortest; the .*", gain_text(gain))
-    with pytest.raises(ScenarioError, match=r"'jacobi' amplifies an error by .* per substep of 0.00\d+ s"):
+    with pytest.raises(
+        ScenarioError, match=r"'jacobi' amplifies an error by .* per substep of 0.00\d+ s"
+    ):
         cosim.run(pair, set={**changes, "scenario.substeps.min": 2e-3})
 
 
@@ -278,9 +280,9 @@ def test_a_certificate_of_chosen_steps_is_refused(pair, how):
     [
         ("min", 0.02, r"min: found 0.02 s, longer than half a step of 0.01 s"),
         ("min", 1e-10, r"1e-10 s is not a whole number of nanoseconds"),
-        ("min", 0.0, r"scenario\.substeps\.min: found 0\.0; needed more than 0"),
-        ("min", -1.0, r"scenario\.substeps\.min: found -1\.0; needed more than 0"),
-        ("rtol", -1.0, r"scenario.substeps.rtol: found -1.0; needed at least 0"),
+        ("min", 0.0, r"scenario\.substeps\.min: expected a number > 0, got 0\.0"),
+        ("min", -1.0, r"scenario\.substeps\.min: expected a number > 0, got -1\.0"),
+        ("rtol", -1.0, r"scenario.substeps.rtol: expected a number >= 0, got -1.0"),
         ("atol", "small", r"scenario.substeps.atol: .*small"),
         ("max", 1.0, r"scenario.substeps.max"),
     ],

@@ -46,7 +46,7 @@ def test_what_the_scenario_takes_is_right(tmp_path):
         ({"vary": {"obsrver.L": [1.0]}}, "obsrver.L = 1.0: .*there is no component 'obsrver'"),
         (
             {"vary": {"observer.filter_rate": [1.0, 2.0, "a"]}},
-            "observer.filter_rate = 'a': .*found 'a'; needed a number",
+            "observer.filter_rate = 'a': .*expected a number, got 'a'",
         ),
         (
             {"vary": {"delta.terms[2].theta": {"uniform": [0.0, 1.0]}}, "samples": 3},
@@ -83,7 +83,7 @@ def test_what_the_scenario_takes_is_right(tmp_path):
         ),
         (
             {"vary": {"plant": ["a.zip"]}},
-            r"swap\['plant'\]: found '.*a.zip', needed a path that ends in .fmu",
+            r"swap\['plant'\]: expected a path that ends in .fmu",
         ),
         (
             {"vary": {"plant": ["a.fmu#cs"]}},
@@ -280,11 +280,11 @@ def test_every_key_of_a_table_of_cases_is_refused_at_once_by_its_rows(tmp_path):
         row = place.removeprefix(f"file {str(path)!r}, row ")
         (rate if problem.startswith("u.rate = ") else amplitude).append((row, problem))
     assert rate == [
-        ("1", "u.rate = '2,5': found '2,5'; needed a number"),
-        ("3", "u.rate = 'abc': found 'abc'; needed a number"),
-        ("5", "u.rate = '[1': found '[1'; needed a number"),
+        ("1", "u.rate = '2,5': expected a number, got '2,5'"),
+        ("3", "u.rate = 'abc': expected a number, got 'abc'"),
+        ("5", "u.rate = '[1': expected a number, got '[1'"),
     ]
-    assert amplitude == [("2", "u.amplitude = '-': found '-'; needed a number")]
+    assert amplitude == [("2", "u.amplitude = '-': expected a number, got '-'")]
 
 
 def test_keys_of_which_no_value_is_taken_are_refused_alone(tmp_path):
@@ -294,8 +294,8 @@ def test_keys_of_which_no_value_is_taken_are_refused_alone(tmp_path):
         check(cases=path)
     problems = [line.split(", row ")[1] for line in str(refused.value).split("\n")]
     assert problems[:2] == [
-        "1: u.amplitude = 'a': found 'a'; needed a number",
-        "2: u.amplitude = 'b': found 'b'; needed a number",
+        "1: u.amplitude = 'a': expected a number, got 'a'",
+        "2: u.amplitude = 'b': expected a number, got 'b'",
     ]
     assert [problem[:35] for problem in problems[2:]] == [
         "1: u.rat = 1.0: unknown key 'rat'; ",
@@ -306,7 +306,7 @@ def test_keys_of_which_no_value_is_taken_are_refused_alone(tmp_path):
 def test_a_number_that_is_none_is_named_by_its_row(tmp_path):
     path = tmp_path / "cases.csv"
     path.write_text("u.rate\n1.0\nnan\n")
-    with pytest.raises(UsageError, match=r"row 2: u.rate = nan: found nan; needed a finite"):
+    with pytest.raises(UsageError, match=r"row 2: u.rate = nan: expected a finite number, got nan"):
         check(cases=path)
 
 
