@@ -248,7 +248,7 @@ def test_a_filter_is_chosen_by_a_signal_that_is_known_before_the_run(tmp_path):
     assert request["sources"]["schedule"]["y"] == list(ALPHAS)
 
     path = scenario(tmp_path, EXPRESSION, ("plant.y", "schedule.y[1]"))
-    with pytest.raises(ScenarioError, match="'auto' needs the amplitude and the bandwidth"):
+    with pytest.raises(ScenarioError, match="'auto' requires amplitude and bandwidth"):
         cosim.run(path, set=changes)
 
 
@@ -256,7 +256,7 @@ def test_an_alpha_that_lags_is_for_least_squares_alone(tmp_path):
     """y does not lag, so that it does not fit an alpha that does."""
     path = scenario(tmp_path, EXPRESSION, ("observer.delta", "schedule.y[1]"))
     changes = {**RUN, "observer.filter": "consistent"}
-    with pytest.raises(ScenarioError, match=r"'observer\.delta' lags behind by 0\.01\d+ s, and y"):
+    with pytest.raises(ScenarioError, match=r"'observer\.delta' with a lag of 0\.01\d+ s"):
         cosim.run(path, set=changes)
     changes |= {"identifier.method": "least-squares", "scenario.stop": 2.5}
     assert np.isfinite(signals(path, set=changes)["regressor.mu"][-1]).all()
@@ -434,14 +434,14 @@ def test_a_jump_that_feeds_through_is_refused(tmp_path):
     )
     connections = {"speed.u1": "gear.y", "speed.u2": "u.y"}
     path = scenario(tmp_path, source, ("speed.y", "schedule.y[1]"), connections)
-    with pytest.raises(ScenarioError, match=r"alpha 'speed\.y' jumps with gear\.y, which feeds"):
+    with pytest.raises(ScenarioError, match=r"alpha 'speed\.y' jumps with gear\.y"):
         cosim.run(path, set=RUN)
 
 
 def test_the_input_alpha_is_connected_by_the_terms_alone(tmp_path):
     """A connection of the file would be a second source."""
     path = scenario(tmp_path, connections={"regressor.alpha": "schedule.y"})
-    with pytest.raises(ScenarioError, match="connected to what the table of 'regressor' names"):
+    with pytest.raises(ScenarioError, match=r"'regressor\.alpha' .*table of 'regressor'"):
         cosim.run(path, set=RUN)
 
 

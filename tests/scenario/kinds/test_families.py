@@ -253,7 +253,7 @@ def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
     assert level.value == pytest.approx(0.7, rel=1e-9)
     for method in ("least-squares", "rayleigh", "gradient", "extended-kalman"):
         scenario = identified(tmp_path, terms, [0.4, 0.8], f'method = "{method}"')
-        with pytest.raises(CosimError, match=rf'"{method}": estimates theta alone.*output-error'):
+        with pytest.raises(CosimError, match=rf'"{method}": .*constant.*output-error'):
             cosim.run(scenario)
 
 
@@ -286,7 +286,7 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
         steps = round(delay / 0.02)
         np.testing.assert_array_equal(mu[200:, j], delta[200 - steps : len(delta) - steps])
     scenario = identified(tmp_path, exponentials(*theta), delays, 'method = "rayleigh"')
-    with pytest.raises(CosimError, match=r'"rayleigh": \(25\) has 720 terms, at most 128'):
+    with pytest.raises(CosimError, match=r'"rayleigh": .*128 .*720'):
         cosim.run(scenario)
 
 

@@ -244,6 +244,7 @@ def test_a_log_replays_without_the_file(experiment, tmp_path):
     assert open_log(out).steps == round(STOP / STEP)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_ports_of_other_names_bring_their_samples(experiment, plain, tmp_path):
     """A map of y is one of its samples too, also of elements."""
@@ -340,7 +341,7 @@ def test_too_many_samples_in_a_step_are_refused(experiment, tmp_path):
     path = tmp_path / "burst.csv"
     times = [0.0, *(2.0 + 1e-6 * np.arange(1500)), *np.arange(2.1, 41.0, 0.1)]
     path.write_text("\n".join(["t,y", *(f"{t!r},0" for t in map(float, times))]), encoding="utf-8")
-    with pytest.raises(ScenarioError, match="has 1499 samples in one of 4000 communication"):
+    with pytest.raises(ScenarioError, match=r"at most 1000 .*1499 .*4000"):
         experiment.run(path, {"plant.maximum_gap": 3.0})
 
 
@@ -349,7 +350,7 @@ def test_parts_between_the_file_and_the_identifier_are_refused(experiment, plain
     """A gain of the observer's y has no samples; one of the connection has."""
     y = experiment.measured(0)
     path = experiment.written(tmp_path, y)
-    with pytest.raises(ScenarioError, match="y has values between the samples of 'plant'"):
+    with pytest.raises(ScenarioError, match="y is interpolated between the samples of 'plant'"):
         experiment.run(
             path,
             {
@@ -383,6 +384,7 @@ def test_a_dry_run_compares_the_file_with_the_plant(experiment, tmp_path):
     assert any("plant.level may be plant.y" in hint for hint in reports.hints)
 
 
+@pytest.mark.slow
 def test_the_verdict_and_the_log_rest_on_the_samples(experiment, tmp_path):
     """Good data are identifiable; a later fit of the log is that of the run, gain applied."""
     out = tmp_path / "run.mcap"
@@ -408,7 +410,7 @@ def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experime
     path = experiment.written(tmp_path, experiment.y)
     experiment.run(path, {"identifier.method": "least-squares"}, out=out)
     log = open_log(out)
-    text = "y has values between the samples of 'plant'"
+    text = "y is interpolated between the samples of 'plant'"
     assert any(text in warning for _, warning in recorded_warnings(log))
     assert text in log.results[IDENTIFICATION]["identifier"]["problem"]
     with pytest.raises(UsageError, match=text):

@@ -194,6 +194,7 @@ def test_a_filter_is_needed_where_a_part_of_delta_takes_a_derivative(direct):
         cosim.run(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.core.contracts import prepare
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.recorded_metadata import recorded_identification
 from cosim.testing import check_component
@@ -64,6 +64,7 @@ def saved_size(component):
     return state.state.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -296,19 +297,13 @@ NO_SENSE = [
     ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),
     ({"window": 0.0151}, "window of 'identifier'"),
     ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "the lower 0 is above the upper -1"),
-    ({"P0": 1.0}, "P0: not of method 'output-error'"),
+    ({"P0": 1.0}, "P0: .*'output-error'"),
 ]
 
 
 def test_options_that_make_no_sense_are_refused():
     """Each with what was found."""
-
-    def refuse(options):
-        run(**options)
-
-    check_refused(
-        [(options, text) for options, text in NO_SENSE], refuse, (ScenarioError, UsageError)
-    )
+    check_refused(NO_SENSE, lambda options: run(**options))
 
 
 def test_the_verdict_of_a_window_is_made_of_its_samples():

@@ -256,7 +256,7 @@ def test_signals_that_lag_differently_have_no_instant(two):
         "connections.both.u2": "delta.y",
         "connections.regressor.delta": "both.y",
     }
-    message = r"'delta' is driven by signals that lag behind differently: .*observer.delta by 0.005"
+    message = r"'delta': expected .*observer.delta by 0.005"
     with pytest.raises(ScenarioError, match=message):
         cosim.run(two, set=CONSISTENT | added)
 
@@ -332,7 +332,7 @@ def test_a_damaged_recorded_choice_is_refused(academic, tmp_path):
 
     def refuse(case):
         key, value = case
-        log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | AUTO)
+        log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | AUTO, force=True)
         content = take_apart(log.path)
         for name, items in content.metadata:
             if name == "cosim.component.observer":
@@ -364,7 +364,7 @@ WRONG_FILTERS = [
     ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
     ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
     ({"filter": "savitzky-golay", "half_width": 0.0105}, r"half_width.*nearest"),
-    ({"filter": "savitzky-golay", "half_width": 0.0}, r"half.width.* 0\\b"),
+    ({"filter": "savitzky-golay", "half_width": 0.0}, r"half.width.* 0 "),
     ({"filter": "savitzky-golay", "half_width": 0.1, "order": 11}, r"order 11 with 201"),
 ]
 
@@ -384,7 +384,7 @@ def test_a_wrong_filter_is_refused(academic):
     [
         (-1.0, r"noise: expected .*>= 0, got \[-1.0\]"),
         ([0.1, 0.1], r"noise: expected 1 numbers, .*got 2"),
-        (0.1, r"give both, or a regressor of exponentials alone whose alphas vary"),
+        (0.1, r"give both, or connect a regressor with exponential terms only"),
     ],
 )
 def test_a_constant_alpha_has_no_bandwidth_and_hides_no_other_fault(noise, message):
@@ -445,7 +445,7 @@ def test_a_filter_without_its_rate_is_refused(two):
 
 def test_the_choice_needs_what_delta_is_like(two):
     """A sine has no rate that is known before: it is what is identified."""
-    with pytest.raises(ScenarioError, match="needs the amplitude and the bandwidth of delta"):
+    with pytest.raises(ScenarioError, match="requires amplitude and bandwidth of delta"):
         cosim.run(two, set=AUTO)
     given = {"observer.amplitude": 2.0, "observer.bandwidth": 2.3}
     run = cosim.run(two, set=AUTO | given | {"scenario.stop": 8.0})
@@ -472,6 +472,7 @@ def test_a_log_without_the_observer_has_no_noise_of_its_y(academic, tmp_path):
 # --- FMUs ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes", "fmi"),
     [("observer", WINDOW, "2"), ("observer", CONSISTENT, "3"), ("regressor", WINDOW, "3")],

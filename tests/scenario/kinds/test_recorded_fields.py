@@ -238,13 +238,14 @@ def test_wrong_options_are_refused(loop, tmp_path):
 
     def refuse(case):
         names, changes = case
+        scenario = loop
         if "connections.plant.u[0]" in changes:
             document = tmp_path / "parts.toml"
             document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
-            loop = cosim.load(document)
+            scenario = cosim.load(document)
             changes = {}
         swapped = {"plant": str(field_log(tmp_path))}
-        cosim.run(loop, swap=swapped, map=names, set=changes)
+        cosim.run(scenario, swap=swapped, map=names, set=changes)
 
     cases = [(case, re.escape(text)) for *case, text in WRONG_OPTIONS]
     check_refused(cases, refuse, ScenarioError)

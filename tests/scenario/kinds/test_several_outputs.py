@@ -138,6 +138,7 @@ def test_noise_that_is_stated_wrong_is_said(two):
         assert "deviation of y[1] over the stated one" in one.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -211,6 +212,7 @@ def test_an_unstable_plant_needs_its_noise_stated(two):
         cosim.run(path)
 
 
+@pytest.mark.slow
 def test_an_exported_identifier_has_the_same_bits(two, log, tmp_path):
     """The weights are estimated by the same kernel in both homes."""
     fmu = tmp_path / "identifier.fmu"

@@ -94,6 +94,7 @@ def test_lost_samples_do_not_count():
     np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 1e-2])
 def test_errors_have_the_size_of_standard_errors_over_seeds(jitter):
     """Over 8 seeds: the sum of 16 squares is a chi-square of 16 degrees, 3e-4 below 3.3, above 43.
@@ -168,6 +169,7 @@ def test_time_stamps_that_no_sensor_has_are_refused():
     check_refused([(changes, text) for changes, text in NO_TIME_STAMPS], refuse, CosimError)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stamps", [False, True])
 def test_an_exported_identifier_takes_samples(stamps, tmp_path):
     """With the same bits; not those that come after their instants, which is said."""
