@@ -64,7 +64,7 @@ def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run
     assert not out.exists()
 
 
-def test_what_the_refusal_offers_runs(pair):
+def test_the_offers_of_a_refusal_run(pair):
     """The step, and each of the couplings, are not refused."""
     with pytest.raises(ScenarioError) as caught:
         cosim.run(pair)
@@ -77,7 +77,7 @@ def test_what_the_refusal_offers_runs(pair):
         assert abs(memory["one.x"][-1]) < 0.2
 
 
-def test_what_is_offered_beside_iterations_runs_with_them(pair):
+def test_offers_beside_iterations_run_with_them(pair):
     """Newton's method takes as many as it needs; Gauss-Seidel is as unstable with three."""
     iterations = {"scenario.iterations": 3}
     with pytest.raises(ScenarioError, match=r"'gauss-seidel' amplifies an error by 8\.9"):
@@ -169,7 +169,7 @@ def test_the_summary_of_a_run_has_a_line_on_the_gain(pair, call):
     assert gain["rho"] == pytest.approx(0.976218, abs=1e-6)
 
 
-def test_what_a_scenario_is_shows_the_gain(pair, call):
+def test_info_and_check_show_the_gain(pair, call):
     """Without a run: `cosim info`, and `cosim check` with what stands against it."""
     code, text, _ = call("info", str(pair), "--json")
     assert code == 0

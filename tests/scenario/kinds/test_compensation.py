@@ -318,7 +318,7 @@ K = [[1, 0], [0, 1]]
         (BOTH, '"observer.y" = "plant.y"', "both.y", "between the plant and the y of 'observer'"),
     ],
 )
-def test_what_is_between_is_said(part, of, source, between):
+def test_other_parts_of_the_loop_are_warned_of(part, of, source, between):
     """Of what is in the loop beside plant, observer and compensator, the certificate knows none."""
     to, _ = of.split(" = ")
     loop = scenario(replaced={"[connections]\n": part, of: f'{to} = "{source}"'})

@@ -109,7 +109,7 @@ def test_a_theta_of_something_else_is_refused():
         ),
     ],
 )
-def test_what_may_be_meant_is_said(identified, own, theta, message):
+def test_a_doubtful_theta_is_warned_of(identified, own, theta, message):
     """The rate of a damped sine as that of a sine, another form of a term, a term left out."""
     (told,) = warnings(loop(identified, own, theta))
     assert re.search(message, told)

@@ -86,7 +86,7 @@ def test_it_closes_a_loop(tmp_path):
     assert 1.7 < errors[0] / errors[1] < 4.6
 
 
-def test_what_has_no_value_is_allowed_where_that_is_said(tmp_path):
+def test_optional_allows_signals_without_a_value(tmp_path):
     """Of theta_hat before T_id; else its connection is refused."""
     text = cosim.load("academic").document.text
     path = tmp_path / "academic.toml"
@@ -102,7 +102,7 @@ def test_what_has_no_value_is_allowed_where_that_is_said(tmp_path):
         cosim.run(path)
 
 
-def test_what_is_no_number_stops_the_run(tmp_path):
+def test_a_value_that_is_not_finite_stops_the_run(tmp_path):
     """As everywhere, where it is not said that there may be no value."""
     with pytest.raises(NonFiniteError, match=r"'d\.y' became nan at t = "):
         cosim.run(file(tmp_path, 'y = "sqrt(x.y)"'))
@@ -159,7 +159,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("d", REFUSED)
-def test_what_is_wrong_is_refused_with_its_line(d, tmp_path):
+def test_a_wrong_expression_is_refused_with_its_line(d, tmp_path):
     """One error each, at the component."""
     path = file(tmp_path, d)
     with pytest.raises(ScenarioError) as error:

@@ -269,7 +269,7 @@ def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
     assert (difference < 0.1 * deviations).all()  # u interpolated twice
 
 
-def test_what_is_not_true_of_the_data_is_said(experiment, tmp_path):
+def test_data_that_differ_from_the_model_are_warned_of(experiment, tmp_path):
     """Signals that the file lacks, connections that have no effect, and the units."""
     path = experiment.written(tmp_path, experiment.y, header="t,y [mm]")
     out = tmp_path / "run.mcap"

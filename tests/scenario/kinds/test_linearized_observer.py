@@ -224,7 +224,7 @@ REFUSED_TABLES = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
+def test_an_fmu_without_a_design_model_is_refused(name, folder, foreign2):
     """One clear error each, with the component: see REFUSED."""
     from tests.scenario.swapping.test_swap import rewritten
 
@@ -236,7 +236,7 @@ def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
 
 
 @pytest.mark.parametrize("name", REFUSED_TABLES)
-def test_what_is_no_table_of_a_design_model_is_refused(name, folder):
+def test_a_wrong_table_of_a_design_model_is_refused(name, folder):
     """One clear error each, with the key: see REFUSED_TABLES."""
     model, message = REFUSED_TABLES[name]
     with pytest.raises(ScenarioError, match=rf"components\.observer\.model{message}"):
@@ -429,7 +429,7 @@ ANEW_REFUSED = {
             "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
             "connections.c.x_a": "observer.x_a",
         },
-        "'observer' is relinearized during the run; stability one observer",
+        "'observer' is relinearized during the run; stability",
     ),
     "a start of another size": (
         {"observer.relinearize": True, "observer.model": MODEL, "observer.x_a0": [0.0]},
@@ -439,7 +439,7 @@ ANEW_REFUSED = {
 
 
 @pytest.mark.parametrize("name", ANEW_REFUSED)
-def test_what_cannot_be_linearized_anew_is_refused(name, folder):
+def test_options_of_another_filter_or_model_are_refused(name, folder):
     """One clear error each, with the way out: see ANEW_REFUSED."""
     changes, message = ANEW_REFUSED[name]
     with pytest.raises(ScenarioError, match=message):

@@ -133,7 +133,7 @@ def test_the_lag_of_the_papers_filter_is_a_bias_that_no_step_removes(two):
 
 
 @pytest.mark.parametrize("changes", [CONSISTENT, WINDOW], ids=["consistent", "window"])
-def test_what_lags_by_a_known_time_identifies_without_that_bias(two, changes):
+def test_a_known_lag_of_delta_leaves_no_bias(two, changes):
     """The alphas are read where delta belongs to, so 1/rate^2 or the fourth order is left."""
     run = cosim.run(two, set=changes)
     assert (theta_error(run) < 5e-5).all()

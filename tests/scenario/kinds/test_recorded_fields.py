@@ -108,7 +108,7 @@ def test_a_time_in_the_messages_is_taken_where_it_is_named(loop, tmp_path):
         cosim.run(loop.swap(plant=field_log(tmp_path), map=PLANT).set({"plant.time": "stampp"}))
 
 
-def test_what_is_between_samples_has_a_name(loop, tmp_path):
+def test_the_interpolation_between_samples_must_be_named(loop, tmp_path):
     """Of a recording that is coarser than the step; a hold is that of numpy's searchsorted."""
     path = field_log(tmp_path, step_ns=4 * STEP_NS)
     swapped = loop.swap(plant=path, map=PLANT)
@@ -218,7 +218,7 @@ WRONG_OPTIONS = [
         BOTH,
         {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
         "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
-        "not those of command.y; swap 'command', too, and map 'command.y'",
+        "are not those of command.y; swap 'command', too, and map 'command.y'",
     ),
     (
         BOTH,
