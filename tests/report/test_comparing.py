@@ -206,7 +206,7 @@ def test_problems_of_all_plants_are_raised_once(folder):
     ):
         compare("academic", swap={"plant": [plant], "observer": [plant]})
     with pytest.raises(
-        UsageError, match=r"swap\['plnt'\]: there is no component 'plnt'; did you mean 'plant'"
+        UsageError, match=r"swap\['plnt'\]: unknown component 'plnt'; did you mean 'plant'"
     ):
         compare("academic", swap={"plnt": [plant]})
     with pytest.raises(

@@ -125,7 +125,7 @@ def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
         cosim.replay_sweep(log, vary={"identifier.P0": [1e3, -1.0]}, out=folder)
     with pytest.raises(UsageError, match=r"plant.solver = 'RK45': .*'plant' is taken from the rec"):
         cosim.replay_sweep(log, vary={"plant.solver": ["RK45"]}, out=folder)
-    with pytest.raises(UsageError, match=r"identifer.P0 = 1.0: .*there is no component 'identifer"):
+    with pytest.raises(UsageError, match=r"identifer.P0 = 1.0: .*component 'identifer"):
         cosim.replay_sweep(log, vary={"identifer.P0": [1.0]}, out=folder)
     with pytest.raises(UsageError, match=r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"):
         cosim.replay_sweep(log, vary={"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, out=folder)

@@ -345,9 +345,7 @@ def test_a_recorded_plant_with_another_step_is_refused(tmp_path):
     """Recorded rows exist at the recorded instants only."""
     path = tmp_path / "a.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(
-        UsageError, match=r"has steps of 0\.001 s, the scenario of 0\.002 s; needed the same"
-    ):
+    with pytest.raises(UsageError, match=r"steps of 0\.002 s .*got 0\.001 s"):
         cosim.run(
             "academic", swap={"plant": path}, set={"scenario.stop": 0.1, "scenario.step": 2e-3}
         )
@@ -686,7 +684,7 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
     path = tmp_path / "a.mcap"
     empty = tmp_path / "empty.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(UsageError, match=r"covers 0\.0 s to 0\.1 s; needed 0\.0 s to 0\.2 s"):
+    with pytest.raises(UsageError, match=r"0\.0 s to 0\.2 s .*0\.0 s to 0\.1 s"):
         cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.2})
     with pytest.raises(UsageError, match="is read by this run"):
         cosim.run(

@@ -169,7 +169,7 @@ CASES = {
         'when = "s.y + 1"\nsignal = "x.u"\noffset = 1.0',
         r"actions\.0\.when: ",
     ),
-    "no signal": ("at = 1.0\noffset = 1.0", r"actions\.0: 'signal' is missing; needed an input"),
+    "no signal": ("at = 1.0\noffset = 1.0", r"actions\.0: 'signal' is missing; expected an input"),
     "nothing that happens": (
         'at = 1.0\nsignal = "x.u"',
         r"actions\.0: found nothing that happens; needed one of: override, freeze, offset, ",
@@ -188,7 +188,7 @@ CASES = {
     ),
     "unknown component": (
         'at = 1.0\nsignal = "xx.u"\noffset = 1.0',
-        r"actions\.0\.signal: 'xx\.u': there is no component 'xx'; did you mean 'x'\?",
+        r"actions\.0\.signal: 'xx\.u': component 'xx'; did you mean 'x'\?",
     ),
     "output": (
         'at = 1.0\nsignal = "s.y"\noffset = 1.0',
@@ -249,7 +249,7 @@ CASES = {
     ),
     "seed that no number of the log has": (
         'at = 1.0\nsignal = "x.u"\nnoise = 0.5\nseed = 9007199254740993',
-        r"actions\.0\.seed: found 9007199254740993; needed at most 9007199254740992$",
+        r"actions\.0\.seed: expected a number <= 9007199254740992, got 9007199254740993$",
     ),
     "probability": (
         'at = 1.0\nsignal = "x.u"\ndrop = 1.5',
@@ -283,7 +283,7 @@ CASES = {
     ),
     "wrong type": (
         'at = 1.0\nsignal = "x.u"\noffset = "much"',
-        r"actions\.0\.offset: found 'much'; needed a number or a list of numbers",
+        r"actions\.0\.offset: expected a number or a list of numbers, got 'much'",
     ),
 }
 
@@ -328,13 +328,13 @@ signal = "x.u"
 
 def test_actions_that_are_no_list_are_refused(write):
     """One pair of brackets is a table."""
-    with pytest.raises(ScenarioError, match=r"actions: found .*; needed a list"):
+    with pytest.raises(ScenarioError, match=r"actions: expected a list, got .*"):
         cosim.run(write('[actions]\nat = 1.0\nsignal = "x.u"\nfreeze = true\n'))
 
 
 def test_an_unknown_action_cannot_be_set(write):
     """There are those of the file."""
-    with pytest.raises(ScenarioError, match=r"no action '7'; there are 5, numbered from 0"):
+    with pytest.raises(ScenarioError, match=r"unknown action '7'; available: 0 to 4"):
         cosim.run(write(), set={"actions.7.at": 1.0})
     with pytest.raises(ScenarioError, match=r"no action '0'; there is none"):
         cosim.run(write(""), set={"actions.0.at": 1.0})

@@ -508,7 +508,7 @@ TOO_FINE_OR_LARGE = [
 ]
 
 
-def test_what_is_off_the_grid_or_too_large_is_refused():
+def test_values_off_the_grid_or_too_large_are_refused():
     """Nothing is rounded to the grid, and nothing is tried that cannot fit."""
     check_refused(
         TOO_FINE_OR_LARGE, lambda changes: cosim.run("academic", set=changes), ScenarioError

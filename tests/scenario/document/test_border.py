@@ -232,7 +232,7 @@ def test_a_value_from_the_shell_is_read_or_refused():
     check_refused([(text, r"levels deep|digits") for text in texts], parse_value)
 
 
-def test_what_follows_a_value_from_the_shell_makes_it_a_text():
+def test_a_second_line_in_the_shell_is_part_of_a_text():
     """A second line is no second key that gets lost."""
     assert parse_value("1\nb = 2") == "1\nb = 2"
 
@@ -260,7 +260,7 @@ def test_arguments_of_any_type_are_accepted_or_refused(tmp_path, name, value):
 
 @bounded
 @given(NESTED)
-def test_what_is_no_recording_and_no_scenario_is_refused(value):
+def test_other_objects_than_scenarios_and_recordings_are_refused(value):
     """By every public function."""
     calls = (
         cosim.load,

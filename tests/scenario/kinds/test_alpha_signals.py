@@ -32,6 +32,7 @@ from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
 from cosim.testing import check_component
 from cosim.theory.disturbances.regression import expand
+from tests.scenario.refusals import check_refused
 from tests.scenario.signals import signals
 
 ALPHAS = ("1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)")
@@ -197,7 +198,7 @@ def test_delayed_signals_are_straight_lines_between_samples():
 
 def test_an_alpha_that_lags_more_than_delta_is_refused():
     """Its value is not there yet."""
-    with pytest.raises(UsageError, match=r"'speed\.y': .*at most 0\.1 s, got 0\.5 s"):
+    with pytest.raises(UsageError, match=r"'speed\.y' .*0\.5 s.*0\.1 s"):
         Regressor(
             expand((1,)),
             alphas=[AlphaSignal("speed.y", 0, 0.5)],
@@ -247,7 +248,7 @@ def test_a_filter_is_chosen_by_a_signal_that_is_known_before_the_run(tmp_path):
     assert request["sources"]["schedule"]["y"] == list(ALPHAS)
 
     path = scenario(tmp_path, EXPRESSION, ("plant.y", "schedule.y[1]"))
-    with pytest.raises(ScenarioError, match="'auto' needs the amplitude and the bandwidth"):
+    with pytest.raises(ScenarioError, match="'auto' requires amplitude and bandwidth"):
         cosim.run(path, set=changes)
 
 
@@ -255,7 +256,7 @@ def test_an_alpha_that_lags_is_for_least_squares_alone(tmp_path):
     """y does not lag, so that it does not fit an alpha that does."""
     path = scenario(tmp_path, EXPRESSION, ("observer.delta", "schedule.y[1]"))
     changes = {**RUN, "observer.filter": "consistent"}
-    with pytest.raises(ScenarioError, match=r"'observer\.delta' lags behind by 0\.01\d+ s, and y"):
+    with pytest.raises(ScenarioError, match=r"'observer\.delta' with a lag of 0\.01\d+ s"):
         cosim.run(path, set=changes)
     changes |= {"identifier.method": "least-squares", "scenario.stop": 2.5}
     assert np.isfinite(signals(path, set=changes)["regressor.mu"][-1]).all()
@@ -383,46 +384,46 @@ def test_terms_that_name_one_signal_share_their_alpha(tmp_path):
     assert run["regressor.mu"].shape[1] == 3
 
 
-@pytest.mark.parametrize(
-    ("source", "names", "message"),
-    [
-        (EXPRESSION, ("schedul.y", "schedule.y[1]"), "no component 'schedul'; did you mean"),
-        (EXPRESSION, ("schedule.y", "schedule.y[1]"), "size 2 cannot drive size 1"),
-        (EXPRESSION, ("schedule.y[2]", "schedule.y[1]"), "has 2 elements, numbered from 0"),
-        (EXPRESSION, ("schedule.z", "schedule.y[1]"), "'schedule' has no output 'z'; there is: y"),
-        (EXPRESSION, ("schedule.y[0:2]", "schedule.y[1]"), "needed one element of the output"),
-        (
-            EXPRESSION,
-            ("schedule", "schedule.y[1]"),
-            "COMPONENT.SIGNAL, such as plant.y, got 'schedule'",
-        ),
-        (
-            EXPRESSION + "discrete = true\n",
-            BOTH,
-            r"(?s)components.delta: alpha 'schedule.y\[0\]' is discrete and jumps.*a disturbance "
-            r"that jumps can be an expression.*components.regressor: alpha 'schedule.y\[0\]' is",
-        ),
-        (
-            EXPRESSION.replace(ALPHAS[1], "2.7 + 0.5*sin(1.7*t)"),
-            BOTH,
-            "components.regressor: .*are proportional; merge",
-        ),
-        (
-            EXPRESSION.replace(ALPHAS[1], "1/(t - 5)"),
-            BOTH,
-            r"alpha 'schedule.y\[1\]' is -?inf at t = 5 s",
-        ),
-        (
-            EXPRESSION.replace("1.7*t", "170*t"),
-            BOTH,
-            r"linear interpolation misses 0.\d+ of alpha 'schedule.y\[0\]'",
-        ),
-    ],
-)
-def test_a_wrong_signal_is_refused_before_the_run(tmp_path, source, names, message):
+WRONG_SIGNALS = [
+    (EXPRESSION, ("schedul.y", "schedule.y[1]"), "component 'schedul'; did you mean"),
+    (EXPRESSION, ("schedule.y", "schedule.y[1]"), "size 2 "),
+    (EXPRESSION, ("schedule.y[2]", "schedule.y[1]"), "schedule.y.* 2"),
+    (EXPRESSION, ("schedule.z", "schedule.y[1]"), "'z'"),
+    (EXPRESSION, ("schedule.y[0:2]", "schedule.y[1]"), "expected one element of the output"),
+    (EXPRESSION, ("schedule", "schedule.y[1]"), "'schedule'"),
+    (
+        EXPRESSION + "discrete = true\n",
+        BOTH,
+        r"(?s)components.delta: alpha 'schedule.y\[0\]' is discrete and jumps.*for jumps "
+        r"use .*'expression'.*components.regressor: alpha 'schedule.y\[0\]' is",
+    ),
+    (
+        EXPRESSION.replace(ALPHAS[1], "2.7 + 0.5*sin(1.7*t)"),
+        BOTH,
+        "components.regressor: .*proportional",
+    ),
+    (
+        EXPRESSION.replace(ALPHAS[1], "1/(t - 5)"),
+        BOTH,
+        r"alpha 'schedule.y\[1\]': .*inf at t = 5 s",
+    ),
+    (
+        EXPRESSION.replace("1.7*t", "170*t"),
+        BOTH,
+        r"components.*0\.\d+ of alpha 'schedule.y\[0\]'",
+    ),
+]
+
+
+def test_a_wrong_signal_is_refused_before_the_run(tmp_path):
     """The error names the table whose term it is."""
-    with pytest.raises(ScenarioError, match=message):
+
+    def refuse(case):
+        source, names = case
         cosim.run(scenario(tmp_path, source, names), set=RUN)
+
+    cases = [(case, message) for *case, message in WRONG_SIGNALS]
+    check_refused(cases, refuse, ScenarioError)
 
 
 def test_a_jump_that_feeds_through_is_refused(tmp_path):
@@ -433,17 +434,18 @@ def test_a_jump_that_feeds_through_is_refused(tmp_path):
     )
     connections = {"speed.u1": "gear.y", "speed.u2": "u.y"}
     path = scenario(tmp_path, source, ("speed.y", "schedule.y[1]"), connections)
-    with pytest.raises(ScenarioError, match=r"alpha 'speed\.y' jumps with gear\.y, which feeds"):
+    with pytest.raises(ScenarioError, match=r"alpha 'speed\.y' jumps with gear\.y"):
         cosim.run(path, set=RUN)
 
 
 def test_the_input_alpha_is_connected_by_the_terms_alone(tmp_path):
     """A connection of the file would be a second source."""
     path = scenario(tmp_path, connections={"regressor.alpha": "schedule.y"})
-    with pytest.raises(ScenarioError, match="connected to what the table of 'regressor' names"):
+    with pytest.raises(ScenarioError, match=r"'regressor\.alpha' .*table of 'regressor'"):
         cosim.run(path, set=RUN)
 
 
+@pytest.mark.slow
 def test_an_exported_regressor_takes_the_signals_by_its_input_alpha(tmp_path):
     """The FMU gives what the component gives, bit for bit."""
     path = scenario(tmp_path)

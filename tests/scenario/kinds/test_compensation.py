@@ -16,6 +16,7 @@ from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
 from tests.scenario.general_plant import GENERAL, PARTITIONED
+from tests.scenario.refusals import check_refused
 
 LOOP = """
 [scenario]
@@ -244,38 +245,42 @@ def test_blocks_and_a_replay_make_the_same_bits(tmp_path):
 # --- what is refused ---
 
 
-@pytest.mark.parametrize(
-    ("replaced", "changes", "message"),
-    [
-        ({}, {"regulated": [0, 1]}, "FEWER_INPUTS_THAN_REGULATED_OUTPUTS"),
-        ({}, {"interval": []}, r"interval: found 0 rows, needed 1, \[lower, upper\] of rate"),
-        ({}, {"interval": [[2.0, 1.0]]}, "needed lower <= upper"),
-        ({}, {"Q": [[1.0]]}, "needed 4 numbers, its diagonal"),
-        ({}, {"lower": [0.0, 1.0]}, "lower: found 2 numbers, needed one, or one an input: 1"),
-        ({'"compensator.theta" = "theta.y"': ""}, {}, "needs 'theta', and nothing drives it"),
-        ({'terms = [{ family = "sine" }]': ""}, {}, "nothing says what the disturbance is"),
-        (
-            {'{ family = "sine" }': '{ family = "sine", alpha = "1+t" }'},
-            {},
-            "alpha = '1[+]t' varies",
-        ),
-        (
-            {'{ family = "sine" }': '{ family = "sine", alpha = "cos(20160*pi*t)" }'},
-            {},
-            "alpha = 'cos.*' varies",
-        ),
-        ({'"observer.x_a"': '"plant.x_a"'}, {}, "must be driven directly by a component of kind"),
-        (
-            {"filter_rate": 'filter = "consistent"\nfilter_rate'},
-            {"feedforward": True},
-            "is of the past",
-        ),
-    ],
-)
-def test_a_table_that_is_no_compensator_is_refused(replaced, changes, message):
+NO_COMPENSATORS = [
+    ({}, {"regulated": [0, 1]}, "FEWER_INPUTS_THAN_REGULATED_OUTPUTS"),
+    ({}, {"interval": []}, r"interval: expected 1 rows, \[lower, upper\] of rate, got 0"),
+    ({}, {"interval": [[2.0, 1.0]]}, "lower <= upper"),
+    ({}, {"Q": [[1.0]]}, "Q.*4 numbers"),
+    ({}, {"lower": [0.0, 1.0]}, r"lower: expected one number, or one per input \(1\), got 2"),
+    ({'"compensator.theta" = "theta.y"': ""}, {}, "requires the input 'theta'"),
+    ({'terms = [{ family = "sine" }]': ""}, {}, "internal_model: the disturbance is not described"),
+    (
+        {'{ family = "sine" }': '{ family = "sine", alpha = "1+t" }'},
+        {},
+        "expected constant alphas, got '1[+]t'",
+    ),
+    (
+        {'{ family = "sine" }': '{ family = "sine", alpha = "cos(20160*pi*t)" }'},
+        {},
+        "expected constant alphas, got 'cos.*'",
+    ),
+    ({'"observer.x_a"': '"plant.x_a"'}, {}, "must be driven directly by a component of kind"),
+    (
+        {"filter_rate": 'filter = "consistent"\nfilter_rate'},
+        {"feedforward": True},
+        "feedforward: delta of 'observer' lags",
+    ),
+]
+
+
+def test_a_wrong_compensator_is_refused():
     """With what was found and what would do, before the run."""
-    with pytest.raises(UsageError, match=message):
+
+    def refuse(case):
+        replaced, changes = case
         cosim.run(scenario(replaced=replaced, **changes), set={"scenario.stop": 0.1})
+
+    cases = [(case, message) for *case, message in NO_COMPENSATORS]
+    check_refused(cases, refuse)
 
 
 def test_an_interval_that_cannot_be_certified_is_refused_before_the_run():
@@ -314,7 +319,7 @@ K = [[1, 0], [0, 1]]
         (BOTH, '"observer.y" = "plant.y"', "both.y", "between the plant and the y of 'observer'"),
     ],
 )
-def test_what_is_between_is_said(part, of, source, between):
+def test_other_parts_of_the_loop_are_warned_of(part, of, source, between):
     """Of what is in the loop beside plant, observer and compensator, the certificate knows none."""
     to, _ = of.split(" = ")
     loop = scenario(replaced={"[connections]\n": part, of: f'{to} = "{source}"'})

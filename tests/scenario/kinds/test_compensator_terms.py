@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.errors import UsageError
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
 from tests.scenario.kinds.test_compensation import LOOP
+from tests.scenario.refusals import check_refused
 
 IDENTIFIED = """
 [components.regressor]
@@ -67,29 +67,33 @@ def test_the_same_terms_are_not_questioned(identified, own, theta):
     assert warnings(loop(identified, own, theta)) == []
 
 
-@pytest.mark.parametrize(
-    ("identified", "own", "theta", "message"),
-    [
-        (
-            '{ family = "exponential" }, { family = "ramp" }',
-            f"terms = [{SINE}]\n",
-            "",
-            r"theta\[0\] is 'theta' of terms\[0\] \(exponential\) of 'identifier', and is taken as "
-            r"'rate' of terms\[0\] \(sine\) of 'compensator'; needed the terms of 'identifier'",
-        ),
-        (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}]\n", "[0]", "is 'decay' of .* taken as 'rate'"),
-        (
-            f'{{ family = "sine", alpha = "1 + 0.5*cos(t)" }}, {CONSTANT}',
-            f"terms = [{SINE}]\n",
-            "",
-            "whose alpha = .* varies, and the internal model is of a constant alpha; needed a term",
-        ),
-    ],
-)
-def test_a_theta_of_something_else_is_refused(identified, own, theta, message):
+OF_SOMETHING_ELSE = [
+    (
+        '{ family = "exponential" }, { family = "ramp" }',
+        f"terms = [{SINE}]\n",
+        "",
+        r"theta\[0\] is 'theta' of terms\[0\] \(exponential\) of 'identifier', and is taken as "
+        r"'rate' of terms\[0\] \(sine\) of 'compensator'; expected the terms of 'identifier'",
+    ),
+    (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}]\n", "[0]", "is 'decay' of .* taken as 'rate'"),
+    (
+        f'{{ family = "sine", alpha = "1 + 0.5*cos(t)" }}, {CONSTANT}',
+        f"terms = [{SINE}]\n",
+        "",
+        "whose alpha = .* varies; .*constant alpha; expected a term",
+    ),
+]
+
+
+def test_a_theta_of_something_else_is_refused():
     """Another parameter, or an alpha that the internal model cannot have."""
-    with pytest.raises(UsageError, match=message):
+
+    def refuse(case):
+        identified, own, theta = case
         warnings(loop(identified, own, theta))
+
+    cases = [(case, message) for *case, message in OF_SOMETHING_ELSE]
+    check_refused(cases, refuse)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +109,7 @@ def test_a_theta_of_something_else_is_refused(identified, own, theta, message):
         ),
     ],
 )
-def test_what_may_be_meant_is_said(identified, own, theta, message):
+def test_a_doubtful_theta_is_warned_of(identified, own, theta, message):
     """The rate of a damped sine as that of a sine, another form of a term, a term left out."""
     (told,) = warnings(loop(identified, own, theta))
     assert re.search(message, told)

@@ -112,6 +112,7 @@ def test_a_log_of_them_replays_bit_for_bit(recorded):
         assert np.array_equal(single[f"{name}.y"], log[f"{name}.y"]), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fmi", "names"),
     [
@@ -342,6 +343,7 @@ operations = "*/"
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "product"])
 def test_an_fmu_follows_a_jump_without_a_line_from_before_it(name, tmp_path):
     """By an event of FMI 3: from before a jump no derivative leads to the output after it.
@@ -358,6 +360,7 @@ def test_an_fmu_follows_a_jump_without_a_line_from_before_it(name, tmp_path):
     np.testing.assert_allclose(run[f"{name}.y"], expected, rtol=0, atol=10 * 3 * 2.0**-52)
 
 
+@pytest.mark.slow
 def test_an_fmu_without_events_is_late_at_a_jump_and_says_so(tmp_path):
     """FMI 2: the output is that before the jump for one point more, and within its limits."""
     scenario = tmp_path / "jump.toml"

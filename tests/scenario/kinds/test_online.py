@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.core.contracts import prepare
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.recorded_metadata import recorded_identification
 from cosim.testing import check_component
@@ -22,6 +22,7 @@ from tests.scenario.online import (
     noisy,
     run,
 )
+from tests.scenario.refusals import check_refused
 
 SHORT = {**COARSE, "scenario.stop": 12.0}
 EVERY_STEP = {**SHORT, "identifier.period": H}  # what saves its state is not decimated
@@ -63,6 +64,7 @@ def saved_size(component):
     return state.state.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -90,7 +92,7 @@ def test_a_bound_of_a_file_may_be_infinite(tmp_path):
     np.testing.assert_array_equal(theta(log), theta(cosim.run("academic", set=SHORT)))
     assert cosim.diff(log, cosim.replay(log.path)).equal
     settings["identifier.bounds"] = [[np.nan, np.inf], [-np.inf, np.inf]]
-    with pytest.raises(ScenarioError, match=r"found \[nan, inf\]; needed two numbers"):
+    with pytest.raises(ScenarioError, match=r"\[nan, inf\]"):
         cosim.run("academic", set=settings)
 
 
@@ -290,20 +292,18 @@ def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
     assert (ratio < 4.3).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"window": 0.0}, "window: found 0.0 s, needed a positive finite time"),
-        ({"window": 8.0, "forgetting": 3.0}, "found both window and forgetting"),
-        ({"window": 0.0151}, "window of 'identifier'"),
-        ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "the lower 0 is above the upper -1"),
-        ({"P0": 1.0}, "P0: not of method 'output-error'"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(options, text):
+NO_SENSE = [
+    ({"window": 0.0}, "window: expected a positive finite time, got 0.0 s"),
+    ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),
+    ({"window": 0.0151}, "window of 'identifier'"),
+    ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "the lower 0 is above the upper -1"),
+    ({"P0": 1.0}, "P0: .*'output-error'"),
+]
+
+
+def test_options_that_make_no_sense_are_refused():
     """Each with what was found."""
-    with pytest.raises((ScenarioError, UsageError), match=text):
-        run(**options)
+    check_refused(NO_SENSE, lambda options: run(**options))
 
 
 def test_the_verdict_of_a_window_is_made_of_its_samples():

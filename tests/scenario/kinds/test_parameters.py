@@ -1,16 +1,14 @@
 """The parameters of component kinds, as ``cosim list`` shows them."""
 
-import pytest
-
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.kinds.parameters import parameters_of
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_every_parameter_is_explained(name):
+def test_every_parameter_is_explained():
     """Of every kind, and of the tables inside; the required ones come first."""
-    parameters = parameters_of(KINDS[name])
-    assert parameters
-    assert all(parameter.description for parameter in parameters)
-    required = [parameter.required for parameter in parameters if "." not in parameter.name]
-    assert required == sorted(required, reverse=True)
+    for name in KINDS:
+        parameters = parameters_of(KINDS[name])
+        assert parameters, name
+        assert all(parameter.description for parameter in parameters), name
+        required = [parameter.required for parameter in parameters if "." not in parameter.name]
+        assert required == sorted(required, reverse=True), name

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,7 @@ from tests.scenario.field_recordings import (
     field_log,
     level,
 )
+from tests.scenario.refusals import check_refused
 
 
 @pytest.fixture
@@ -105,16 +108,13 @@ def test_a_time_in_the_messages_is_taken_where_it_is_named(loop, tmp_path):
         cosim.run(loop.swap(plant=field_log(tmp_path), map=PLANT).set({"plant.time": "stampp"}))
 
 
-def test_what_is_between_samples_has_a_name(loop, tmp_path):
+def test_the_interpolation_between_samples_must_be_named(loop, tmp_path):
     """Of a recording that is coarser than the step; a hold is that of numpy's searchsorted."""
     path = field_log(tmp_path, step_ns=4 * STEP_NS)
     swapped = loop.swap(plant=path, map=PLANT)
-    with pytest.raises(ScenarioError) as refused:
+    message = r"0\.01 s.*'/drive/state\.position'.*0\.04 s.*interpolation.*zero-order"
+    with pytest.raises(ScenarioError, match=message):
         cosim.run(swapped)
-    assert (
-        "the communication step of 0.01 s is smaller than the sampling period of "
-        "'/drive/state.position', 0.04 s; "
-    ) in str(refused.value)
     samples = np.arange(-50, COUNT) * 4 * STEP_NS / 1e9
     t = cosim.run(loop).time("plant.y")
     offset = {"plant.offset": EPOCH / 1e9}
@@ -154,7 +154,7 @@ def test_a_scenario_has_the_same_in_its_file(tmp_path):
         cosim.run(cosim.load(file).swap(plant=path, map=PLANT))["plant.y"],
     )
     file.write_text(LOOP + swap.format("field.mcap"), encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"of another tool; needed 'field.mcap#samples'"):
+    with pytest.raises(ScenarioError, match=r"another tool; .*'field.mcap#samples'"):
         cosim.run(file)
 
 
@@ -195,52 +195,60 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
     assert log["plant.y"][100] == 100.0
 
 
-@pytest.mark.parametrize(
-    ("names", "changes", "text"),
-    [
-        ({}, {}, "found no field to take; needed a map, map={'PORT': '/topic.field'}, or columns"),
-        ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
-        ({"plant.y": "/drive/stat.x"}, {}, "no topic for '/drive/stat.x'"),
-        (
-            {"plant.y": "/drive/state"},
-            {},
-            "expected /drive/state.FIELD, got the topic '/drive/state'",
-        ),
-        ({"plant.y": "/drive/state.name"}, {}, "expected a number, got text"),
-        (PLANT, {"scenario.stop": 5.0}, "needed 0.0 s to 5.0 s, the whole run: start_time = 0.0"),
-        (PLANT, {"plant.offset": 0.0}, "got 1699999999.5 s to 1700000003.99 s"),
-        (PLANT, {"plant.maximum_gap": 1e-3}, "needed at most maximum_gap = 0.001 s"),
-        (PLANT, {"plant.time_unit": "m"}, "found time_unit 'm'; needed a unit of time of whole ns"),
-        (PLANT, {"plant.offset": -1e10}, "ns after the offset; needed less than 2**63 ns"),
-        (
-            BOTH,
-            {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
-            "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
-            "are not those of command.y; needed a swap of 'command', too, and a map of 'command.y'",
-        ),
-        (
-            BOTH,
-            {"connections.plant.u": ["command.y", "model.y"]},
-            "'plant.u' takes 2 signals, command.y, model.y; found 1 in its map, needed one for",
-        ),
-        (
-            {**PLANT, "plant.u": "/cmd.values[0]"},
-            {"connections.plant.u[0]": "command.y"},
-            "'plant.u' is not connected as it is mapped; needed the ports of [connections]: plant",
-        ),
-    ],
-)
-def test_what_cannot_be_right_is_refused(loop, tmp_path, names, changes, text):
+WRONG_OPTIONS = [
+    ({}, {}, "expected a map, map={'PORT': '/topic.field'}, or columns"),
+    ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
+    ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
+    (
+        {"plant.y": "/drive/state"},
+        {},
+        "'/drive/state'",
+    ),
+    ({"plant.y": "/drive/state.name"}, {}, "text"),
+    (PLANT, {"scenario.stop": 5.0}, "0.0 s to 5.0 s"),
+    (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
+    (PLANT, {"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
+    (
+        PLANT,
+        {"plant.time_unit": "m"},
+        "such as ms, got 'm'",
+    ),
+    (PLANT, {"plant.offset": -1e10}, "within 2**63 ns of the offset"),
+    (
+        BOTH,
+        {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
+        "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
+        "are not those of command.y; swap 'command', too, and map 'command.y'",
+    ),
+    (
+        BOTH,
+        {"connections.plant.u": ["command.y", "model.y"]},
+        "takes 2 signals, command.y, model.y; expected one name for each in its map",
+    ),
+    (
+        {**PLANT, "plant.u": "/cmd.values[0]"},
+        {"connections.plant.u[0]": "command.y"},
+        "'plant.u' is connected by its elements; expected the ports of [connections]: plant",
+    ),
+]
+
+
+def test_wrong_options_are_refused(loop, tmp_path):
     """Before the run, with the way out."""
-    if "connections.plant.u[0]" in changes:
-        document = tmp_path / "parts.toml"
-        document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
-        loop = cosim.load(document)
-        changes = {}
-    swapped = {"plant": str(field_log(tmp_path))}
-    with pytest.raises(ScenarioError) as refused:
-        cosim.run(loop, swap=swapped, map=names, set=changes)
-    assert text in str(refused.value)
+
+    def refuse(case):
+        names, changes = case
+        scenario = loop
+        if "connections.plant.u[0]" in changes:
+            document = tmp_path / "parts.toml"
+            document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
+            scenario = cosim.load(document)
+            changes = {}
+        swapped = {"plant": str(field_log(tmp_path))}
+        cosim.run(scenario, swap=swapped, map=names, set=changes)
+
+    cases = [(case, re.escape(text)) for *case, text in WRONG_OPTIONS]
+    check_refused(cases, refuse, ScenarioError)
 
 
 def test_several_signals_that_drive_an_input_are_recorded_one_by_one(loop, tmp_path):

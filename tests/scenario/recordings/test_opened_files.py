@@ -89,7 +89,7 @@ def test_a_replay_opens_its_log_and_what_the_command_line_names(tmp_path):
         assert here == {str(log)}, command
         assert code in (0, 2)
     assert answers[0][0] == 2
-    assert "a replay opens no file that only the log names: found 'bait.fmu'" in errors
+    assert "'bait.fmu': a replay opens no files that only the log names" in errors
     code, opened = answers[-1]
     assert code == 0, errors
     assert str(tmp_path / "bait.fmu") in opened

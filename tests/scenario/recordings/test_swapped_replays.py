@@ -111,7 +111,7 @@ def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
 @each_case(
     ("swap", "names", "error", "message"),
     [
-        ({"filtr": "filter.fmu"}, {}, ScenarioError, "there is no component 'filtr'; did you mean"),
+        ({"filtr": "filter.fmu"}, {}, ScenarioError, "component 'filtr'; did you mean"),
         ({"filter": "none.fmu"}, {}, ScenarioError, r"none\.fmu: there is no such file"),
         ({"filter": "f.toml"}, {}, ScenarioError, r"needed a path that ends in \.fmu"),
         ({}, {"filter.u": "force"}, UsageError, "expected swap with map"),

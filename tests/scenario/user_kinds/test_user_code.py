@@ -116,7 +116,7 @@ def test_an_import_inside_of_a_function_finds_what_python_finds(tmp_path, monkey
         pickle.dumps(relay())
 
 
-def test_what_python_imported_under_the_same_name_stays_where_it_is(tmp_path, monkeypatch):
+def test_a_module_of_the_same_name_stays_imported(tmp_path, monkeypatch):
     """It steps aside while the folder's is imported, and comes back."""
     write(tmp_path / "path", relay="class Relay:\n    name = 'path'\n")
     write(tmp_path / "folder", relay="class Relay:\n    name = 'folder'\n")

@@ -132,7 +132,7 @@ def test_a_dry_run_says_what_it_imports(folder, call):
     assert "Python classes are loaded and initialized" in help_text
 
 
-def test_what_a_class_prints_is_no_data(folder, call):
+def test_prints_of_a_class_are_not_data(folder, call):
     """At its import and in its steps; stdout is for data."""
     (folder / "relay.py").write_text(
         "print('imported')\n"

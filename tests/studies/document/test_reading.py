@@ -293,9 +293,7 @@ def test_wrong_options_are_named(options, message):
 
 def test_what_is_no_file_is_refused(tmp_path):
     """As of a scenario."""
-    with pytest.raises(
-        UsageError, match=r"there is no scenario 'acdemic'; .*did you mean 'academi"
-    ):
+    with pytest.raises(UsageError, match=r"unknown scenario 'acdemic'; .*did you mean 'academi"):
         read_study("acdemic")
     with pytest.raises(UsageError, match=r"x.toml: cannot be read"):
         read_study(tmp_path / "x.toml")

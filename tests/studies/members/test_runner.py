@@ -183,7 +183,7 @@ def test_a_recording_that_is_not_there_is_a_failure(tmp_path):
 
 def test_a_scenario_that_is_not_there_is_refused():
     """Before any member."""
-    with pytest.raises(ScenarioError, match="there is no scenario 'acadmic'"):
+    with pytest.raises(ScenarioError, match="unknown scenario 'acadmic'"):
         open_runner(StudySubject("acadmic"))
 
 
