@@ -8,7 +8,7 @@ import pytest
 
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
-from tests.scenario.kinds.test_compensation import LOOP
+from tests.scenario.kinds.compensated_loop import LOOP
 from tests.scenario.refusals import check_refused
 
 IDENTIFIED = """

@@ -5,7 +5,7 @@ import numpy as np
 import cosim
 from cosim.errors import CosimError
 from cosim.scenario.recorded_metadata import component_record
-from tests.scenario.kinds.test_compensation import scenario
+from tests.scenario.kinds.compensated_loop import scenario
 from tests.scenario.refusals import check_refused
 
 DRIVE = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-5, 4, -1.8, 0.8], [4, -5, 0.8, -1.8]])
