@@ -26,7 +26,7 @@ def find_recordings(patterns: str | Iterable[str] | None) -> tuple[str, ...]:
         paths = [pattern] if is_path else sorted(glob.glob(pattern, recursive=True))
         if not paths:
             raise UsageError(
-                f"{option('replay')}: expected logs (.mcap), but no file matches {quoted(pattern)}"
+                f"{option('replay')}: no file matches {quoted(pattern)}; expected logs (.mcap)"
             )
         for path in paths:
             if file_type(path) != "log":

@@ -288,7 +288,7 @@ def test_a_first_member_that_fails_ends_the_tuning_and_leaves_no_dataset(lag, tm
         ({"minimize": 3}, "minimize: .*got 3"),
         ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "bounds, such as {'linear'"),
         ({"vary": ["plant.time_constant"]}, r"vary: .*\['plant.time_constant'\]"),
-        ({"replay": ["a.mcap"]}, "replay: .*no file matches '.*a.mcap"),
+        ({"replay": ["a.mcap"]}, "replay: .*no file matches "),
     ],
 )
 def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, message):
