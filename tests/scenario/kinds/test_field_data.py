@@ -410,7 +410,7 @@ def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experime
     path = experiment.written(tmp_path, experiment.y)
     experiment.run(path, {"identifier.method": "least-squares"}, out=out)
     log = open_log(out)
-    text = "y is interpolated between the samples of 'plant'"
+    text = "y has values between the samples of 'plant'"
     assert any(text in warning for _, warning in recorded_warnings(log))
     assert text in log.results[IDENTIFICATION]["identifier"]["problem"]
     with pytest.raises(UsageError, match=text):

@@ -122,7 +122,7 @@ NO_NOISE = [
     ),
     (
         {"method": "least-squares", "deviation": 1.0},
-        "deviation: not of method 'least-squares'",
+        "deviation: .*'least-squares'",
     ),
 ]
 
