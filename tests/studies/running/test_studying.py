@@ -32,10 +32,10 @@ def rows(study):
 
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory):
-    """Return a study of six members."""
+    """Return a study of four members."""
     return cosim.study(
         "academic",
-        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 4}},
         metrics=METRICS,
         set=SHORT,
         out=tmp_path_factory.mktemp("studies") / "grid",
@@ -51,7 +51,7 @@ def test_every_member_has_the_metrics_of_its_run_alone(grid):
         assert row["last"] == alone["plant.y"][-1]
         assert row["status"] == "complete"
     assert grid.failures == {}
-    assert len(grid) == grid.planned == 6
+    assert len(grid) == grid.planned == 4
 
 
 def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
@@ -59,7 +59,7 @@ def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
     place = grid._dataset.label
     again = cosim.study(
         "academic",
-        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 4}},
         metrics=METRICS,
         set=SHORT,
         out=place,
@@ -81,7 +81,7 @@ def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
             "study: key scenario.until is new; choose",
         ),
         (
-            {"vary": {"observer.filter_rate": {"log": [10.0, 1e4], "points": 6}}},
+            {"vary": {"observer.filter_rate": {"log": [10.0, 1e4], "points": 4}}},
             "member 1 was observer.filter_rate",
         ),
         ({"vary": {"plant.x_a0[0]": [1.0, 2.0]}}, "plant.x_a0[0] is varied now"),
@@ -90,7 +90,7 @@ def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
 def test_the_dataset_of_another_study_is_refused(grid, changed, text):
     """The message says what differs."""
     given = {
-        "vary": {"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        "vary": {"observer.filter_rate": {"log": [10.0, 1e3], "points": 4}},
         "metrics": METRICS,
         "set": SHORT,
     }
@@ -119,7 +119,7 @@ def test_workers_do_not_change_what_members_come_to(grid, tmp_path):
     """One worker, two, and another order of members."""
     one = cosim.study(
         "academic",
-        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 4}},
         metrics=METRICS,
         set=SHORT,
         out=tmp_path / "one",

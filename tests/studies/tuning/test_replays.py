@@ -35,7 +35,7 @@ def metric_of_command(command, expression, folder):
 def test_a_log_is_replayed_with_every_point(log, tmp_path, is_scenario):
     """It is tried first with the values of its run, which are those of the log, bit for bit."""
     source, options = ("academic", {"replay": log}) if is_scenario else (log, {})
-    result = cosim.tune(source, minimize=ERROR, vary=RATE, members=6, workers=1, **options)
+    result = cosim.tune(source, minimize=ERROR, vary=RATE, members=4, workers=1, **options)
     own = parse_metrics({"x": ERROR}).of(cosim.open_log(log))["x"]
     assert result.history[0] == {
         "member": 0,

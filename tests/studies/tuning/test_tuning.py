@@ -84,6 +84,7 @@ def lag_task(path, expression="abs(last(plant.y) - 0.5)", **options):
     return TuningTask(str(path), expression, search)
 
 
+@pytest.mark.slow
 def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(fit, tmp_path):
     """Within three standard errors of the truth, and the result of curve_fit on the closed form."""
     measured = record(fit.parent, 1)
