@@ -14,7 +14,6 @@ from cosim.gym import Env
 from cosim.report.verification import verify
 from cosim.scenario.running.replay import replay
 from cosim.scenario.session import Session
-from tests.case_tables import each_case
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
@@ -185,9 +184,8 @@ def test_a_closed_environment_has_no_further_episodes(name):
         env.step(np.zeros(1))
 
 
-@each_case(
-    ("options", "error", "text"),
-    [
+def test_options_that_do_not_fit_the_scenario_are_refused(subtests):
+    for options, error, text in [
         ({"act": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),
         ({"act": ["plant.y"]}, GraphError, "'plant.y' is an output of 'plant'; needed an input"),
         ({"observe": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),
@@ -201,11 +199,9 @@ def test_a_closed_environment_has_no_further_episodes(name):
         ({"steps": 7}, UsageError, r"steps: .*the 200 steps of the scenario, got 7"),
         ({"steps": 0}, UsageError, r"steps: expected a whole number .*, got 0"),
         ({"steps": 1.0}, UsageError, r"steps: expected a whole number .*, got 1.0"),
-    ],
-)
-def test_options_that_do_not_fit_the_scenario_are_refused(options, error, text):
-    with pytest.raises(error, match=text):
-        environment(**options)
+    ]:
+        with subtests.test(options=options), pytest.raises(error, match=text):
+            environment(**options)
 
 
 def test_gymnasium_is_needed_for_this_module_only(monkeypatch):

@@ -9,7 +9,6 @@ from cosim.errors import RunError
 from cosim.native.fmi.fmu import CALL_FAILED, DECLINED
 from cosim.native.library import library
 from tests.fmi import lag
-from tests.fmi.cases import check_all
 from tests.fmi.probes import NUMBERS, opened
 
 LARGEST = {"Int8": 127, "UInt8": 255, "Int16": 32767, "UInt16": 65535, "Boolean": 1}
@@ -80,35 +79,37 @@ def test_of_a_selection_the_vector_is_the_whole_one(instance):
     assert vector.tolist() == np.where(mask, 1.0, -1.0).tolist()
 
 
-def test_what_is_no_number_of_a_type_is_declined_before_any_is_set(instance):
+def test_what_is_no_number_of_a_type_is_declined_before_any_is_set(instance, subtests):
     """Exactly where the method refuses it."""
     instance, references = instance
 
-    def check(value):
-        compiled = Compiled(instance, references)
-        zeros = np.zeros(references.size)
-        for column, element in enumerate(references.elements):
-            if element.variable.type in ("Float64", "Float32"):
-                continue
-            instance.set_float64(references, zeros)
-            vector = np.ones(references.size)
-            vector[column] = value
-            status = compiled.set(vector)
-            if status:
-                assert status == DECLINED
-                assert instance.get_float64(references).tolist() == zeros.tolist()
-                with pytest.raises(RunError, match="cannot be set"):
+    for value in [0.5, np.nan, np.inf, -np.inf, 2.0**54, -(2.0**54), 2.0**31]:
+        with subtests.test(value=value):
+            compiled = Compiled(instance, references)
+            zeros = np.zeros(references.size)
+            for column, element in enumerate(references.elements):
+                if element.variable.type in ("Float64", "Float32"):
+                    continue
+                instance.set_float64(references, zeros)
+                vector = np.ones(references.size)
+                vector[column] = value
+                status = compiled.set(vector)
+                if status:
+                    assert status == DECLINED
+                    assert instance.get_float64(references).tolist() == zeros.tolist()
+                    with pytest.raises(RunError, match="cannot be set"):
+                        instance.set_float64(references, vector)
+                else:
                     instance.set_float64(references, vector)
-            else:
-                instance.set_float64(references, vector)
-        instance.set_float64(references, zeros)
-
-    check_all(check, [0.5, np.nan, np.inf, -np.inf, 2.0**54, -(2.0**54), 2.0**31])
+            instance.set_float64(references, zeros)
 
 
-def test_an_integer_that_is_no_float_is_declined_when_read(probe3):
-    def check(value):
-        with opened(probe3, interface_type="cs") as (_, instance):
+def test_an_integer_that_is_no_float_is_declined_when_read(probe3, subtests):
+    for value in [2**53 + 1, -(2**53) - 1, -(2**63)]:
+        with (
+            subtests.test(value=value),
+            opened(probe3, interface_type="cs") as (_, instance),
+        ):
             references = instance.description.references_of(["Int64"])
             compiled = Compiled(instance, references)
             raw = np.array([value], np.int64)
@@ -116,8 +117,6 @@ def test_an_integer_that_is_no_float_is_declined_when_read(probe3):
             assert compiled.get(np.zeros(1)) == DECLINED
             with pytest.raises(RunError, match="cannot be carried exactly"):
                 instance.get_float64(references)
-
-    check_all(check, [2**53 + 1, -(2**53) - 1, -(2**63)])
 
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])

@@ -10,6 +10,7 @@ import tempfile
 import tracemalloc
 import zipfile
 import zlib
+from itertools import product
 from pathlib import Path
 from random import Random
 
@@ -20,7 +21,6 @@ from cosim.fmi.component import load
 from cosim.fmi.reading import archive
 from cosim.fmi.reading.model_description import read
 from tests.fmi.archives import XML, Entry, deflate, local_header, write, zeros
-from tests.fmi.cases import check_all
 
 # Bytes more than before: an archive is never in memory as a whole, and its XML is small here.
 MEMORY = 50 * 2**20
@@ -87,13 +87,11 @@ NAMES = {
 }
 
 
-def test_names_of_entries(place):
+def test_names_of_entries(place, subtests):
     """Only relative paths of plain names are files."""
-
-    def check(name, text):
-        refused(write(place / "x.fmu", [Entry(name, b"x")]), f"the archive has {text}")
-
-    check_all(check, NAMES.items())
+    for name, text in NAMES.items():
+        with subtests.test(name=name):
+            refused(write(place / "x.fmu", [Entry(name, b"x")]), f"the archive has {text}")
 
 
 CLASHES = {
@@ -117,14 +115,12 @@ CLASHES = {
 }
 
 
-def test_names_that_clash(place):
+def test_names_that_clash(place, subtests):
     """Names that are one file on some system are one too many."""
-
-    def check(names, text):
-        entries = [Entry(name, b"" if name.endswith("/") else b"x") for name in names]
-        refused(write(place / "x.fmu", entries), f"the archive has {text}")
-
-    check_all(check, CLASHES.values())
+    for case, (names, text) in CLASHES.items():
+        with subtests.test(case=case):
+            entries = [Entry(name, b"" if name.endswith("/") else b"x") for name in names]
+            refused(write(place / "x.fmu", entries), f"the archive has {text}")
 
 
 ON_SOME_SYSTEMS = {
@@ -142,25 +138,23 @@ ON_SOME_SYSTEMS = {
 }
 
 
-def test_names_that_not_every_system_takes(tmp_path, monkeypatch):
+def test_names_that_not_every_system_takes(tmp_path, monkeypatch, subtests):
     """Where this one takes them they are unpacked, with a warning; elsewhere refused."""
-
-    def check(names):
-        path = write(tmp_path / "x.fmu", [Entry(name, name.encode()) for name in names])
-        folder = Path(tempfile.mkdtemp(dir=tmp_path))
-        contents = archive.read_archive(path, (), folder)
-        assert {name: (folder / name).read_bytes() for name in names} == {
-            name: name.encode() for name in names
-        }
-        (warning,) = contents.warnings
-        assert "keeps for devices or streams" in warning or "are one on some systems" in warning
-        message = r"keeps for devices or streams|are one on some systems"
-        with monkeypatch.context() as patch:
-            patch.setattr(archive, "SYSTEM", "windows")
-            with pytest.raises(FmuError, match=message):
-                archive.read_archive(path, ())
-
-    check_all(check, ON_SOME_SYSTEMS.values())
+    for case, names in ON_SOME_SYSTEMS.items():
+        with subtests.test(case=case):
+            path = write(tmp_path / "x.fmu", [Entry(name, name.encode()) for name in names])
+            folder = Path(tempfile.mkdtemp(dir=tmp_path))
+            contents = archive.read_archive(path, (), folder)
+            assert {name: (folder / name).read_bytes() for name in names} == {
+                name: name.encode() for name in names
+            }
+            (warning,) = contents.warnings
+            assert "keeps for devices or streams" in warning or "are one on some systems" in warning
+            message = r"keeps for devices or streams|are one on some systems"
+            with monkeypatch.context() as patch:
+                patch.setattr(archive, "SYSTEM", "windows")
+                with pytest.raises(FmuError, match=message):
+                    archive.read_archive(path, ())
 
 
 def test_backslashes(tmp_path):
@@ -214,13 +208,11 @@ TYPES = {
 }
 
 
-def test_types_of_entries(place):
+def test_types_of_entries(place, subtests):
     """Plain files and folders, stored or deflated, are all that an FMU needs."""
-
-    def check(entry, text):
-        refused(write(place / "x.fmu", [entry]), f"the archive has {text}")
-
-    check_all(check, TYPES.values())
+    for case, (entry, text) in TYPES.items():
+        with subtests.test(case=case):
+            refused(write(place / "x.fmu", [entry]), f"the archive has {text}")
 
 
 def test_a_name_that_is_no_text(place):
@@ -413,24 +405,22 @@ DOCUMENT_TYPES = {
 }
 
 
-def test_document_types(place):
+def test_document_types(place, subtests):
     """Whatever its encoding, a document with a type is refused before its entities are used."""
-
-    def check(encoding, text):
-        named = "utf-16" if encoding.startswith("utf-16") else encoding
-        body = XML.partition("?>")[2]
-        if "ENTITY" in text:
-            body = body.replace("<ModelVariables/>", "&l9;&e;")
-        xml = f'<?xml version="1.0" encoding="{named}"?>{text}{body}'.encode(encoding)
-        if encoding.startswith("utf-16-"):
-            xml = (b"\xfe\xff" if encoding.endswith("be") else b"\xff\xfe") + xml
-        path = write(place / "x.fmu", [], xml=xml)
-        refused(path, "modelDescription.xml is not well-formed: it has a document type")
-
     first, *others = DOCUMENT_TYPES.values()
     encodings = ["utf-8", "utf-16", "utf-16-be", "utf-16-le", "iso-8859-1"]
-    check_all(check, encodings, [first])
-    check_all(check, ["utf-8", "utf-16-le"], others)
+    cases = [*product(encodings, [first]), *product(["utf-8", "utf-16-le"], others)]
+    for encoding, text in cases:
+        with subtests.test(encoding=encoding, text=text):
+            named = "utf-16" if encoding.startswith("utf-16") else encoding
+            body = XML.partition("?>")[2]
+            if "ENTITY" in text:
+                body = body.replace("<ModelVariables/>", "&l9;&e;")
+            xml = f'<?xml version="1.0" encoding="{named}"?>{text}{body}'.encode(encoding)
+            if encoding.startswith("utf-16-"):
+                xml = (b"\xfe\xff" if encoding.endswith("be") else b"\xff\xfe") + xml
+            path = write(place / "x.fmu", [], xml=xml)
+            refused(path, "modelDescription.xml is not well-formed: it has a document type")
 
 
 def test_an_entity_that_is_not_known(place):
@@ -460,31 +450,26 @@ def test_a_description_that_is_a_bomb(place):
     refused(path, "'modelDescription.xml' is packed more than 200 times")
 
 
-def test_an_identifier_that_is_a_path(place):
+def test_an_identifier_that_is_a_path(place, subtests):
     """It becomes the name of the library that is loaded."""
-
-    def check(identifier):
-        element = f'<CoSimulation modelIdentifier="{identifier}"/>'
-        xml = XML.replace("<ModelVariables/>", f"{element}<ModelVariables/>").encode()
-        path = write(place / "x.fmu", [], xml=xml)
-        refused(path, "CoSimulation: modelIdentifier .* is no name of a file")
-
-    check_all(
-        check,
-        [
-            "../../x",
-            "/tmp/x",
-            "a/b",
-            "..",
-            "",
-            " ",
-            "a\\b",
-            "c:a",
-            "a\u202eb",
-            "a" * 5000,
-            "ü" * 101,
-        ],
-    )
+    for identifier in [
+        "../../x",
+        "/tmp/x",
+        "a/b",
+        "..",
+        "",
+        " ",
+        "a\\b",
+        "c:a",
+        "a\u202eb",
+        "a" * 5000,
+        "ü" * 101,
+    ]:
+        with subtests.test(identifier=identifier[:20]):
+            element = f'<CoSimulation modelIdentifier="{identifier}"/>'
+            xml = XML.replace("<ModelVariables/>", f"{element}<ModelVariables/>").encode()
+            path = write(place / "x.fmu", [], xml=xml)
+            refused(path, "CoSimulation: modelIdentifier .* is no name of a file")
 
 
 def test_a_good_archive_comes_out_whole(tmp_path):

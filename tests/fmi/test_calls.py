@@ -5,7 +5,6 @@ import pytest
 
 from cosim.errors import RunError
 from cosim.fmi.instance import DiscreteStates, StepEnd
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import NUMBERS, got, opened, put, xml2, xml3
 
@@ -117,14 +116,12 @@ def test_without_a_state_there_is_no_rollback(tmp_path):
             instance.enter_configuration_mode()
 
 
-def test_strings_of_fmi_2(probe2):
-    def check(text):
-        with opened(probe2, interface_type="cs") as (_, instance):
+def test_strings_of_fmi_2(probe2, subtests):
+    for text in ["", "plain", "schön %s %n"]:
+        with subtests.test(text=text), opened(probe2, interface_type="cs") as (_, instance):
             variable = instance.description["text"]
             instance.set_text(variable, (text,))
             assert instance.get_text(variable) == (text,)
-
-    check_all(check, ["", "plain", "schön %s %n"])
 
 
 def test_texts_that_cannot_be_set(probe2):
@@ -225,25 +222,23 @@ def test_a_failing_intermediate_update_fails_the_step(tmp_path):
             instance.do_step(1.0, 0.5)
 
 
-def test_every_type_and_width_of_fmi_3(probe3):
+def test_every_type_and_width_of_fmi_3(probe3, subtests):
     """The limits of the type come back as they were set, as a scalar and in an array.
 
     Both variables are set in one call.
     """
-
-    def check(variable_type):
-        low, high = (0.0, 1.0) if variable_type == "Boolean" else (-1.5, 2.5)
-        if "Int" in variable_type:
-            limits = np.iinfo(variable_type.lower())
-            low = max(limits.min, -(2**53))
-            high = min(limits.max, 2**53)
-        with opened(probe3, interface_type="cs") as (_, instance):
-            names = ["u" if variable_type == "Float64" else variable_type, f"{variable_type}s"]
-            values = np.array([high, low, 1.0, high])
-            instance.set_float64(instance.description.references_of(names), values)
-            assert got(instance, *names) == values.tolist()
-
-    check_all(check, [*NUMBERS, "Float64"])
+    for variable_type in [*NUMBERS, "Float64"]:
+        with subtests.test(variable_type=variable_type):
+            low, high = (0.0, 1.0) if variable_type == "Boolean" else (-1.5, 2.5)
+            if "Int" in variable_type:
+                limits = np.iinfo(variable_type.lower())
+                low = max(limits.min, -(2**53))
+                high = min(limits.max, 2**53)
+            with opened(probe3, interface_type="cs") as (_, instance):
+                names = ["u" if variable_type == "Float64" else variable_type, f"{variable_type}s"]
+                values = np.array([high, low, 1.0, high])
+                instance.set_float64(instance.description.references_of(names), values)
+                assert got(instance, *names) == values.tolist()
 
 
 def test_texts_of_fmi_3(probe3):

@@ -20,10 +20,10 @@ from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from tests.fmi.archives import Entry, write
-from tests.fmi.cases import check_all, slow_but
 from tests.fmi.compiled import HERE
 from tests.fmi.descriptions import FMI1, FMI3
 from tests.fmi.rogues import XML, compile_rogue
+from tests.fmi.slow import slow_but
 
 
 @pytest.fixture
@@ -279,30 +279,25 @@ def head(file_format, machine):
     return b"\xcf\xfa\xed\xfe" + machine.to_bytes(4, "little")
 
 
-def test_what_a_binary_is_built_for():
+def test_what_a_binary_is_built_for(subtests):
     """The first bytes of ELF, PE and Mach-O."""
-
-    def check(content, machine):
-        assert built_for(content) == machine
-
-    check_all(
-        check,
-        [
-            (head("elf", 62), ("x86_64", "linux")),
-            (head("elf", 183), ("aarch64", "linux")),
-            (head("elf", 3), ("x86", "linux")),
-            (head("elf", 999), ("machine 999", "linux")),
-            (head("pe", 0x8664), ("x86_64", "windows")),
-            (head("pe", 0xAA64), ("aarch64", "windows")),
-            (head("mach", 0x1000007), ("x86_64", "darwin")),
-            (head("mach", 0x100000C), ("aarch64", "darwin")),
-            (b"\xca\xfe\xba\xbe" + bytes(8), ("any", "darwin")),
-            (b"MZ" + bytes(100), None),
-            (b"\x7fELF\2\1\1" + bytes(30), None),  # no shared library
-            (b"#!/bin/sh", None),
-            (b"", None),
-        ],
-    )
+    for content, machine in [
+        (head("elf", 62), ("x86_64", "linux")),
+        (head("elf", 183), ("aarch64", "linux")),
+        (head("elf", 3), ("x86", "linux")),
+        (head("elf", 999), ("machine 999", "linux")),
+        (head("pe", 0x8664), ("x86_64", "windows")),
+        (head("pe", 0xAA64), ("aarch64", "windows")),
+        (head("mach", 0x1000007), ("x86_64", "darwin")),
+        (head("mach", 0x100000C), ("aarch64", "darwin")),
+        (b"\xca\xfe\xba\xbe" + bytes(8), ("any", "darwin")),
+        (b"MZ" + bytes(100), None),
+        (b"\x7fELF\2\1\1" + bytes(30), None),  # no shared library
+        (b"#!/bin/sh", None),
+        (b"", None),
+    ]:
+        with subtests.test(content=content):
+            assert built_for(content) == machine
 
 
 def test_folders_of_binaries():

@@ -1,6 +1,7 @@
 """The classic algorithms of co-simulation give the bits of plain loops over FMPy's calls."""
 
 from contextlib import ExitStack, contextmanager
+from itertools import product
 
 import fmpy
 import numpy as np
@@ -14,7 +15,6 @@ from cosim.core.recorders import Memory
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from tests.fmi import small
-from tests.fmi.cases import check_all
 
 STABLE = (
     {"A": -0.9, "B": 0.5, "C": 3.0, "D": 0.0, "x": 1.0},
@@ -78,42 +78,9 @@ def plain(fmus, initial_outputs, h, algorithm, *, iterations, order):
 @pytest.mark.parametrize(
     ("values", "h"), [(STABLE, 1e-3), (UNSTABLE, 1e-2)], ids=["stable", "unstable"]
 )
-def test_the_bits_are_those_of_a_plain_loop(paths, values, h):
+def test_the_bits_are_those_of_a_plain_loop(paths, values, h, subtests):
     """Also where the coupling is unstable: it multiplies an error by 1.97 a step of 10 ms."""
-
-    def check(algorithm, interpolation, iterations, native):
-        with ExitStack() as opened:
-            fmus = []
-            for path, own in zip(paths, values, strict=True):
-                fmus.append(opened.enter_context(load(path, FmuOptions(start=own))))
-            graph = Graph(
-                {"one": fmus[0].component, "two": fmus[1].component},
-                {"one.u": "two.y", "two.u": "one.y"},
-                coupling=algorithm,
-                input_interpolation=interpolation,
-                iterations=iterations,
-                native=native,
-            )
-            (stage,) = graph.stages
-            order = [
-                ("one", "two").index(m.name) for kind, m in stage.operations if kind == "advance"
-            ]
-            memory = Memory()
-            run(graph, Clock(STEPS * h, h), memory)
-            found = np.column_stack(
-                [memory[f"{name}.{s}"] for s in "xy" for name in ("one", "two")]
-            )
-        with ExitStack() as opened:
-            slaves = []
-            for path, own in zip(paths, values, strict=True):
-                slaves.append(opened.enter_context(slave(path, own)))
-            expected = plain(slaves, found[0, 2:], h, algorithm, iterations=iterations, order=order)
-        assert found[1:].tobytes() == expected.tobytes()
-        if values is UNSTABLE and algorithm == "jacobi" and iterations == 1:
-            assert abs(expected[-1, 1]) > 1e6
-
-    check_all(
-        check,
+    for (algorithm, interpolation, iterations), native in product(
         [
             ("jacobi", "zero-order", 1),
             ("jacobi", "latest", 1),
@@ -122,4 +89,40 @@ def test_the_bits_are_those_of_a_plain_loop(paths, values, h):
             ("gauss-seidel", "latest", 4),
         ],
         [True, False],
-    )
+    ):
+        with subtests.test(
+            algorithm=algorithm, interpolation=interpolation, iterations=iterations, native=native
+        ):
+            with ExitStack() as opened:
+                fmus = []
+                for path, own in zip(paths, values, strict=True):
+                    fmus.append(opened.enter_context(load(path, FmuOptions(start=own))))
+                graph = Graph(
+                    {"one": fmus[0].component, "two": fmus[1].component},
+                    {"one.u": "two.y", "two.u": "one.y"},
+                    coupling=algorithm,
+                    input_interpolation=interpolation,
+                    iterations=iterations,
+                    native=native,
+                )
+                (stage,) = graph.stages
+                order = [
+                    ("one", "two").index(m.name)
+                    for kind, m in stage.operations
+                    if kind == "advance"
+                ]
+                memory = Memory()
+                run(graph, Clock(STEPS * h, h), memory)
+                found = np.column_stack(
+                    [memory[f"{name}.{s}"] for s in "xy" for name in ("one", "two")]
+                )
+            with ExitStack() as opened:
+                slaves = []
+                for path, own in zip(paths, values, strict=True):
+                    slaves.append(opened.enter_context(slave(path, own)))
+                expected = plain(
+                    slaves, found[0, 2:], h, algorithm, iterations=iterations, order=order
+                )
+            assert found[1:].tobytes() == expected.tobytes()
+            if values is UNSTABLE and algorithm == "jacobi" and iterations == 1:
+                assert abs(expected[-1, 1]) > 1e6

@@ -22,7 +22,6 @@ from cosim.native.fmi.model_exchange import (
     TIME_EVENT,
 )
 from tests.fmi import eventful
-from tests.fmi.cases import check_all
 
 # of FRICTION: two states, two inputs, two indicators
 ARRAYS = {
@@ -207,7 +206,7 @@ def test_the_first_event_of_a_step_is_counted_anew_once_it_is_fetched(compiled):
     assert compiled.first_event == math.inf
 
 
-def test_an_interruption_is_finished_as_it_says(compiled, monkeypatch):
+def test_an_interruption_is_finished_as_it_says(compiled, monkeypatch, subtests):
     """A failure is raised, else an event is finished, if there is one.
 
     Of a call it is that of the call, of inputs that of setting them, with the words of the method.
@@ -228,24 +227,20 @@ def test_an_interruption_is_finished_as_it_says(compiled, monkeypatch):
 
     monkeypatch.setattr(compiled._instance, "set_float64", set_float64)
 
-    def check(failure, changed, error, count):
-        finished.clear()
-        interruption = Interruption(INTEGRATING, failure, 0, changed)
-        if error is None:
-            compiled.finish(interruption)
-        else:
-            with pytest.raises(RuntimeError) as raised:
+    for failure, changed, error, count in [
+        (0, False, None, 0),
+        (0, True, None, 1),
+        (FAILED_CALL, True, called, 0),
+        (FAILED_INPUTS, True, refused, 0),
+        (EVENT_IS_OVER, True, failed, 0),
+    ]:
+        with subtests.test(failure=failure, changed=changed):
+            finished.clear()
+            interruption = Interruption(INTEGRATING, failure, 0, changed)
+            if error is None:
                 compiled.finish(interruption)
-            assert raised.value is error
-        assert len(finished) == count
-
-    check_all(
-        check,
-        [
-            (0, False, None, 0),
-            (0, True, None, 1),
-            (FAILED_CALL, True, called, 0),
-            (FAILED_INPUTS, True, refused, 0),
-            (EVENT_IS_OVER, True, failed, 0),
-        ],
-    )
+            else:
+                with pytest.raises(RuntimeError) as raised:
+                    compiled.finish(interruption)
+                assert raised.value is error
+            assert len(finished) == count

@@ -28,9 +28,9 @@ from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.report.verification import verify
 from tests.fmi import eventful
-from tests.fmi.cases import slow_but
 from tests.fmi.lag import able
 from tests.fmi.lag import build as build_lag
+from tests.fmi.slow import slow_but
 
 PERIOD = 0.07
 MATRIX = np.array([[-1.0, -1.0], [1.0, -1.0]])

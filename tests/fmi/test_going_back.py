@@ -5,9 +5,9 @@ import pytest
 import cosim
 from cosim.log import open_log
 from tests.fmi import eventful, lag
-from tests.fmi.cases import slow_but
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import xml2
+from tests.fmi.slow import slow_but
 
 SCENARIO = """
 [scenario]

@@ -10,7 +10,6 @@ from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.variable import Variable
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3
 
@@ -59,11 +58,15 @@ def test_values_of_every_type():
     assert check_start(MODEL, values) == StartValues({"n": (3.0,)}, numbers | table, texts)
 
 
-def test_numbers_stand_for_booleans_and_items():
-    def check(name, value, number):
-        assert check_start(MODEL, {name: value}).numbers == {name: (number,)}
-
-    check_all(check, [("mode", 3, 3.0), ("on", 1.0, 1.0), ("on", 0, 0.0), ("on", False, 0.0)])
+def test_numbers_stand_for_booleans_and_items(subtests):
+    for name, value, number in [
+        ("mode", 3, 3.0),
+        ("on", 1.0, 1.0),
+        ("on", 0, 0.0),
+        ("on", False, 0.0),
+    ]:
+        with subtests.test(name=name, value=value):
+            assert check_start(MODEL, {name: value}).numbers == {name: (number,)}
 
 
 def test_arrays_may_be_flat():
@@ -72,60 +75,55 @@ def test_arrays_may_be_flat():
     }
 
 
-def test_what_is_no_start_value():
-    def check(name, value, message):
-        with pytest.raises(FmuError, match=message):
+def test_what_is_no_start_value(subtests):
+    for name, value, message in [
+        ("gian", 1.0, r"model: no variable 'gian'; did you mean 'gain'"),
+        ("gain", float("nan"), r"start value of 'gain': expected a finite number, got nan"),
+        ("gain", float("-inf"), "expected a finite number, got -inf"),
+        ("gain", 10.5, r"expected 0.0 to 10.0, got 10.5"),
+        ("gain", True, "expected a number, got true"),
+        ("gain", "2", "expected a number, got '2'"),
+        ("gain", [1.0], "expected one value of type Float64, got a list"),
+        ("count", 1.5, r"expected an integer, got 1.5"),
+        ("count", 256, r"expected 0 to 255 \(UInt8, exactly representable\), got 256"),
+        (
+            "far",
+            2**53 + 1,
+            r"expected -9007199254740992 to 9007199254740992 .*, got 9007199254740993",
+        ),
+        ("on", 2, "expected true or false, got 2"),
+        ("on", "yes", "expected true or false, got 'yes'"),
+        ("mode", "runing", "no item 'runing'; did you mean 'running'"),
+        ("mode", 2, r"expected one of: 1 \(idle\), 3 \(running\); got 2"),
+        ("file", 1.0, r"expected a string, got 1.0"),
+        ("file", "a\0b", "expected a string without the character 0"),
+        ("key", 12, "expected a string of hexadecimal digits, got 12"),
+        ("key", "123", "expected hexadecimal digits, two for each byte, got '123'"),
+        ("tick", True, r"'tick' has no start value that can be set \(causality input"),
+        (
+            "y",
+            1.0,
+            r"'y' has no start value that can be set \(causality output, "
+            r"variability continuous, initial calculated\)",
+        ),
+        (
+            "g",
+            1.0,
+            r"'g' has no start value that can be set \(causality local, variability constant",
+        ),
+        ("table", 1.0, "expected a list of 6 values, got one value"),
+        ("table", [1.0] * 5, "expected a list of 6 values, got 5 values"),
+        (
+            "table",
+            [[1.0, 2.0], [3.0, 4.0]],
+            "expected a list of 6 values, got lists of shape 2 x 2",
+        ),
+        ("table", [[[1.0] * 6]], "expected a list of 6 values, got lists of shape 1 x 1 x 6"),
+        ("table", [[1.0] * 3, [2.0] * 2], "expected lists of equal lengths"),
+        ("table", [1.0, float("nan"), 1.0, 1.0, 1.0, 1.0], "expected a finite number, got nan"),
+    ]:
+        with subtests.test(name=name, value=value), pytest.raises(FmuError, match=message):
             check_start(MODEL, {name: value})
-
-    check_all(
-        check,
-        [
-            ("gian", 1.0, r"model: no variable 'gian'; did you mean 'gain'"),
-            ("gain", float("nan"), r"start value of 'gain': expected a finite number, got nan"),
-            ("gain", float("-inf"), "expected a finite number, got -inf"),
-            ("gain", 10.5, r"expected 0.0 to 10.0, got 10.5"),
-            ("gain", True, "expected a number, got true"),
-            ("gain", "2", "expected a number, got '2'"),
-            ("gain", [1.0], "expected one value of type Float64, got a list"),
-            ("count", 1.5, r"expected an integer, got 1.5"),
-            ("count", 256, r"expected 0 to 255 \(UInt8, exactly representable\), got 256"),
-            (
-                "far",
-                2**53 + 1,
-                r"expected -9007199254740992 to 9007199254740992 .*, got 9007199254740993",
-            ),
-            ("on", 2, "expected true or false, got 2"),
-            ("on", "yes", "expected true or false, got 'yes'"),
-            ("mode", "runing", "no item 'runing'; did you mean 'running'"),
-            ("mode", 2, r"expected one of: 1 \(idle\), 3 \(running\); got 2"),
-            ("file", 1.0, r"expected a string, got 1.0"),
-            ("file", "a\0b", "expected a string without the character 0"),
-            ("key", 12, "expected a string of hexadecimal digits, got 12"),
-            ("key", "123", "expected hexadecimal digits, two for each byte, got '123'"),
-            ("tick", True, r"'tick' has no start value that can be set \(causality input"),
-            (
-                "y",
-                1.0,
-                r"'y' has no start value that can be set \(causality output, "
-                r"variability continuous, initial calculated\)",
-            ),
-            (
-                "g",
-                1.0,
-                r"'g' has no start value that can be set \(causality local, variability constant",
-            ),
-            ("table", 1.0, "expected a list of 6 values, got one value"),
-            ("table", [1.0] * 5, "expected a list of 6 values, got 5 values"),
-            (
-                "table",
-                [[1.0, 2.0], [3.0, 4.0]],
-                "expected a list of 6 values, got lists of shape 2 x 2",
-            ),
-            ("table", [[[1.0] * 6]], "expected a list of 6 values, got lists of shape 1 x 1 x 6"),
-            ("table", [[1.0] * 3, [2.0] * 2], "expected lists of equal lengths"),
-            ("table", [1.0, float("nan"), 1.0, 1.0, 1.0, 1.0], "expected a finite number, got nan"),
-        ],
-    )
 
 
 def test_two_names_of_one_variable():

@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.fmi.driving.inner_step import InnerStep
-from tests.fmi.cases import check_all
 
 
 def detections(outputs, inputs, watch=None):
@@ -35,12 +34,8 @@ def test_an_inner_step_is_detected_once(n, moves, rest):
     assert detections(np.exp(-0.1 * intervals), MOVING if moves else STILL) == [(k, n)]
 
 
-def test_nothing_else_is_taken_for_one():
-    def check(outputs, inputs):
-        assert detections(outputs.astype(float), inputs.astype(float)) == []
-
-    check_all(
-        check,
+def test_nothing_else_is_taken_for_one(subtests):
+    for number, (outputs, inputs) in enumerate(
         [
             (STILL, MOVING),
             (STILL, STILL),
@@ -50,8 +45,10 @@ def test_nothing_else_is_taken_for_one():
             (STEPS // 10 % 2, STILL),
             (1.0 + 2.0**-52 * (STEPS // 10), STILL),
             (np.random.default_rng(1).poisson(0.5, len(STEPS)).cumsum(), STILL),
-        ],
-    )
+        ]
+    ):
+        with subtests.test(number=number):
+            assert detections(outputs.astype(float), inputs.astype(float)) == []
 
 
 def test_the_history_can_be_restored():

@@ -26,7 +26,6 @@ from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading import model_description
 from cosim.fmi.reading.model_description import read
 from tests.fmi import plant
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.pendulum import FRICTION, OUTPUTS, G, jacobian, pendulum
 
@@ -447,15 +446,11 @@ REFUSED = {
 }
 
 
-def test_what_cannot_be_linearized_is_refused(swinging):
+def test_what_cannot_be_linearized_is_refused(swinging, subtests):
     """One clear error each: see REFUSED."""
-
-    def check(name):
-        options, message = REFUSED[name]
-        with pytest.raises(FmuError, match=message):
+    for name, (options, message) in REFUSED.items():
+        with subtests.test(name=name), pytest.raises(FmuError, match=message):
             cosim.linearize(swinging, **options)
-
-    check_all(check, REFUSED)
 
 
 def test_the_description_of_a_file_is_read_once(swinging, monkeypatch):

@@ -1,6 +1,7 @@
 """Co-simulation FMUs in compiled code: the bits, messages and ends of the methods in Python."""
 
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from cosim.fmi.component import load
 from cosim.fmi.driving.stepping import Stepper
 from cosim.fmi.options import FmuOptions
 from tests.fmi import lag
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
 
@@ -135,31 +135,37 @@ def check_rows(path, version, can, start, wiring):
     [(USUAL, "ring"), (RARE[:10], "chain"), (RARE[10:], "chain")],
     ids=["usual", "rare", "rarer"],
 )
-def test_rows_messages_and_ends_are_those_of_the_methods(path, version, cases, wiring):
+def test_rows_messages_and_ends_are_those_of_the_methods(path, version, cases, wiring, subtests):
     """Usual steps in a ring, rare ones in a chain."""
-    check_all(check_rows, [path], [case for case in cases if case[0] == version], [wiring])
+    for case in cases:
+        if case[0] == version:
+            with subtests.test(case=case):
+                check_rows(path, *case, wiring)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("cases", "wiring"), [(USUAL, "chain"), (RARE, "ring")], ids=["usual", "rare"]
 )
-def test_rows_messages_and_ends_are_those_of_the_methods_in_the_other_graph(path, cases, wiring):
-    check_all(check_rows, [path], cases, [wiring])
+def test_rows_messages_and_ends_are_those_of_the_methods_in_the_other_graph(
+    path, cases, wiring, subtests
+):
+    for case in cases:
+        with subtests.test(case=case):
+            check_rows(path, *case, wiring)
 
 
 @pytest.mark.parametrize(("version", "can", "start"), [USUAL[4], USUAL[10], RARE[3], RARE[9]])
-def test_bits_depend_on_no_block_size(path, version, can, start):
-    def check(coupling, block):
-        case = (path, version, can, start)
-        options = {"wiring": "ring", "coupling": coupling}
-        expected = simulated(*case, native=False, **options)
-        assert simulated(*case, native=True, block=block, **options) == expected
+def test_bits_depend_on_no_block_size(path, version, can, start, subtests):
+    for coupling, block in product(["gauss-seidel", "jacobi"], [None, 7]):
+        with subtests.test(coupling=coupling, block=block):
+            case = (path, version, can, start)
+            options = {"wiring": "ring", "coupling": coupling}
+            expected = simulated(*case, native=False, **options)
+            assert simulated(*case, native=True, block=block, **options) == expected
 
-    check_all(check, ["gauss-seidel", "jacobi"], [None, 7])
 
-
-def test_usual_steps_are_compiled(path, monkeypatch):
+def test_usual_steps_are_compiled(path, monkeypatch, subtests):
     """All of them, but for the first one of an FMU whose state is saved before each."""
     taken = []
     step = Stepper.step
@@ -170,12 +176,13 @@ def test_usual_steps_are_compiled(path, monkeypatch):
 
     monkeypatch.setattr(Stepper, "step", counted)
 
-    def check(version, can, start, wiring):
-        taken.clear()
-        simulated(path, version, can, start, native=True, wiring=wiring)
-        assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
-
-    check_all(check, [case for case in USUAL if "events" not in case[1]], ["chain", "ring"])
+    for (version, can, start), wiring in product(
+        [case for case in USUAL if "events" not in case[1]], ["chain", "ring"]
+    ):
+        with subtests.test(version=version, can=can, start=start, wiring=wiring):
+            taken.clear()
+            simulated(path, version, can, start, native=True, wiring=wiring)
+            assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
 
 
 def test_what_is_shared_is_put_back_once_for_many_steps(tmp_path):
@@ -296,17 +303,15 @@ def typed(folder, call, status):
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_a_call_that_warns_or_fails_in_compiled_code_is_reported_alike(tmp_path, call):
+def test_a_call_that_warns_or_fails_in_compiled_code_is_reported_alike(tmp_path, call, subtests):
     """In every call of a step: the same rows, the same error, the same messages and times."""
-
-    def check(status):
-        path = typed(tmp_path, call, status)
-        rows, error, messages = typed_run(path, native=False)
-        assert typed_run(path, native=True) == (rows, error, messages)
-        assert (error == "") == (status == "fmi2Warning")
-        assert messages != []
-
-    check_all(check, STATUSES)
+    for status in STATUSES:
+        with subtests.test(status=status):
+            path = typed(tmp_path, call, status)
+            rows, error, messages = typed_run(path, native=False)
+            assert typed_run(path, native=True) == (rows, error, messages)
+            assert (error == "") == (status == "fmi2Warning")
+            assert messages != []
 
 
 def test_integers_and_booleans_are_carried_as_by_the_methods(tmp_path):

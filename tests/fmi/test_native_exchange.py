@@ -1,5 +1,7 @@
 """Compiled steps of model exchange give the bits of the methods, and share their state."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -19,7 +21,6 @@ from cosim.fmi.options import FmuOptions
 from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT
 from tests.core.parts import integrator, times
 from tests.fmi import eventful
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import LEVELS
 from tests.fmi.pendulum import pendulum
@@ -279,42 +280,42 @@ def test_events_of_fmus_in_compiled_steps(model):
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", EXPLICIT)
 @pytest.mark.parametrize("version", [2, 3])
-def test_events_of_fmus_in_compiled_steps_of_every_solver(solver, version):
+def test_events_of_fmus_in_compiled_steps_of_every_solver(solver, version, subtests):
     """All models, with and without a way back."""
-    check_all(check_eventful, LEVELS, [solver], [version], [True, False])
+    for name, saves in product(LEVELS, [True, False]):
+        with subtests.test(name=name, saves=saves):
+            check_eventful(name, solver, version, saves)
 
 
 @pytest.mark.parametrize("model", ["BALL", "SAW", "TWO", "SWITCH", "SCALED"])
-def test_states_of_fmus_between_compiled_steps(model):
+def test_states_of_fmus_between_compiled_steps(model, subtests):
     """Whatever comes between: outputs, also with other inputs, a saved state, and going back."""
-
-    def check(solver):
-        path = eventful.build(model)
-        options = FmuOptions(solver=solver, start={"p": LEVELS[model]})
-        u = swinging()
-        held = np.zeros(2, np.bool_)
-        rows = []
-        for driving in (Plain, Compiled):
-            with load(path, options) as fmu:
-                driven = driving(fmu.component)
-                y = [driven.begin(u[0], held)[np.newaxis]]
-                y.append(driven.advance(0, 20, u))
-                y.append(fmu.component.outputs(T[20], u[20] + 1.0)[np.newaxis])
-                state = fmu.component.save()
-                y.append(driven.advance(20, 40, u))
-                fmu.component.restore(state)
-                y.append(driven.advance(20, 50, u))
-                fmu.component.restore(state)
-                y.append(fmu.component.outputs(T[20], u[20])[np.newaxis])
-                y.append(driven.advance(20, STEPS, u))
-                fmu.component.initialize(0.0, u[0])
-                fmu.component.outputs(0.0, u[0])
-                y.append(driven.advance(0, STEPS, u))
-                rows.append([part.tobytes() for part in y])
-        assert rows[0] == rows[1]
-        assert driven.taken > 100
-
-    check_all(check, ["rk4", "RK45"])
+    for solver in ["rk4", "RK45"]:
+        with subtests.test(solver=solver):
+            path = eventful.build(model)
+            options = FmuOptions(solver=solver, start={"p": LEVELS[model]})
+            u = swinging()
+            held = np.zeros(2, np.bool_)
+            rows = []
+            for driving in (Plain, Compiled):
+                with load(path, options) as fmu:
+                    driven = driving(fmu.component)
+                    y = [driven.begin(u[0], held)[np.newaxis]]
+                    y.append(driven.advance(0, 20, u))
+                    y.append(fmu.component.outputs(T[20], u[20] + 1.0)[np.newaxis])
+                    state = fmu.component.save()
+                    y.append(driven.advance(20, 40, u))
+                    fmu.component.restore(state)
+                    y.append(driven.advance(20, 50, u))
+                    fmu.component.restore(state)
+                    y.append(fmu.component.outputs(T[20], u[20])[np.newaxis])
+                    y.append(driven.advance(20, STEPS, u))
+                    fmu.component.initialize(0.0, u[0])
+                    fmu.component.outputs(0.0, u[0])
+                    y.append(driven.advance(0, STEPS, u))
+                    rows.append([part.tobytes() for part in y])
+            assert rows[0] == rows[1]
+            assert driven.taken > 100
 
 
 def test_more_events_than_there_is_room_for():
@@ -384,9 +385,11 @@ def test_fmus_in_loops_and_cascades(model):
 @pytest.mark.slow
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("version", [2, 3])
-def test_fmus_in_loops_and_cascades_of_every_coupling(version, coupling):
+def test_fmus_in_loops_and_cascades_of_every_coupling(version, coupling, subtests):
     """With solvers of fixed and of variable step."""
-    check_all(check_connected, CONNECTED, ["rk4", "RK45"], [version], [coupling])
+    for name, solver in product(CONNECTED, ["rk4", "RK45"]):
+        with subtests.test(name=name, solver=solver):
+            check_connected(name, solver, version, coupling)
 
 
 @pytest.mark.parametrize("version", [2, 3])

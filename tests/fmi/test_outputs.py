@@ -9,7 +9,6 @@ from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from tests.fmi.archives import write
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.descriptions import FMI2, FMI3
 
@@ -79,22 +78,18 @@ def test_arrays_of_fmi_3_as_outputs(tmp_path):
     assert sizes["time"] == 1
 
 
-def test_what_cannot_be_an_output(tmp_path):
-    def check(names, text):
-        description = read(write(tmp_path / "x.fmu", [], xml=FMI3.encode())).description
-        with pytest.raises(FmuError, match=text):
-            description.recording(names)
-
-    check_all(
-        check,
-        [
-            (["nothing"], "no variable 'nothing'; "),
-            (["u"], "outputs: 'u' is an input, and recorded as one"),
-            (["words"], "outputs: 'words' has the type String, which is not recorded"),
-            (["bytes"], "outputs: 'bytes' has the type Binary, which is not recorded"),
-            (["dx", "dx"], "outputs: 'dx' is named twice"),
-        ],
-    )
+def test_what_cannot_be_an_output(tmp_path, subtests):
+    for names, text in [
+        (["nothing"], "no variable 'nothing'; "),
+        (["u"], "outputs: 'u' is an input, and recorded as one"),
+        (["words"], "outputs: 'words' has the type String, which is not recorded"),
+        (["bytes"], "outputs: 'bytes' has the type Binary, which is not recorded"),
+        (["dx", "dx"], "outputs: 'dx' is named twice"),
+    ]:
+        with subtests.test(names=names):
+            description = read(write(tmp_path / "x.fmu", [], xml=FMI3.encode())).description
+            with pytest.raises(FmuError, match=text):
+                description.recording(names)
 
 
 def test_parameters_are_constant_columns(probe2):

@@ -15,7 +15,6 @@ from cosim.fmi.description import Capabilities
 from cosim.fmi.reading.model_description import read
 from cosim.units import BaseUnit
 from tests.fmi.archives import write
-from tests.fmi.cases import check_all
 from tests.fmi.descriptions import CO_SIMULATION, FMI2, FMI3, fmi1
 
 METER = (0, 1, 0, 0, 0, 0, 0, 0)
@@ -218,28 +217,23 @@ def test_other_sizes(described):
     assert described(FMI2).resized({}) == described(FMI2)
 
 
-def test_other_sizes_that_cannot_be(described):
-    def check(sizes, text):
-        with pytest.raises(FmuError, match=text):
+def test_other_sizes_that_cannot_be(described, subtests):
+    for sizes, text in [
+        ({"m": 2}, "three: no variable 'm'; .*available: time, n, u"),
+        ({"small": 2}, "three: 'small' is no structural parameter, but of causality parameter"),
+        (
+            {"n": 0},
+            "three: structural parameter 'n': expected an integer from 1 to 5, got 0",
+        ),
+        (
+            {"n": 6},
+            "three: structural parameter 'n': expected an integer from 1 to 5, got 6",
+        ),
+        ({"n": 2.5}, r"'n': expected an integer from 1 to 5, got 2\.5"),
+        ({"n": math.nan}, "'n': expected an integer from 1 to 5, got nan"),
+    ]:
+        with subtests.test(sizes=sizes), pytest.raises(FmuError, match=text):
             described(FMI3).resized(sizes)
-
-    check_all(
-        check,
-        [
-            ({"m": 2}, "three: no variable 'm'; .*available: time, n, u"),
-            ({"small": 2}, "three: 'small' is no structural parameter, but of causality parameter"),
-            (
-                {"n": 0},
-                "three: structural parameter 'n': expected an integer from 1 to 5, got 0",
-            ),
-            (
-                {"n": 6},
-                "three: structural parameter 'n': expected an integer from 1 to 5, got 6",
-            ),
-            ({"n": 2.5}, r"'n': expected an integer from 1 to 5, got 2\.5"),
-            ({"n": math.nan}, "'n': expected an integer from 1 to 5, got nan"),
-        ],
-    )
 
 
 BROKEN = [
@@ -341,17 +335,15 @@ BROKEN = [
 ]
 
 
-def test_what_contradicts_itself(described):
+def test_what_contradicts_itself(described, subtests):
     """One clear error each."""
-
-    def check(xml, before, after, text):
-        assert before in xml
-        with pytest.raises(FmuError, match=f"x.fmu: modelDescription.xml: .*{text}") as error:
-            described(xml.replace(before, after))
-        # A name or size may matter in several places.
-        assert len(str(error.value).splitlines()) <= 5
-
-    check_all(check, BROKEN)
+    for xml, before, after, text in BROKEN:
+        with subtests.test(text=text):
+            assert before in xml
+            with pytest.raises(FmuError, match=f"x.fmu: modelDescription.xml: .*{text}") as error:
+                described(xml.replace(before, after))
+            # A name or size may matter in several places.
+            assert len(str(error.value).splitlines()) <= 5
 
 
 HARMLESS = [
@@ -402,16 +394,14 @@ HARMLESS = [
 ]
 
 
-def test_what_does_no_harm_is_a_warning(tmp_path):
+def test_what_does_no_harm_is_a_warning(tmp_path, subtests):
     """An FMU against the standard that can run as it is meant is read, with one warning."""
-
-    def check(xml, before, after, text):
-        assert before in xml
-        changed = xml.replace(before, after, 1).encode()
-        (warning,) = read(write(tmp_path / "x.fmu", [], xml=changed)).warnings
-        assert text in warning
-
-    check_all(check, HARMLESS)
+    for xml, before, after, text in HARMLESS:
+        with subtests.test(text=text):
+            assert before in xml
+            changed = xml.replace(before, after, 1).encode()
+            (warning,) = read(write(tmp_path / "x.fmu", [], xml=changed)).warnings
+            assert text in warning
 
 
 def test_variables_of_one_name(described):

@@ -10,7 +10,6 @@ from cosim.fmi.component import load
 from cosim.fmi.reading.model_description import read
 from cosim.fmi.variable import ClockTiming
 from tests.fmi.archives import write
-from tests.fmi.cases import check_all
 
 XML = """<?xml version="1.0"?>
 <fmiModelDescription fmiVersion="3.0" modelName="clocked" instantiationToken="x">
@@ -66,53 +65,49 @@ def test_variables_name_their_clocks(tmp_path):
     assert description["decimal"].clocks == ()
 
 
-def test_what_no_clock_can_be(tmp_path):
-    def check(old, new, problem):
-        with pytest.raises(FmuError) as error:
-            read(described(tmp_path, (old, new)))
-        assert problem in str(error.value)
-
-    check_all(
-        check,
-        [
-            (
-                'intervalVariability="tunable"',
-                'intervalVariability="rarely"',
-                "variable 'open': intervalVariability: expected one of: constant, fixed, "
-                "tunable, changing, countdown, triggered",
-            ),
-            (
-                'intervalDecimal="1e-1" shiftDecimal="0.05"',
-                "",
-                "variable 'decimal': a constant clock needs the attribute intervalDecimal",
-            ),
-            (
-                'intervalDecimal="1e-1"',
-                'intervalDecimal="soon"',
-                "variable 'decimal': intervalDecimal: expected a finite number, got 'soon'",
-            ),
-            (
-                'intervalDecimal="1e-1"',
-                'intervalDecimal="-0.1"',
-                "variable 'decimal': interval: expected more than 0 s, got -0.1 s",
-            ),
-            (
-                'shiftDecimal="0.05"',
-                'shiftDecimal="-1"',
-                "variable 'decimal': shift: expected 0 s or more, got -1.0 s",
-            ),
-            (
-                'resolution="3"',
-                'resolution="0"',
-                "variable 'fraction': resolution: expected 1 or more, with intervalCounter, got 0",
-            ),
-            (
-                'clocks="1 6"',
-                'clocks="1 8"',
-                "variable 'count': clocks: expected those of clocks, got value reference 8",
-            ),
-        ],
-    )
+def test_what_no_clock_can_be(tmp_path, subtests):
+    for old, new, problem in [
+        (
+            'intervalVariability="tunable"',
+            'intervalVariability="rarely"',
+            "variable 'open': intervalVariability: expected one of: constant, fixed, "
+            "tunable, changing, countdown, triggered",
+        ),
+        (
+            'intervalDecimal="1e-1" shiftDecimal="0.05"',
+            "",
+            "variable 'decimal': a constant clock needs the attribute intervalDecimal",
+        ),
+        (
+            'intervalDecimal="1e-1"',
+            'intervalDecimal="soon"',
+            "variable 'decimal': intervalDecimal: expected a finite number, got 'soon'",
+        ),
+        (
+            'intervalDecimal="1e-1"',
+            'intervalDecimal="-0.1"',
+            "variable 'decimal': interval: expected more than 0 s, got -0.1 s",
+        ),
+        (
+            'shiftDecimal="0.05"',
+            'shiftDecimal="-1"',
+            "variable 'decimal': shift: expected 0 s or more, got -1.0 s",
+        ),
+        (
+            'resolution="3"',
+            'resolution="0"',
+            "variable 'fraction': resolution: expected 1 or more, with intervalCounter, got 0",
+        ),
+        (
+            'clocks="1 6"',
+            'clocks="1 8"',
+            "variable 'count': clocks: expected those of clocks, got value reference 8",
+        ),
+    ]:
+        with subtests.test(new=new):
+            with pytest.raises(FmuError) as error:
+                read(described(tmp_path, (old, new)))
+            assert problem in str(error.value)
 
 
 def test_scheduled_execution_is_refused_by_name(tmp_path):

@@ -8,7 +8,6 @@ import pytest
 from cosim.errors import FmuError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
-from tests.fmi.cases import check_all
 
 CS = "CoSimulation"
 
@@ -120,21 +119,17 @@ def test_damaged_binary(edited, exported):
     )
 
 
-def test_entries_that_lead_out_of_the_archive(edited, tmp_path):
-    def check(name, text):
-        refused(edited(extra={name: b"x"}), f"the archive has {text}")
-        assert not [file for file in tmp_path.rglob("*") if "evil" in file.name]
-
-    check_all(
-        check,
-        [
-            ("/etc/evil", "an entry with an absolute path: '/etc/evil'"),
-            ("\\\\evil", "an entry with an absolute path: "),
-            ("C:/evil", "an entry with an absolute path: 'C:/evil'"),
-            ("resources/../../evil", r"an entry that leads out of it: 'resources/\.\./\.\./evil'"),
-            ("..\\evil", "an entry that leads out of it: "),
-        ],
-    )
+def test_entries_that_lead_out_of_the_archive(edited, tmp_path, subtests):
+    for name, text in [
+        ("/etc/evil", "an entry with an absolute path: '/etc/evil'"),
+        ("\\\\evil", "an entry with an absolute path: "),
+        ("C:/evil", "an entry with an absolute path: 'C:/evil'"),
+        ("resources/../../evil", r"an entry that leads out of it: 'resources/\.\./\.\./evil'"),
+        ("..\\evil", "an entry that leads out of it: "),
+    ]:
+        with subtests.test(name=name):
+            refused(edited(extra={name: b"x"}), f"the archive has {text}")
+            assert not [file for file in tmp_path.rglob("*") if "evil" in file.name]
 
 
 def test_links(tmp_path, edited):
@@ -275,20 +270,15 @@ def test_solvers(exported):
     )
 
 
-def test_a_unit_that_cannot_be_converted(edited):
+def test_a_unit_that_cannot_be_converted(edited, subtests):
     """A definition by a factor of 0, or by no number, says nothing."""
-
-    def check(attribute, expected):
-        base = f'<BaseUnit m="1" {attribute}/>'
-        definition = f'<UnitDefinitions><Unit name="odd">{base}</Unit></UnitDefinitions>'
-        path = edited(("</CoSimulation>", f"</CoSimulation>{definition}"))
-        refused(path, rf"unit 'odd': {attribute.partition('=')[0]}: expected a {expected}, got")
-
-    check_all(
-        check,
-        [
-            ('factor="0.0"', "finite number that is not 0"),
-            ('factor="INF"', "finite number that is not 0"),
-            ('offset="NaN"', "finite number"),
-        ],
-    )
+    for attribute, expected in [
+        ('factor="0.0"', "finite number that is not 0"),
+        ('factor="INF"', "finite number that is not 0"),
+        ('offset="NaN"', "finite number"),
+    ]:
+        with subtests.test(attribute=attribute):
+            base = f'<BaseUnit m="1" {attribute}/>'
+            definition = f'<UnitDefinitions><Unit name="odd">{base}</Unit></UnitDefinitions>'
+            path = edited(("</CoSimulation>", f"</CoSimulation>{definition}"))
+            refused(path, rf"unit 'odd': {attribute.partition('=')[0]}: expected a {expected}, got")

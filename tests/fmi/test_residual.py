@@ -15,7 +15,6 @@ from cosim.fmi.component import load
 from cosim.fmi.driving.residual import NODES, WEIGHTS
 from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component, check_rollback
-from tests.fmi.cases import check_all
 from tests.fmi.dae import ABOUT, LISTS, RATE, build, manifest
 
 DERIVATIVES = pytest.mark.parametrize("derivatives", [True, False])
@@ -214,44 +213,39 @@ TWICE = (
 IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Residual>'
 
 
-def test_a_form_that_cannot_be_integrated_is_refused():
+def test_a_form_that_cannot_be_integrated_is_refused(subtests):
     """The message says what is missing; as an ordinary FMU it runs all the same."""
-
-    def check(extra, message):
-        path = build(extra=extra)
-        with pytest.raises(FmuError, match=f'CUBIC: dae = "residual": .*{message}'):
-            load(path, FmuOptions(dae="residual"))
-        load(path).close()
-
-    check_all(
-        check,
-        [
-            (
-                None,
-                r'expected the manifest extra/.*/fmi-ls-manifest.xml; use "ode"',
-            ),
-            (
-                manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="false"'),
-                "the FMU declares no residual form",
-            ),
-            (
-                manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
-                "lists no AlgebraicVariables and no Residual, so that the form is not",
-            ),
-            (
-                manifest(LISTS, "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
-                r"expected as many residuals as algebraic variables \(1\), got 0",
-            ),
-            (
-                manifest(LISTS + f"<ModelStructure>{RATE}{TWICE}</ModelStructure>"),
-                "'r' is an equation of higher index; expected index 1",
-            ),
-            (
-                manifest(LISTS + f"<ModelStructure>{RATE}{IMPLICIT}</ModelStructure>"),
-                "'r' depends on derivatives of states; expected explicit",
-            ),
-        ],
-    )
+    for extra, message in [
+        (
+            None,
+            r'expected the manifest extra/.*/fmi-ls-manifest.xml; use "ode"',
+        ),
+        (
+            manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="false"'),
+            "the FMU declares no residual form",
+        ),
+        (
+            manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
+            "lists no AlgebraicVariables and no Residual, so that the form is not",
+        ),
+        (
+            manifest(LISTS, "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
+            r"expected as many residuals as algebraic variables \(1\), got 0",
+        ),
+        (
+            manifest(LISTS + f"<ModelStructure>{RATE}{TWICE}</ModelStructure>"),
+            "'r' is an equation of higher index; expected index 1",
+        ),
+        (
+            manifest(LISTS + f"<ModelStructure>{RATE}{IMPLICIT}</ModelStructure>"),
+            "'r' depends on derivatives of states; expected explicit",
+        ),
+    ]:
+        with subtests.test(message=message):
+            path = build(extra=extra)
+            with pytest.raises(FmuError, match=f'CUBIC: dae = "residual": .*{message}'):
+                load(path, FmuOptions(dae="residual"))
+            load(path).close()
 
 
 def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form(request):

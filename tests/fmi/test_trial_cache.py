@@ -13,7 +13,6 @@ from cosim.fmi.cache import cache_folder, cached_files
 from cosim.fmi.child_process import TrialProblem, find_rollback_problems
 from cosim.fmi.reading.model_description import read
 from cosim.fmi.trial_cache import keep_problems, read_problems
-from tests.fmi.cases import check_all
 from tests.fmi.compiled import with_description
 from tests.fmi.rogues import XML, compile_rogue
 
@@ -91,18 +90,8 @@ def test_another_content_is_another_trial(tmp_path, trials, archive):
     assert len(trials) == 2
 
 
-def test_a_damaged_file_is_none(folder):
-    def check(damage):
-        keep_problems(*KEY, ["goes back wrongly"])
-        assert read_problems(*KEY) == ("goes back wrongly",)
-        ((file, _),) = cached_files()
-        file.write_bytes(damage(file.read_bytes()))
-        assert read_problems(*KEY) is None
-        keep_problems(*KEY, [])
-        assert read_problems(*KEY) == ()
-
-    check_all(
-        check,
+def test_a_damaged_file_is_none(folder, subtests):
+    for number, damage in enumerate(
         [
             lambda data: b"",
             lambda data: data[: len(data) // 2],
@@ -112,8 +101,16 @@ def test_a_damaged_file_is_none(folder):
             lambda data: b"\xff\xfe" + data,
             lambda data: data.replace(b'["goes back wrongly"]', b'"goes"'),
             lambda data: data.replace(b'["goes back wrongly"]', b"[1]"),
-        ],
-    )
+        ]
+    ):
+        with subtests.test(number=number):
+            keep_problems(*KEY, ["goes back wrongly"])
+            assert read_problems(*KEY) == ("goes back wrongly",)
+            ((file, _),) = cached_files()
+            file.write_bytes(damage(file.read_bytes()))
+            assert read_problems(*KEY) is None
+            keep_problems(*KEY, [])
+            assert read_problems(*KEY) == ()
 
 
 def test_the_version_of_the_trial_and_the_platform_count(folder, monkeypatch):
@@ -177,28 +174,23 @@ def test_clear_removes_what_is_kept_and_nothing_else(folder):
     assert read_problems(*KEY) is None
 
 
-def test_the_folder_of_each_system(monkeypatch):
+def test_the_folder_of_each_system(monkeypatch, subtests):
     """As the XDG Base Directory Specification, Apple and Microsoft say."""
-
-    def check(platform, variables, expected):
-        monkeypatch.delenv(cache.VARIABLE, raising=False)
-        monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-        monkeypatch.setenv("HOME", "/home/me")
-        monkeypatch.setattr(sys, "platform", platform)
-        for name, value in variables.items():
-            monkeypatch.setenv(name, value)
-        assert cache_folder() == Path(expected)
-
-    check_all(
-        check,
-        [
-            ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/cosim"),
-            ("linux", {"XDG_CACHE_HOME": "relative"}, "/home/me/.cache/cosim"),
-            ("linux", {}, "/home/me/.cache/cosim"),
-            ("darwin", {}, "/home/me/Library/Caches/cosim"),
-            ("win32", {"LOCALAPPDATA": "/local"}, "/local/cosim"),
-        ],
-    )
+    for platform, variables, expected in [
+        ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/cosim"),
+        ("linux", {"XDG_CACHE_HOME": "relative"}, "/home/me/.cache/cosim"),
+        ("linux", {}, "/home/me/.cache/cosim"),
+        ("darwin", {}, "/home/me/Library/Caches/cosim"),
+        ("win32", {"LOCALAPPDATA": "/local"}, "/local/cosim"),
+    ]:
+        with subtests.test(platform=platform, variables=variables):
+            monkeypatch.delenv(cache.VARIABLE, raising=False)
+            monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+            monkeypatch.setenv("HOME", "/home/me")
+            monkeypatch.setattr(sys, "platform", platform)
+            for name, value in variables.items():
+                monkeypatch.setenv(name, value)
+            assert cache_folder() == Path(expected)
 
 
 def test_the_command(call, folder):

@@ -5,7 +5,6 @@ import pytest
 
 from cosim.errors import RunError
 from cosim.fmi.binary.loaded import from_fmu_type, to_fmu_type
-from tests.fmi.cases import check_all
 from tests.fmi.probes import opened
 
 
@@ -27,26 +26,21 @@ def test_integers_beyond_2_53_are_refused(value, dtype):
         from_fmu_type("m", np.array([value], dtype))
 
 
-def test_numbers_outside_a_type_are_refused():
+def test_numbers_outside_a_type_are_refused(subtests):
     """Without a warning of numpy."""
-
-    def check(variable_type, value):
-        dtype = np.bool_ if variable_type == "Boolean" else np.dtype(variable_type.lower())
-        with pytest.raises(
-            RunError, match=f"cannot be set: needed numbers of type {variable_type}"
-        ):
-            to_fmu_type("m", variable_type, dtype, np.array([value]))
-
-    check_all(
-        check,
-        [
-            ("Int32", 1e300),
-            ("Int64", 2.0**63),
-            ("UInt8", -1.0),
-            ("Boolean", 2.0),
-            ("Int32", np.nan),
-        ],
-    )
+    for variable_type, value in [
+        ("Int32", 1e300),
+        ("Int64", 2.0**63),
+        ("UInt8", -1.0),
+        ("Boolean", 2.0),
+        ("Int32", np.nan),
+    ]:
+        with subtests.test(variable_type=variable_type, value=value):
+            dtype = np.bool_ if variable_type == "Boolean" else np.dtype(variable_type.lower())
+            with pytest.raises(
+                RunError, match=f"cannot be set: needed numbers of type {variable_type}"
+            ):
+                to_fmu_type("m", variable_type, dtype, np.array([value]))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ import cosim
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify_records
-from tests.case_tables import each_case
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -88,20 +87,17 @@ def test_options_are_those_of_the_fit(logs):
     np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
 
 
-@each_case(
-    ("bounds", "text"),
-    [
+def test_bounds_that_are_none_are_refused(logs, subtests):
+    """As rows or by index, with the same messages as in a scenario."""
+    for bounds, text in [
         ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
         (3, "bounds: expected [lower, upper]"),
         ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
         ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
         ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper, got [1, 0]"),
-    ],
-)
-def test_bounds_that_are_none_are_refused(logs, bounds, text):
-    """As rows or by index, with the same messages as in a scenario."""
-    with pytest.raises(UsageError, match=re.escape(text)):
-        cosim.identify(logs[0], bounds=bounds)
+    ]:
+        with subtests.test(bounds=bounds), pytest.raises(UsageError, match=re.escape(text)):
+            cosim.identify(logs[0], bounds=bounds)
 
 
 def test_anything_but_a_log_is_refused(logs):

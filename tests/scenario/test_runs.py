@@ -18,7 +18,6 @@ from cosim.scenario.document.document import shipped
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import replay_origin
 from cosim.scenario.recorded_tables import ReplayOrigin
-from tests.case_tables import each_case
 from tests.fmi import eventful, lag
 from tests.scenario.signals import COARSE
 
@@ -279,19 +278,16 @@ def test_replay_with_a_prior_equals_the_run_with_that_prior(recorded):
     assert np.array_equal(by_replay["identifier.theta"], by_run["identifier.theta"], equal_nan=True)
 
 
-@each_case(
-    ("key", "value", "text"),
-    [
+def test_a_replay_keeps_grid_end_and_plant_of_its_recording(recorded, subtests):
+    """Recorded rows exist at the recorded instants only, whatever parameters the plant had."""
+    for key, value, text in [
         ("scenario.step", 5e-4, r"scenario\.step: expected the recorded 0\.01 s, got 0\.0005 s"),
         ("scenario.stop", 9.0, r"scenario\.stop'\]: expected .* 7\.0 s .*, got 9\.0 s"),
         ("plant.x_a0", [5.0, 5.0], "'plant' is taken from the recording; run the scenario to"),
         ("components.plant.x_a0", [5.0, 5.0], "'plant' is taken from the recording"),
-    ],
-)
-def test_a_replay_keeps_grid_end_and_plant_of_its_recording(key, value, text, recorded):
-    """Recorded rows exist at the recorded instants only, whatever parameters the plant had."""
-    with pytest.raises(UsageError, match=text):
-        cosim.replay(recorded, set={key: value})
+    ]:
+        with subtests.test(key=key), pytest.raises(UsageError, match=text):
+            cosim.replay(recorded, set={key: value})
 
 
 def test_a_run_that_failed_replays_up_to_its_end(tmp_path):
@@ -388,20 +384,21 @@ def test_numbered_logs_count_up(tmp_path):
         cosim.run("academic", recorder=recorder)
 
 
-@each_case("option", ["force", "numbered"])
-def test_options_of_a_log_are_refused_where_none_is_written(option, recorded):
+def test_options_of_a_log_are_refused_where_none_is_written(recorded, subtests):
     """It would be ignored."""
-    message = f"{option}=True applies to a log; expected out"
-    settings = {option: True}
-    with pytest.raises(UsageError, match=message):
-        cosim.run("academic", **settings)
-    with pytest.raises(UsageError, match=message):
-        cosim.run("academic", recorder=Extremes(), **settings)
-    if option == "force":
-        with pytest.raises(UsageError, match=message):
-            cosim.replay(recorded, **settings)
-        with pytest.raises(UsageError, match=message):
-            cosim.compare("academic", swap={"plant": [recorded]}, **settings)
+    for option in ["force", "numbered"]:
+        with subtests.test(option=option):
+            message = f"{option}=True applies to a log; expected out"
+            settings = {option: True}
+            with pytest.raises(UsageError, match=message):
+                cosim.run("academic", **settings)
+            with pytest.raises(UsageError, match=message):
+                cosim.run("academic", recorder=Extremes(), **settings)
+            if option == "force":
+                with pytest.raises(UsageError, match=message):
+                    cosim.replay(recorded, **settings)
+                with pytest.raises(UsageError, match=message):
+                    cosim.compare("academic", swap={"plant": [recorded]}, **settings)
 
 
 def test_numbers_of_numpy_are_numbers():
@@ -454,9 +451,9 @@ def log_of(folder, scenario):
     return path
 
 
-@each_case(
-    ("scenario", "key", "value", "named"),
-    [
+def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
+    """A change of a recorded component, or of what drives one, in every spelling."""
+    for scenario, key, value, named in [
         ("academic", "u.amplitude", 2.0, "'u', which drives 'plant'"),
         ("academic", "components.u.amplitude", 2.0, "'u', which drives 'plant'"),
         ("academic", "u", {"kind": "constant", "value": 1.0}, "'u', which drives 'plant'"),
@@ -475,36 +472,34 @@ def log_of(folder, scenario):
         ("closed-loop", "controller.B", [[5.0]], "'controller', which drives 'plant'"),
         ("closed-loop", "observer.filter_rate", 500.0, "which drives 'plant'"),
         ("closed-loop", "connections.controller.u", "reference.y", "'controller', which drives"),
-    ],
-)
-def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, scenario, key, value, named):
-    """A change of a recorded component, or of what drives one, in every spelling."""
-    path = log_of(tmp_path, scenario)
-    key_shown = key.removeprefix("components.")
-    message = (
-        rf"set\['{re.escape(key_shown)}'\]: .*{re.escape(named)}.*run the scenario to change it"
-    )
-    with pytest.raises(UsageError, match=message):
-        cosim.replay(path, set={key: value})
+    ]:
+        with subtests.test(scenario=scenario, key=key):
+            path = log_of(tmp_path, scenario)
+            key_shown = key.removeprefix("components.")
+            message = (
+                rf"set\['{re.escape(key_shown)}'\]: .*{re.escape(named)}"
+                ".*run the scenario to change it"
+            )
+            with pytest.raises(UsageError, match=message):
+                cosim.replay(path, set={key: value})
 
 
-@each_case(
-    ("scenario", "key", "value"),
-    [
+def test_a_replay_allows_what_is_behind_its_recording(tmp_path, subtests):
+    for scenario, key, value in [
         ("academic", "observer.filter_rate", 500.0),
         ("academic", "identifier.offset", True),
         ("academic", "connections.observer.u", {"from": "u.y", "gain": 2.0}),
         ("closed-loop", "identifier.offset", True),
-    ],
-)
-def test_a_replay_allows_what_is_behind_its_recording(tmp_path, scenario, key, value):
-    check_replay(log_of(tmp_path, scenario), key, value)
+    ]:
+        with subtests.test(scenario=scenario, key=key):
+            check_replay(log_of(tmp_path, scenario), key, value)
 
 
-@each_case(("key", "value"), [("u.amplitude", 1.0), ("truth.observer.delta", "delta.y")])
-def test_a_replay_allows_what_changes_nothing(tmp_path, key, value):
+def test_a_replay_allows_what_changes_nothing(tmp_path, subtests):
     """The values that the scenario has."""
-    check_replay(log_of(tmp_path, "academic"), key, value)
+    for key, value in [("u.amplitude", 1.0), ("truth.observer.delta", "delta.y")]:
+        with subtests.test(key=key):
+            check_replay(log_of(tmp_path, "academic"), key, value)
 
 
 def check_replay(path, key, value):

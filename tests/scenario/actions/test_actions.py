@@ -8,7 +8,6 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
-from tests.case_tables import each_case
 from tests.scenario.actions.replays import verified_replay
 
 BASE = """
@@ -288,14 +287,15 @@ CASES = {
 }
 
 
-@each_case(("action", "text"), CASES.values())
-def test_a_wrong_action_is_one_error_before_the_run(write, action, text):
+def test_a_wrong_action_is_one_error_before_the_run(write, subtests):
     """With its line, what was found and what was needed."""
-    with pytest.raises(ScenarioError) as caught:
-        cosim.run(write(f"[[actions]]\n{action}\n"))
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1, message
-    assert re.search(text, message), message
+    for case, (action, text) in CASES.items():
+        with subtests.test(case=case):
+            with pytest.raises(ScenarioError) as caught:
+                cosim.run(write(f"[[actions]]\n{action}\n"))
+            message = str(caught.value)
+            assert len(message.splitlines()) == 1, message
+            assert re.search(text, message), message
 
 
 def test_all_problems_of_the_file_come_together(write):

@@ -11,7 +11,6 @@ from cosim.errors import ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
-from tests.case_tables import each_case
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
 BASE = """
@@ -245,18 +244,19 @@ REFUSED = {
 }
 
 
-@each_case("until", REFUSED)
-def test_a_condition_that_is_wrong_is_refused_with_its_line(until, tmp_path):
+def test_a_condition_that_is_wrong_is_refused_with_its_line(tmp_path, subtests):
     """Once, beside the other problems of the file."""
-    path = file(tmp_path, f'until = "{until}"')
-    for more in ("", '\n[components.w]\nkind = "lagg"\n'):
-        path = file(tmp_path, f'until = "{until}"', more)
-        with pytest.raises(ScenarioError) as error:
-            cosim.load(path).start()
-        lines = [line for line in str(error.value).splitlines() if "scenario.until" in line]
-        assert len(lines) == 1
-        assert lines[0].startswith(f"{path}:6: scenario.until: condition {until!r}: ")
-        assert REFUSED[until] in lines[0]
+    for until in REFUSED:
+        with subtests.test(until=until):
+            path = file(tmp_path, f'until = "{until}"')
+            for more in ("", '\n[components.w]\nkind = "lagg"\n'):
+                path = file(tmp_path, f'until = "{until}"', more)
+                with pytest.raises(ScenarioError) as error:
+                    cosim.load(path).start()
+                lines = [line for line in str(error.value).splitlines() if "scenario.until" in line]
+                assert len(lines) == 1
+                assert lines[0].startswith(f"{path}:6: scenario.until: condition {until!r}: ")
+                assert REFUSED[until] in lines[0]
 
 
 def test_a_consequence_of_another_problem_is_not_reported(tmp_path):

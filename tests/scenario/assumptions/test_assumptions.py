@@ -11,7 +11,6 @@ from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START,
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
-from tests.case_tables import each_case
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
 
@@ -175,21 +174,21 @@ CASES = {
 }
 
 
-@each_case("case", CASES)
-def test_each_assumption_fails_alone_with_its_number_and_cure(case):
+def test_each_assumption_fails_alone_with_its_number_and_cure(subtests):
     """What fails, first of all; neighbors on the other side of a border do not."""
-    settings, first, verdict = CASES[case]
-    report = check_assumptions("academic", set={**COARSE, **settings})
-    if first is None:
-        assert report.fulfilled
-        return
-    found = failing(report)
-    assert found[0] == first
-    name, assumption = first
-    one = report.of(name)[assumption]
-    assert one.verdict == verdict
-    assert len(one.evidence) > 20
-    assert one.cure or "expected" in one.evidence or ";" in one.evidence
+    for case, (settings, first, verdict) in CASES.items():
+        with subtests.test(case=case):
+            report = check_assumptions("academic", set={**COARSE, **settings})
+            if first is None:
+                assert report.fulfilled
+                continue
+            found = failing(report)
+            assert found[0] == first
+            name, assumption = first
+            one = report.of(name)[assumption]
+            assert one.verdict == verdict
+            assert len(one.evidence) > 20
+            assert one.cure or "expected" in one.evidence or ";" in one.evidence
 
 
 def test_a_sine_aliases_where_its_delays_are_too_far_apart():

@@ -20,7 +20,6 @@ from cosim.scenario.assumptions.report import FILE, check_assumptions
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import INDEX
-from tests.case_tables import each_case
 
 OF_COMPENSATOR = (FEEDBACK, ZEROS, STABILITY, ACTIVATION, LIMITS)
 
@@ -81,23 +80,23 @@ CASES = {
 RUNS_ALL_THE_SAME = ("much noise", "theta elsewhere", "narrow limits")
 
 
-@each_case("case", CASES)
-def test_a_compensator_is_refused_by_the_check_as_by_the_run(compensation, case):
+def test_a_compensator_is_refused_by_the_check_as_by_the_run(compensation, subtests):
     """The row says what the error of the run says, with its name and its cure."""
-    settings, assumption, verdict = CASES[case]
-    report = check_assumptions(compensation, set=settings)
-    assert not report.fulfilled
-    of_compensator = report.of("compensator")
-    failing = [name for name, one in of_compensator.items() if one.fulfilled is False]
-    assert failing == [assumption]
-    one = of_compensator[assumption]
-    assert one.verdict == verdict
-    assert one.cure
-    if case not in RUNS_ALL_THE_SAME:
-        with pytest.raises(CosimError) as caught:
-            cosim.run(compensation, set=settings)
-        assert one.evidence in str(caught.value)
-        assert one.cure in str(caught.value)
+    for case, (settings, assumption, verdict) in CASES.items():
+        with subtests.test(case=case):
+            report = check_assumptions(compensation, set=settings)
+            assert not report.fulfilled
+            of_compensator = report.of("compensator")
+            failing = [name for name, one in of_compensator.items() if one.fulfilled is False]
+            assert failing == [assumption]
+            one = of_compensator[assumption]
+            assert one.verdict == verdict
+            assert one.cure
+            if case not in RUNS_ALL_THE_SAME:
+                with pytest.raises(CosimError) as caught:
+                    cosim.run(compensation, set=settings)
+                assert one.evidence in str(caught.value)
+                assert one.cure in str(caught.value)
 
 
 def test_limits_that_suffice_are_said(compensation):
@@ -149,18 +148,18 @@ def parts(tmp_path, changes):
     return path
 
 
-@each_case("case", BEGINNINGS)
-def test_the_check_refuses_whatever_a_run_refuses_before_its_first_step(tmp_path, case):
+def test_the_check_refuses_whatever_a_run_refuses_before_its_first_step(tmp_path, subtests):
     """Also where it shows only in the graph, or as components are initialized."""
-    changes, place = BEGINNINGS[case]
-    path = parts(tmp_path, changes)
-    report = check_assumptions(path)
-    assert not report.fulfilled
-    found = report.of(FILE)
-    assert list(found) == [place]
-    with pytest.raises(CosimError) as caught:
-        cosim.run(path)
-    assert found[place].evidence in str(caught.value)
+    for case, (changes, place) in BEGINNINGS.items():
+        with subtests.test(case=case):
+            path = parts(tmp_path, changes)
+            report = check_assumptions(path)
+            assert not report.fulfilled
+            found = report.of(FILE)
+            assert list(found) == [place]
+            with pytest.raises(CosimError) as caught:
+                cosim.run(path)
+            assert found[place].evidence in str(caught.value)
 
 
 def test_a_scenario_without_any_assumption_has_a_beginning(tmp_path):

@@ -13,7 +13,6 @@ from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalErro
 from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
 from cosim.scenario.exporting import export_component
-from tests.case_tables import each_case
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
 
@@ -256,29 +255,31 @@ def reasons(path, **changes):
     return {entry.signal: entry.reason for entry in certificate.signals if entry.largest is None}
 
 
-@each_case("offset", [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3])
-def test_a_signal_behind_a_jump_between_points_has_no_estimate(tmp_path, offset):
+def test_a_signal_behind_a_jump_between_points_has_no_estimate(tmp_path, subtests):
     """A jump in the first quarter of a step looks like first order, with twice the true error."""
-    found = reasons(write(tmp_path, lag_behind(("Jump", 1.0 + offset))))
-    assert list(found) == ["lag.y"]
-    assert "source.y jumps" in found["lag.y"]
+    for offset in [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3]:
+        with subtests.test(offset=offset):
+            found = reasons(write(tmp_path, lag_behind(("Jump", 1.0 + offset))))
+            assert list(found) == ["lag.y"]
+            assert "source.y jumps" in found["lag.y"]
 
 
-@each_case("offset", [1e-3, 4e-3, 6e-3, 9e-3])
-def test_a_signal_behind_a_discrete_jump_at_an_unknown_instant_has_no_estimate(offset):
+def test_a_signal_behind_a_discrete_jump_at_an_unknown_instant_has_no_estimate(subtests):
     """In the last quarter of a step all three runs have it at the same point, and do not differ."""
-    square = (1.0 + offset) ** 2
-    scenario = certified.parsed(f"""
-        [components]
-        jump = {{ kind = "expression", y = "step(t**2 - {square!r})", discrete = true }}
-        lag = {{ kind = "lag", time_constant = 0.5 }}
+    for offset in [1e-3, 4e-3, 6e-3, 9e-3]:
+        with subtests.test(offset=offset):
+            square = (1.0 + offset) ** 2
+            scenario = certified.parsed(f"""
+                [components]
+                jump = {{ kind = "expression", y = "step(t**2 - {square!r})", discrete = true }}
+                lag = {{ kind = "lag", time_constant = 0.5 }}
 
-        [connections]
-        "lag.u" = "jump.y"
-        """)
-    certificate = cosim.certificate(cosim.run(scenario, certify=True))
-    assert certificate["lag.y"].largest is None
-    assert "jump.y jumps" in certificate["lag.y"].reason
+                [connections]
+                "lag.u" = "jump.y"
+                """)
+            certificate = cosim.certificate(cosim.run(scenario, certify=True))
+            assert certificate["lag.y"].largest is None
+            assert "jump.y jumps" in certificate["lag.y"].reason
 
 
 DELAYED = """
@@ -354,19 +355,20 @@ def test_samples_of_unknown_components_count_as_regular_where_they_are(tmp_path)
     assert "holder.y jumps at an unknown instant" in found["lag.y"]
 
 
-@each_case("offset", [2e-4, 1e-3, 2.4e-3, 2.5e-3, 2.6e-3, 5e-3, 7.5e-3, 9.8e-3])
-def test_an_estimate_behind_a_bend_is_at_most_a_third_off(tmp_path, offset):
+def test_an_estimate_behind_a_bend_is_at_most_a_third_off(tmp_path, subtests):
     """|t - s| and its straight line enclose the area s' (h - s'), which the lag takes over 0.5 s.
 
     At s' < h/4 the differences are s' h/2 and s' h/4, which look like first order of s' h: a third
     more than the area at s' = h/4.
     """
-    log = cosim.run(write(tmp_path, lag_behind(("Bend", 1.0 + offset))), certify=True)
-    found = cosim.certificate(log)["lag.y"]
-    area = offset * (1e-2 - offset)
-    if found.largest is not None:
-        # The lag's own decay over the step is 2 %.
-        assert 0.9 * area / 0.5 < found.largest < 1.34 * area / 0.5
+    for offset in [2e-4, 1e-3, 2.4e-3, 2.5e-3, 2.6e-3, 5e-3, 7.5e-3, 9.8e-3]:
+        with subtests.test(offset=offset):
+            log = cosim.run(write(tmp_path, lag_behind(("Bend", 1.0 + offset))), certify=True)
+            found = cosim.certificate(log)["lag.y"]
+            area = offset * (1e-2 - offset)
+            if found.largest is not None:
+                # The lag's own decay over the step is 2 %.
+                assert 0.9 * area / 0.5 < found.largest < 1.34 * area / 0.5
 
 
 def test_chaos_has_no_estimate(tmp_path):
@@ -379,27 +381,29 @@ def test_a_relay_that_switches_at_every_step_has_no_estimate(tmp_path):
     assert list(reasons(write(tmp_path, certified.RELAY))) == ["relay.y", "mass.y"]
 
 
-@each_case("limit", [0.2, 0.5, 0.9, 1.3])
-def test_an_estimate_of_a_loop_that_saturates_is_right_or_there_is_none(limit):
+def test_an_estimate_of_a_loop_that_saturates_is_right_or_there_is_none(subtests):
     """A PID at its limits against a hundredth of the step."""
-    document = f"""
-        [components]
-        reference = {{ kind = "sine", rate = 2.0 }}
-        pid = {{ kind = "pid", gain = 3.0, integral_time = 0.7, lower = -{limit}, upper = {limit} }}
-        plant = {{ kind = "lag", time_constant = 0.5, initial = 0.0 }}
+    for limit in [0.2, 0.5, 0.9, 1.3]:
+        with subtests.test(limit=limit):
+            limits = f"lower = -{limit}, upper = {limit}"
+            document = f"""
+                [components]
+                reference = {{ kind = "sine", rate = 2.0 }}
+                pid = {{ kind = "pid", gain = 3.0, integral_time = 0.7, {limits} }}
+                plant = {{ kind = "lag", time_constant = 0.5, initial = 0.0 }}
 
-        [connections]
-        "pid.setpoint" = "reference.y"
-        "pid.measurement" = "plant.y"
-        "plant.u" = "pid.y"
-        """
-    scenario = certified.parsed(document)
-    log = cosim.run(scenario, certify=True)
-    limit_run = cosim.run(scenario, set={"scenario.step": 1e-4})
-    found = cosim.certificate(log)["plant.y"]
-    true = np.abs(log["plant.y"] - limit_run["plant.y"][::100]).max()
-    if found.largest is not None:
-        assert found.largest == pytest.approx(true, rel=1.0 / 3.0)
+                [connections]
+                "pid.setpoint" = "reference.y"
+                "pid.measurement" = "plant.y"
+                "plant.u" = "pid.y"
+                """
+            scenario = certified.parsed(document)
+            log = cosim.run(scenario, certify=True)
+            limit_run = cosim.run(scenario, set={"scenario.step": 1e-4})
+            found = cosim.certificate(log)["plant.y"]
+            true = np.abs(log["plant.y"] - limit_run["plant.y"][::100]).max()
+            if found.largest is not None:
+                assert found.largest == pytest.approx(true, rel=1.0 / 3.0)
 
 
 def test_an_exact_signal_has_no_estimate_but_rounding(tmp_path):

@@ -10,7 +10,6 @@ from cosim.errors import UsageError
 from cosim.scenario.document.document import find
 from cosim.scenario.experiment_design.subject import subject_of
 from cosim.scenario.experiment_design.trial import trial_of
-from tests.case_tables import each_case
 
 FAST = {"scenario.step": 0.05, "scenario.stop": 20.0, "observer.filter_rate": 20.0}
 TINY = {
@@ -147,9 +146,9 @@ def test_theta_given_replaces_that_of_the_disturbance():
     assert trial.bound().residual < 1e-10
 
 
-@each_case(
-    ("scenario", "settings", "arguments", "words"),
-    [
+def test_missing_knowledge_is_refused_with_the_way_out(subtests):
+    """One error, which says what is missing and how to give it."""
+    for scenario, settings, arguments, words in [
         ("academic", {}, {}, "found no noise of y; needed its deviation"),
         ("academic", {}, {"noise": -1.0}, "noise: found -1.0; needed positive finite"),
         ("academic", {}, {"noise": [1e-3, 1e-3]}, "noise: expected one number, or one .*, got 2"),
@@ -176,13 +175,11 @@ def test_theta_given_replaces_that_of_the_disturbance():
         ),
         ("closed-loop", {}, {"noise": 1e-3}, "depends on its y"),
         ("academic-noisy", {"observer.relinearize": True}, {}, "relinearized at its estimate"),
-    ],
-)
-def test_missing_knowledge_is_refused_with_the_way_out(scenario, settings, arguments, words):
-    """One error, which says what is missing and how to give it."""
-    fast = FAST if scenario != "closed-loop" else {}
-    with pytest.raises(UsageError, match=words):
-        cosim.design(scenario, set={**fast, **settings}, **arguments)
+    ]:
+        with subtests.test(words=words):
+            fast = FAST if scenario != "closed-loop" else {}
+            with pytest.raises(UsageError, match=words):
+                cosim.design(scenario, set={**fast, **settings}, **arguments)
 
 
 def test_a_recorded_plant_and_a_scenario_without_identifier_are_refused(tmp_path):

@@ -8,7 +8,6 @@ from cosim.errors import ScenarioError
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.theory.bounded import irregular_part
 from cosim.theory.bounded.set_membership import FeasibleInterval
-from tests.case_tables import each_case
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 # a disturbance that the class does not contain: 0.003 sin(0.9 t) beside its two components
@@ -97,11 +96,14 @@ def test_noise_that_is_stated_is_not_taken_from_the_residual():
     assert widths[2] > 1.2 * widths[1]
 
 
-@each_case("bound", [0.0, -0.01])
-def test_a_bound_is_positive(bound):
+def test_a_bound_is_positive(subtests):
     """Zero would be the interval of noise."""
-    with pytest.raises(ScenarioError, match="irregular: found"):
-        cosim.run("academic-noisy", set={"identifier.irregular": bound})
+    for bound in [0.0, -0.01]:
+        with (
+            subtests.test(bound=bound),
+            pytest.raises(ScenarioError, match="irregular: found"),
+        ):
+            cosim.run("academic-noisy", set={"identifier.irregular": bound})
 
 
 def test_the_table_of_the_run_shows_the_intervals(call):

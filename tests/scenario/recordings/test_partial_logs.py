@@ -16,7 +16,6 @@ from cosim.log.editing.cutting import cut
 from cosim.log.editing.merging import merge
 from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
-from tests.case_tables import each_case
 from tests.log.crafting import put_together, take_apart, without_checksum
 
 SHORT = {"scenario.stop": 0.2, "identifier.period": 0.01}
@@ -53,24 +52,25 @@ def record(signals=None, every=None):
         (["plant.y"], 1000),  # more steps than the run has
     ],
 )
-@each_case("in_memory", [False, True])
-def test_recorded_signals_have_the_bits_of_the_whole_run(
-    whole, tmp_path, signals, every, in_memory
-):
+def test_recorded_signals_have_the_bits_of_the_whole_run(whole, tmp_path, signals, every, subtests):
     """Rows are those at the multiples of ``every`` and of the period of the component alike."""
-    out = None if in_memory else tmp_path / "a.mcap"
-    run = cosim.run("academic", out=out, set=SHORT | record(signals, every))
-    assert run.partial is not None
-    periods = {name: 10 if name == "identifier" else 1 for name in whole.channels}
-    for name, channel in run.channels.items():
-        steps = np.arange(0, 201, math.lcm(periods[name], every))
-        assert run.time_ns(name).tolist() == (steps * 1_000_000).tolist()
-        for signal in channel.signals:
-            port = f"{name}.{signal.name}"
-            expected = whole[port][steps // periods[name]]
-            assert run[port].tobytes() == np.ascontiguousarray(expected).tobytes()
-    assert (run.steps, run.end_ns, run.status) == (200, 200_000_000, "complete")
-    assert [message.text for message in run.messages()] == [m.text for m in whole.messages()]
+    for in_memory in [False, True]:
+        with subtests.test(in_memory=in_memory):
+            out = None if in_memory else tmp_path / "a.mcap"
+            run = cosim.run("academic", out=out, set=SHORT | record(signals, every))
+            assert run.partial is not None
+            periods = {name: 10 if name == "identifier" else 1 for name in whole.channels}
+            for name, channel in run.channels.items():
+                steps = np.arange(0, 201, math.lcm(periods[name], every))
+                assert run.time_ns(name).tolist() == (steps * 1_000_000).tolist()
+                for signal in channel.signals:
+                    port = f"{name}.{signal.name}"
+                    expected = whole[port][steps // periods[name]]
+                    assert run[port].tobytes() == np.ascontiguousarray(expected).tobytes()
+            assert (run.steps, run.end_ns, run.status) == (200, 200_000_000, "complete")
+            assert [message.text for message in run.messages()] == [
+                m.text for m in whole.messages()
+            ]
 
 
 def test_patterns_choose_as_everywhere(whole, part):
@@ -241,9 +241,9 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
     assert path.stat().st_size < 100_000
 
 
-@each_case(
-    ("settings", "message"),
-    [
+def test_an_impossible_selection_is_refused_before_the_run(tmp_path, subtests):
+    """Nothing is written."""
+    for settings, message in [
         (record(["plan.*"]), r"record.signals: no signal matches 'plan\.\*'; did you mean 'plant"),
         (record(["plant.yy"]), "'plant' has no signal 'yy'; did you mean 'y'"),
         (record(["plnt.y"]), "no component 'plnt'; did you mean 'plant'"),
@@ -257,13 +257,11 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
         (record(every=True), "record.every: found True; needed a whole number"),
         (record(every=2**70), "needed an integer of at most 64 bits"),
         ({"record.evry": 2}, "unknown key 'evry'; did you mean 'every'"),
-    ],
-)
-def test_an_impossible_selection_is_refused_before_the_run(settings, message, tmp_path):
-    """Nothing is written."""
-    with pytest.raises(ScenarioError, match=message):
-        cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | settings)
-    assert list(tmp_path.iterdir()) == []
+    ]:
+        with subtests.test(settings=settings):
+            with pytest.raises(ScenarioError, match=message):
+                cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | settings)
+            assert list(tmp_path.iterdir()) == []
 
 
 def test_the_table_is_one_of_the_file(tmp_path):
@@ -304,9 +302,9 @@ def _redeclare(content):
     items["cosim.declared"] = json.dumps(add_checksum("cosim.channel", declared))
 
 
-@each_case(
-    ("change", "message"),
-    [
+def test_the_metadata_of_a_partial_log_are_checked(part, tmp_path, subtests):
+    """Somebody may have written it by hand."""
+    for change, message in [
         (_drop("cosim.record", "every"), "'every'"),
         (_drop("cosim.record", "components"), "'components'"),
         (_put("cosim.record", "every", "-1"), "expected a whole number, got '-1'"),
@@ -316,16 +314,14 @@ def _redeclare(content):
         (_drop("cosim.component.u", "cosim.declared"), "'cosim.declared'"),
         (_put("cosim.component.u", "cosim.declared", "{}"), "checksum|missing|cosim"),
         (_redeclare, "'plant' .*'x_a'"),
-    ],
-)
-def test_the_metadata_of_a_partial_log_are_checked(part, tmp_path, change, message):
-    """Somebody may have written it by hand."""
-    content = take_apart(part.path)
-    change(content)
-    path = tmp_path / "a.mcap"
-    put_together(content, path)
-    with pytest.raises(LogError, match=f"record of the run cannot be parsed.*({message})"):
-        cosim.open_log(path)
+    ]:
+        with subtests.test(message=message):
+            content = take_apart(part.path)
+            change(content)
+            path = tmp_path / "a.mcap"
+            put_together(content, path)
+            with pytest.raises(LogError, match=f"record of the run cannot be parsed.*({message})"):
+                cosim.open_log(path)
 
 
 def test_a_damaged_record_of_the_parts_is_found(part, tmp_path):

@@ -8,7 +8,6 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import component_record, replay_origin
-from tests.case_tables import each_case
 from tests.fmi import lag
 from tests.fmi.compiled import with_description
 
@@ -108,23 +107,21 @@ def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
     assert replay_origin(again).copied == ()
 
 
-@each_case(
-    ("swap", "names", "error", "message"),
-    [
+def test_an_invalid_swap_is_refused(folder, subtests):
+    """Unknown components, files that are not there or are something else, a map alone."""
+    for swap, names, error, message in [
         ({"filtr": "filter.fmu"}, {}, ScenarioError, "component 'filtr'; did you mean"),
         ({"filter": "none.fmu"}, {}, ScenarioError, r"none\.fmu: there is no such file"),
         ({"filter": "f.toml"}, {}, ScenarioError, r"needed a path that ends in \.fmu"),
         ({}, {"filter.u": "force"}, UsageError, "expected swap with map"),
         ({"filter": 3}, {}, UsageError, r"swap\['filter'\]: path: found 3; needed a path"),
-    ],
-)
-def test_an_invalid_swap_is_refused(swap, names, error, message, folder):
-    """Unknown components, files that are not there or are something else, a map alone."""
-    paths = {}
-    for name, path in swap.items():
-        paths[name] = folder / path if isinstance(path, str) else path
-    with pytest.raises(error, match=message):
-        cosim.replay(folder / "f.mcap", swap=paths, map=names)
+    ]:
+        with subtests.test(swap=swap, names=names):
+            paths = {}
+            for name, path in swap.items():
+                paths[name] = folder / path if isinstance(path, str) else path
+            with pytest.raises(error, match=message):
+                cosim.replay(folder / "f.mcap", swap=paths, map=names)
 
 
 def test_a_swapped_replay_is_compared_with_the_log(folder, call):

@@ -14,7 +14,6 @@ import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log.editing.recovering import recover
 from cosim.report.verification import verify
-from tests.case_tables import each_case
 
 
 @pytest.fixture(scope="module")
@@ -99,22 +98,20 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
     assert os.path.getsize(copy) == os.path.getsize(path)
 
 
-@each_case(
-    ("options", "message"),
-    [
+def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, subtests):
+    """Each with one error."""
+    for options, message in [
         ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a time > 0 s, got 0\.0"),
         ({"flush": "1", "out": "a.mcap"}, "flush: found '1'; needed a number"),
         ({"flush": 1.0}, "flush=True applies to a log; expected out"),
         ({"sync": True}, "sync=True applies to a log; expected out"),
         ({"sync": 1, "out": "a.mcap"}, "sync: found 1"),
-    ],
-)
-def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, options, message):
-    """Each with one error."""
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match=message):
-        cosim.run("academic", **options)
-    assert not list(tmp_path.iterdir())
+    ]:
+        with subtests.test(options=options):
+            monkeypatch.chdir(tmp_path)
+            with pytest.raises(UsageError, match=message):
+                cosim.run("academic", **options)
+            assert not list(tmp_path.iterdir())
 
 
 def test_a_log_may_wait_for_the_disk(tmp_path):

@@ -10,7 +10,6 @@ from cosim.errors import ClockError, LogError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
-from tests.case_tables import each_case
 from tests.log.crafting import change_rows, put_together, take_apart
 
 END = 0.2
@@ -75,9 +74,9 @@ def test_a_window_begins_where_every_component_has_a_row(log):
     assert part.time("identifier").tolist() == [0.05, 0.06, 0.07, 0.08, 0.09, 0.1]
 
 
-@each_case(
-    ("window", "error", "message"),
-    [
+def test_an_invalid_window_is_refused(log, subtests):
+    """Beyond it, off the grid, empty, or no times."""
+    for window, error, message in [
         ((0.0105, None), ClockError, r"where the window begins: 0\.0105 s is not a whole number"),
         ((None, 0.0105), ClockError, r"where the window ends: 0\.0105 s is not a whole number"),
         ((-0.01, None), UsageError, r"begins at -0\.01 s; .* the recording, 0\.0 s to 0\.2 s"),
@@ -87,12 +86,9 @@ def test_a_window_begins_where_every_component_has_a_row(log):
         ((0.2, 0.1), UsageError, r"the window from 0\.2 s to 0\.1 s: expected at least one"),
         (("0.1", None), UsageError, r"the window begins at '0\.1'; expected a time"),
         (0.1, UsageError, r"window: expected its begin and end .*, got 0\.1"),
-    ],
-)
-def test_an_invalid_window_is_refused(log, window, error, message):
-    """Beyond it, off the grid, empty, or no times."""
-    with pytest.raises(error, match=message):
-        cosim.replay(log, window=window)
+    ]:
+        with subtests.test(window=window), pytest.raises(error, match=message):
+            cosim.replay(log, window=window)
 
 
 def test_a_stop_beside_a_window_is_refused(log):

@@ -5,7 +5,6 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.scenario.running.combinations import combination_text, combinations
-from tests.case_tables import each_case
 
 
 def test_combinations_are_the_full_product_in_order():
@@ -27,9 +26,9 @@ def test_a_thousand_combinations_are_the_most():
         combinations({"a.x": range(7), "a.y": range(143)})
 
 
-@each_case(
-    ("vary", "message"),
-    [
+def test_an_invalid_list_of_values_is_refused(subtests):
+    """The message names the key."""
+    for vary, message in [
         ({}, "vary: expected a key and its values"),
         ({"a.x": []}, r"vary\['a.x'\]: expected at least one value"),
         ({"a.x": "12"}, r"vary\['a.x'\]: expected a list, got '12'"),
@@ -37,9 +36,6 @@ def test_a_thousand_combinations_are_the_most():
         ({"a.x": [object]}, r"vary\['a.x'\]: found <class 'object'>; needed a number, true or"),
         ([1.0], r"vary: .*\[1\.0\]"),
         ({1: [1.0]}, "vary: .* 1$"),
-    ],
-)
-def test_an_invalid_list_of_values_is_refused(vary, message):
-    """The message names the key."""
-    with pytest.raises(UsageError, match=message):
-        combinations(vary)
+    ]:
+        with subtests.test(vary=vary), pytest.raises(UsageError, match=message):
+            combinations(vary)

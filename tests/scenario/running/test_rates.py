@@ -18,7 +18,6 @@ from cosim.errors import ClockError, CosimError, ScenarioError, UsageError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
-from tests.case_tables import each_case
 
 # y = x, and x+ = x + u at the end of a period, with u sampled at its start; h = 1 s
 ACCUMULATOR = 'kind = "discrete-state-space", A = [[1.0]], B = [[1.0]], C = [[1.0]]'
@@ -80,12 +79,13 @@ def at_all_points(log, name):
     ],
     ids=["2, 3", "3, 2", "2, 3, 4", "2, 3 with offsets", "no offsets"],
 )
-@each_case("block", [1, 5, None])
-def test_chain_follows_the_table(rates, offsets, stop, expected, block):
-    log = cosim.run(chain_of(*rates, stop=stop, offsets=offsets), block=block)
-    for number, row in enumerate(expected, start=1):
-        if row is not None:
-            assert at_all_points(log, f"p{number}") == row
+def test_chain_follows_the_table(rates, offsets, stop, expected, subtests):
+    for block in [1, 5, None]:
+        with subtests.test(block=block):
+            log = cosim.run(chain_of(*rates, stop=stop, offsets=offsets), block=block)
+            for number, row in enumerate(expected, start=1):
+                if row is not None:
+                    assert at_all_points(log, f"p{number}") == row
 
 
 @pytest.mark.parametrize("native", [True, False])
@@ -166,9 +166,8 @@ def test_an_fmu_with_a_period_interpolates_or_holds(tmp_path):
         assert len(np.unique(log["c.x"])) == 11
 
 
-@each_case(
-    ("keys", "text"),
-    [
+def test_rates_that_are_none_are_refused(subtests):
+    for keys, text in [
         ({"period": 0.1, "offset": 0.1}, "offset: found 0.1 s, needed 0 s or more, and less than"),
         ({"period": 0.1, "offset": 0.3}, "less than the period, 0.1 s"),
         ({"period": 0.1, "offset": -0.01}, "offset: found -0.01 s, needed 0 s or more"),
@@ -178,27 +177,30 @@ def test_an_fmu_with_a_period_interpolates_or_holds(tmp_path):
             {"input_interpolation": "linear"},
             "found 'linear' and no period; needed both, or neither",
         ),
-    ],
-)
-def test_rates_that_are_none_are_refused(keys, text):
-    with pytest.raises(ScenarioError) as error:
-        sampled(**keys)
-    assert text in str(error.value)
+    ]:
+        with subtests.test(keys=keys):
+            with pytest.raises(ScenarioError) as error:
+                sampled(**keys)
+            assert text in str(error.value)
 
 
-@each_case("offset", [-1, 3, 4])
-def test_an_offset_beyond_the_period_is_refused(offset):
-    one = np.ones((1, 1))
-    matrices = system_matrices("accumulator", A=one, B=one, C=one, D=None, x0=None)
-    with pytest.raises(
-        ClockError, match=r"offset: expected 0 or more.* got -?\d communication steps?"
-    ):
-        Sampled(DiscreteStateSpace(matrices), 3, offset=offset)
+def test_an_offset_beyond_the_period_is_refused(subtests):
+    for offset in [-1, 3, 4]:
+        with subtests.test(offset=offset):
+            one = np.ones((1, 1))
+            matrices = system_matrices("accumulator", A=one, B=one, C=one, D=None, x0=None)
+            with pytest.raises(
+                ClockError, match=r"offset: expected 0 or more.* got -?\d communication steps?"
+            ):
+                Sampled(DiscreteStateSpace(matrices), 3, offset=offset)
 
 
-@each_case("keys", ["offset = 0.04", 'input_interpolation = "linear"'])
-def test_an_exported_controller_has_no_offset_and_no_interpolation(tmp_path, keys):
-    path = tmp_path / "sampled.toml"
-    path.write_text(FEEDTHROUGH.format(keys=f", period = 0.1, {keys}"), encoding="utf-8")
-    with pytest.raises((UsageError, CosimError), match="an exported controller samples first at"):
-        export_component(str(path), "c", tmp_path / "c.fmu")
+def test_an_exported_controller_has_no_offset_and_no_interpolation(tmp_path, subtests):
+    for keys in ["offset = 0.04", 'input_interpolation = "linear"']:
+        with subtests.test(keys=keys):
+            path = tmp_path / "sampled.toml"
+            path.write_text(FEEDTHROUGH.format(keys=f", period = 0.1, {keys}"), encoding="utf-8")
+            with pytest.raises(
+                (UsageError, CosimError), match="an exported controller samples first at"
+            ):
+                export_component(str(path), "c", tmp_path / "c.fmu")

@@ -15,7 +15,6 @@ from cosim.report.inspection import describe_log
 from cosim.report.tables.verification import print_verification
 from cosim.report.verification_result import Verification
 from cosim.scenario.exporting import export_component
-from tests.case_tables import each_case
 from tests.scenario.online import COARSE, noisy
 
 # Kernels of OpenBLAS with AVX2 and SSE; that with AVX-512 is a further one of the same kind.
@@ -113,17 +112,19 @@ def test_estimates_by_output_error_have_the_same_bits_whatever_blas_computes_wit
 IMPLICIT = {"Radau": "LAPACK", "BDF": "LAPACK", "LSODA": "ODEPACK", "CVode": "SUNDIALS"}
 
 
-@each_case(("solver", "library"), IMPLICIT.items())
-def test_a_log_says_what_the_bits_of_implicit_solvers_depend_on(solver, library, tmp_path):
+def test_a_log_says_what_the_bits_of_implicit_solvers_depend_on(tmp_path, subtests):
     """Of a generated plant; ``info`` shows it."""
-    check_bits(solver, library, tmp_path / f"{solver}.mcap", {})
+    for solver, library in IMPLICIT.items():
+        with subtests.test(solver=solver):
+            check_bits(solver, library, tmp_path / f"{solver}.mcap", {})
 
 
 @pytest.mark.slow
-@each_case(("solver", "library"), IMPLICIT.items())
-def test_a_log_says_what_the_bits_of_an_fmu_depend_on(solver, library, plant, tmp_path):
+def test_a_log_says_what_the_bits_of_an_fmu_depend_on(plant, tmp_path, subtests):
     """As of a generated plant."""
-    check_bits(solver, library, tmp_path / f"{solver}.mcap", {"plant": f"{plant}#me"})
+    for solver, library in IMPLICIT.items():
+        with subtests.test(solver=solver):
+            check_bits(solver, library, tmp_path / f"{solver}.mcap", {"plant": f"{plant}#me"})
 
 
 def check_bits(solver, library, log, swap):
@@ -165,8 +166,9 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
     assert "note: plant: solver BDF computes with LAPACK: on another processor" in message
 
 
-@each_case("solver", ["exact", *EXPLICIT])
-def test_a_log_says_nothing_of_bits_where_they_depend_on_nothing(solver, tmp_path):
-    log = tmp_path / f"{solver}.mcap"
-    cosim.run("academic", set={"scenario.stop": 0.02, "plant.solver": solver}, out=log)
-    assert "bits" not in describe_log(str(log))["metadata"]["plant"]
+def test_a_log_says_nothing_of_bits_where_they_depend_on_nothing(tmp_path, subtests):
+    for solver in ["exact", *EXPLICIT]:
+        with subtests.test(solver=solver):
+            log = tmp_path / f"{solver}.mcap"
+            cosim.run("academic", set={"scenario.stop": 0.02, "plant.solver": solver}, out=log)
+            assert "bits" not in describe_log(str(log))["metadata"]["plant"]

@@ -9,7 +9,6 @@ from cosim.errors import CosimError, ScenarioError, UsageError
 from cosim.report.plots import plot_signals
 from cosim.report.summary import span, summarize
 from cosim.scenario.exporting import export_component
-from tests.case_tables import each_case
 
 START = 16.0
 STEP = 1e-3
@@ -121,9 +120,9 @@ def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
         swapped_for_log(log, 16.0005, 16.9995)
 
 
-@each_case(
-    ("changes", "text"),
-    [
+def test_a_start_that_does_not_fit_is_refused(subtests):
+    """With the key, what was found and what was needed."""
+    for changes, text in [
         ({"start_time": -1.0}, r"scenario\.start_time: .*found -1\.0 s, needed 0 s or later"),
         ({"start_time": 1.5e-9}, r"scenario\.start_time: 1\.5e-09 s is not a whole number of nano"),
         (
@@ -137,13 +136,11 @@ def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
             r"nearest: 20\.0005 s|nearest: 19\.9995 s",
         ),
         ({"start_time": "soon"}, r"start_time: .*number"),
-    ],
-)
-def test_a_start_that_does_not_fit_is_refused(changes, text):
-    """With the key, what was found and what was needed."""
-    changes = {f"scenario.{key}": value for key, value in changes.items()}
-    with pytest.raises(ScenarioError, match=text):
-        cosim.run("closed-loop", set=changes)
+    ]:
+        with subtests.test(changes=changes):
+            changes = {f"scenario.{key}": value for key, value in changes.items()}
+            with pytest.raises(ScenarioError, match=text):
+                cosim.run("closed-loop", set=changes)
 
 
 def test_an_identifier_cannot_begin_before_its_regressor_has_a_value(logs):

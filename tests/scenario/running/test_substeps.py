@@ -16,7 +16,6 @@ from cosim.report.tables.run import print_summary
 from cosim.report.verification import verify
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.recorded_metadata import recorded_loop_gains
-from tests.case_tables import each_case
 from tests.log.crafting import put_together, take_apart
 
 DRIVEN = """
@@ -269,9 +268,9 @@ def test_a_certificate_of_chosen_steps_is_refused(pair, how):
         cosim.run(pair, **how)
 
 
-@each_case(
-    ("key", "value", "text"),
-    [
+def test_wrong_substeps_are_refused(pair, subtests):
+    """Each by its key, once."""
+    for key, value, text in [
         ("min", 0.02, r"min: expected at most 0.005 s, .*got 0.02 s"),
         ("min", 1e-10, r"1e-10 s is not a whole number of nanoseconds"),
         ("min", 0.0, r"scenario\.substeps\.min: expected a number > 0, got 0\.0"),
@@ -279,13 +278,11 @@ def test_a_certificate_of_chosen_steps_is_refused(pair, how):
         ("rtol", -1.0, r"scenario.substeps.rtol: expected a number >= 0, got -1.0"),
         ("atol", "small", r"scenario.substeps.atol: .*small"),
         ("max", 1.0, r"scenario.substeps.max"),
-    ],
-)
-def test_wrong_substeps_are_refused(pair, key, value, text):
-    """Each by its key, once."""
-    with pytest.raises(ScenarioError, match=text) as caught:
-        cosim.run(pair, set={f"scenario.substeps.{key}": value})
-    assert len(str(caught.value).splitlines()) == 1
+    ]:
+        with subtests.test(key=key, value=value):
+            with pytest.raises(ScenarioError, match=text) as caught:
+                cosim.run(pair, set={f"scenario.substeps.{key}": value})
+            assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_loop_with_a_sampled_controller_is_replayed_bit_for_bit(tmp_path):

@@ -16,7 +16,6 @@ from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
-from tests.case_tables import each_case
 from tests.scenario.signals import COARSE
 from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
 
@@ -164,19 +163,20 @@ def test_a_port_has_one_name(other):
     assert run["observer.y"].tolist() == run["plant.y"].tolist()
 
 
-@each_case("names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""])
-def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
+def test_a_vector_may_be_made_of_elements(by_hand, other, tmp_path, subtests):
     """A list in Python and in the file, or text on the command line, give the same bits."""
-    maps = {**MAP, "plant.x_a": names}
-    runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=COARSE)]
-    if not isinstance(names, str):
-        entries = ", ".join(f'"{port}" = {json.dumps(name)}' for port, name in maps.items())
-        document = text_with(f'plant = {{ path = "{other}", map = {{ {entries} }} }}')
-        out = tmp_path / f"{len(names)}.mcap"
-        runs.append(cosim.run(parse(document.with_changes(COARSE)), out=out))
-        assert cosim.diff(runs[1], cosim.replay(out)).equal
-    for run in runs:
-        assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
+    for names in [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""]:
+        with subtests.test(names=names):
+            maps = {**MAP, "plant.x_a": names}
+            runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=COARSE)]
+            if not isinstance(names, str):
+                entries = ", ".join(f'"{port}" = {json.dumps(name)}' for port, name in maps.items())
+                document = text_with(f'plant = {{ path = "{other}", map = {{ {entries} }} }}')
+                out = tmp_path / f"{len(names)}.mcap"
+                runs.append(cosim.run(parse(document.with_changes(COARSE)), out=out))
+                assert cosim.diff(runs[1], cosim.replay(out)).equal
+            for run in runs:
+                assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
 
 
 def test_scalars_may_make_a_vector_and_an_input_its_elements(vector):
@@ -344,12 +344,11 @@ WRONG = {
 }
 
 
-@each_case("case", WRONG)
-def test_a_wrong_map_is_reported(case, other):
+def test_a_wrong_map_is_reported(other, subtests):
     """The option, what was found, the nearest."""
-    swapped, maps, text = WRONG[case]
-    with pytest.raises(ScenarioError, match=text):
-        cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=COARSE)
+    for case, (swapped, maps, text) in WRONG.items():
+        with subtests.test(case=case), pytest.raises(ScenarioError, match=text):
+            cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=COARSE)
 
 
 def test_all_that_is_wrong_is_reported_at_once(other):
@@ -369,9 +368,9 @@ def test_all_that_is_wrong_is_reported_at_once(other):
         assert text in str(caught.value)
 
 
-@each_case(
-    ("swap", "text"),
-    [
+def test_a_wrong_entry_of_the_file_is_reported_with_its_line(subtests):
+    """As everything else in a file."""
+    for swap, text in [
         ("plant = 3", r"academic:\d+: swap\.plant: expected a table, got 3"),
         (
             'plant = { map = { "plant.u" = "x" } }',
@@ -399,12 +398,9 @@ def test_all_that_is_wrong_is_reported_at_once(other):
             r"swap\.plant\.map\.plant\.u: expected a string, got 1",
         ),
         ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
-    ],
-)
-def test_a_wrong_entry_of_the_file_is_reported_with_its_line(swap, text):
-    """As everything else in a file."""
-    with pytest.raises(ScenarioError, match=text):
-        parse(text_with(swap))
+    ]:
+        with subtests.test(swap=swap), pytest.raises(ScenarioError, match=text):
+            parse(text_with(swap))
 
 
 @pytest.mark.parametrize(
