@@ -193,8 +193,7 @@ def rewritten(text: str) -> str:
         if block.language == "text":
             text = text[: block.start] + shown.printed + text[block.end :]
         else:
-            lines = [line.rstrip() for line in shown.printed.splitlines()]
-            output = "\n".join(line for line in lines if line)
+            output = "\n".join(line.rstrip() for line in shown.printed.strip("\n").splitlines())
             place = text.index(f"$ {shown.source}\n{shown.shown}", block.start)
             start = place + len(f"$ {shown.source}\n")
             text = text[:start] + f"{output}\n" + text[start + len(shown.shown) :]
