@@ -91,7 +91,7 @@ def test_wrong_use_exits_with_2(call):
             r"--from = 3\.0 s .*--to = 2\.0 s",
         ),
         (("cut", "a.mcap", "--from", "30", "-o", "b.mcap"), r"a\.mcap from 30 s: no rows"),
-        (("merge", "a.mcap", "-o", "b.mcap"), "1 log"),
+        (("merge", "a.mcap", "-o", "b.mcap"), "two logs.*got 1"),
         (("merge", "a.mcap", "a.mcap", "-o", "b.mcap"), "they overlap"),
         (("recover", "c.mcap", "-o", "b.mcap"), r"c\.mcap cannot be read"),
     ]:
