@@ -12,7 +12,7 @@ import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, Protocol, cast
+from typing import Final, Never, Protocol, cast
 
 import numpy as np
 
@@ -468,7 +468,9 @@ def _check_values(bench: _Bench, what: str, rows: Matrix) -> None:
     no_value = is_nan & np.array(optional, np.bool_)
     allowed = np.isfinite(rows) | no_value
     law = f"{what} is finite, or cosim.arrays.NAN in an optional output"
-    bench.compare(law, rows, np.where(allowed, rows, 0.0))
+    for row, column in np.argwhere(~np.atleast_2d(allowed))[:1]:
+        wanted = "a finite value, or cosim.arrays.NAN" if optional[column] else "a finite value"
+        bench.fail(law, row, column, wanted, float(np.atleast_2d(rows)[row, column]))
 
 
 def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
@@ -920,12 +922,14 @@ class _Bench:
         if not len(wrong):
             return
         row, column = wrong[0]
+        wanted = repr(float(expected[row, column]))
+        self.fail(law, first + row, column, wanted, float(rows[row, column]))
+
+    def fail(self, law: str, row: int, column: int, wanted: str, value: float) -> Never:
+        """Report a value that breaks a law."""
         label = self._labels()[column]
-        time = self.t[first + row]
-        value = float(rows[row, column])
-        wanted = float(expected[row, column])
         raise AssertionError(
-            f"{law}: {label!r} at t = {time} s: expected {wanted!r}, got {value!r}"
+            f"{law}: {label!r} at t = {self.t[row]} s: expected {wanted}, got {value!r}"
         )
 
     def _labels(self) -> list[str]:

@@ -187,15 +187,19 @@ def test_a_closed_environment_has_no_further_episodes(name):
 def test_options_that_do_not_fit_the_scenario_are_refused(subtests):
     for options, error, text in [
         ({"act": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),
-        ({"act": ["plant.y"]}, GraphError, "'plant.y' is an output of 'plant'; needed an input"),
+        (
+            {"act": ["plant.y"]},
+            GraphError,
+            "'plant.y': expected an input of 'plant', got an output",
+        ),
         ({"observe": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),
         ({"act": []}, UsageError, r"act: expected a list of signal names, got \[\]"),
         ({"observe": "plant.y"}, UsageError, r"observe: expected a list .*, got 'plant.y'"),
         ({"act": {"plant.u": 3.0}}, UsageError, r"bounds of 'plant.u', got 3.0"),
         ({"act": {"plant.u": (1, 0)}}, UsageError, r"act: .*'plant.u', got 1.0 to 0.0"),
         ({"act": ["plant.u", "plant.u[0]"]}, UsageError, r"act: 'plant.u\[0\]' has elements"),
-        ({"reward": 3}, UsageError, r"reward: found 3; needed a function"),
-        ({"terminated": "x"}, UsageError, r"terminated: found 'x'; needed a function"),
+        ({"reward": 3}, UsageError, r"reward: expected a function, got 3"),
+        ({"terminated": "x"}, UsageError, r"terminated: expected a function, got 'x'"),
         ({"steps": 7}, UsageError, r"steps: .*the 200 steps of the scenario, got 7"),
         ({"steps": 0}, UsageError, r"steps: expected a whole number .*, got 0"),
         ({"steps": 1.0}, UsageError, r"steps: expected a whole number .*, got 1.0"),

@@ -17,7 +17,7 @@ def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Remove all entries.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show or clear the cache of FMU trial results and compiled files.
+    """Show or clear the cache of FMU trials and compiled files.
 
     Entries are identified by content.
 

@@ -86,7 +86,8 @@ def _number(key: str, label: str, value: ArrayLike) -> NDArray[np.float64]:
         array = np.asarray(value)
     except ValueError as error:
         raise GraphError(
-            f"'{label}': expected a number or a matrix as {key}, got rows of different lengths"
+            f"'{label}': expected a number or a matrix as {key}, got rows of different lengths: "
+            f"{value!r}"
         ) from error
     is_real = array.dtype.kind in "iuf" and type(value) is not np.ma.MaskedArray
     if not is_real or not np.isfinite(array).all():

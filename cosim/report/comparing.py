@@ -291,7 +291,7 @@ def _paths(
     if component not in loaded.specs:
         suggestion = nearest(component, loaded.specs)
         raise UsageError(
-            f"{option('swap', component)}: there is no component {component!r}; {suggestion}"
+            f"{option('swap', component)}: unknown component {component!r}; {suggestion}"
         )
     if isinstance(paths, str) or not isinstance(paths, Sequence):
         raise UsageError(

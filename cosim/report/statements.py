@@ -27,7 +27,7 @@ import itertools
 import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from decimal import Decimal
 from operator import attrgetter
 from typing import Any, TypeAlias
@@ -40,6 +40,7 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorders import Memory
 from cosim.core.recording import Substep
 from cosim.core.signals import Channel, Interface, element_names
+from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import quoted
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
@@ -313,7 +314,7 @@ class _Statements:
             if not self.has_all:
                 loops = [own.components for own in expected_counts]
                 counts = tuple(own for own in counts if own.components in loops)
-            yield f"counts of substeps in {RESULT_FILE}", counts, expected_counts
+            yield from _of_counts(counts, expected_counts)
         if self._source.status == PARTIAL_STATUS:
             return  # a last row there may be is that of the whole run
         recorded_labels = _labels(self._source.channels)
@@ -342,6 +343,19 @@ class _Statements:
                 yield f"verdicts on {name!r}", computed, replayed
             if name in recorded and name in expected:
                 yield from _beside_verdicts(name, recorded[name], expected[name])
+
+
+def _of_counts(
+    counts: Sequence[SubstepCounts], expected: Sequence[SubstepCounts]
+) -> Iterator[_Statement]:
+    """Yield the counts of every loop one by one."""
+    what = f"counts of substeps in {RESULT_FILE}"
+    loops = [list(own.components) for own in counts]
+    yield f"{what}: loops", loops, [list(own.components) for own in expected]
+    for own, other in zip(counts, expected, strict=False):
+        for field in fields(own)[1:]:
+            place = f"{what}: loop of {own.components[0]!r}, {field.name}"
+            yield place, getattr(own, field.name), getattr(other, field.name)
 
 
 def _substeps_before(time_ns: int, run: Log | Memory) -> list[Substep]:

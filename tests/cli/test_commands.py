@@ -361,11 +361,12 @@ def test_list_names_scenarios_and_kinds_with_their_parameters(call):
         "academic-noisy",
         "closed-loop",
         "compensation",
+        "pair",
     }
     parameters = found["kinds"]["unknown-input-observer"]["parameters"]
     filter_rate, L = parameters["filter_rate"], parameters["L"]
     assert (filter_rate["required"], filter_rate["default"]) == (False, None)
-    assert filter_rate["description"].startswith("lambda_f of the derivative filter (19) [rad/s]")
+    assert filter_rate["description"].startswith("rate of the derivative filter [rad/s]")
     assert (L["required"], L["default"]) == (False, None)
     assert found["kinds"]["descriptor"]["parameters"]["solver"]["default"] == "exact"
     table = call("list")[1]
@@ -377,13 +378,13 @@ def test_list_explains_the_parameters_of_a_kind(call):
     """Each with its default, its meaning and its unit, keys of inner tables too."""
     code, out, _ = call("list", "identifier")
     assert code == 0
-    assert out.startswith("identifier: Identifier of theta, by output error")
+    assert out.startswith("identifier: Identification of theta by output error")
     rows = {line.split()[0]: line for line in out.splitlines()[2:]}
-    assert re.match(r"P0\toptional\tof least-squares: P\(0\) = P0 I \(34\)", rows["P0"])
-    assert re.match(r"start\.epsilon_filter\trequired\tfraction of", rows["start.epsilon_filter"])
-    assert re.search(r"^time\t\"t\"\tcolumn of the instants", call("list", "table")[1], re.M)
+    assert re.match(r"P0\toptional\tleast-squares: .*P\(0\) = P0 I", rows["P0"])
+    assert re.match(r"start\.epsilon_filter\trequired\t.*in \(0, 1\)", rows["start.epsilon_filter"])
+    assert re.search(r"^time\t\"t\"\tcolumn of the times", call("list", "table")[1], re.M)
     kind = json.loads(call("list", "step", "--json")[1])
-    assert kind["parameters"]["time"]["description"] == "when it jumps [s]"
+    assert kind["parameters"]["time"]["description"] == "time of the jump [s]"
     assert kind["parameters"]["after"]["default"] == 1.0
     code, out, err = call("list", "tabel")
     assert (code, out) == (2, "")

@@ -102,13 +102,16 @@ def test_wrong_use_exits_with_2(call, tmp_path):
     """One line on stderr, nothing on stdout."""
     record(tmp_path / "a.mcap", steps=5)
     for options, text in [
-        (("cat", "a.mcap", "--format", "xml"), "--format 'xml'.*: csv, jsonl"),
+        (("cat", "a.mcap", "--format", "xml"), "--format: .*'xml'; available: csv, jsonl"),
         (("cat", "a.mcap", "--signals", "plant.v"), "'plant' has no signal 'v'"),
         (("cat", "a.mcap", "--from", "nan"), "--from: .*nan"),
         (("cat", "b.mcap"), r"b\.mcap cannot be read"),
         (("cat", "b.mcap", "--follow"), r"b\.mcap cannot be read"),
         (("convert", "a.mcap", "a.txt"), r"'\.txt'"),
-        (("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"), r"--from = 2\.0 s after"),
+        (
+            ("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"),
+            r"--from = 2\.0 s .*--to = 1\.0 s",
+        ),
     ]:
         code, out, err = call(*options)
         assert (code, out) == (2, "")

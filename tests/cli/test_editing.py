@@ -86,9 +86,12 @@ def test_wrong_use_exits_with_2(call):
     """One line each."""
     for options, text in [
         (("cut", "a.mcap", "-o", "b.mcap"), "--from, --to"),
-        (("cut", "a.mcap", "--from", "3", "--to", "2", "-o", "b.mcap"), r"--from = 3\.0 s after"),
-        (("cut", "a.mcap", "--from", "30", "-o", "b.mcap"), "there is no row there"),
-        (("merge", "a.mcap", "-o", "b.mcap"), "1 log"),
+        (
+            ("cut", "a.mcap", "--from", "3", "--to", "2", "-o", "b.mcap"),
+            r"--from = 3\.0 s .*--to = 2\.0 s",
+        ),
+        (("cut", "a.mcap", "--from", "30", "-o", "b.mcap"), r"a\.mcap from 30 s: no rows"),
+        (("merge", "a.mcap", "-o", "b.mcap"), "two logs.*got 1"),
         (("merge", "a.mcap", "a.mcap", "-o", "b.mcap"), "they overlap"),
         (("recover", "c.mcap", "-o", "b.mcap"), r"c\.mcap cannot be read"),
     ]:

@@ -70,7 +70,7 @@ def test_a_run_that_fails_names_its_last_file(call, tmp_path):
     code, _, err = call("run", "bad.toml", "--out", "bad.mcap", "--rotate", "0.2s")
     assert code == 1
     assert err.splitlines()[-1] == (
-        "cosim: bad.part3.mcap is the last of several files, which have the run up to t = 0.49 s"
+        "cosim: bad.part3.mcap is the last of several files, which hold the run up to t = 0.49 s"
     )
     names = ["bad.mcap", "bad.part2.mcap", "bad.part3.mcap"]
     assert call("merge", *names, "-o", "whole.mcap")[1].startswith("whole.mcap: failed, 'u.y'")

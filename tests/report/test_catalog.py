@@ -1,6 +1,7 @@
 """The catalog of what a scenario can be made of."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -30,8 +31,10 @@ def test_every_key_of_a_scenario_stands_in_the_catalog_with_its_meaning(entry, t
 
 @pytest.mark.parametrize("name", ["start_time", "coupling", "input_interpolation"])
 def test_readme_names_the_keys_that_change_results(name):
-    """Beside those that its scenarios have."""
-    assert f"`{name}`" in (Path(cosim.__file__).parents[1] / "README.md").read_text()
+    """Beside those that its scenarios have; on its first page or one of the others."""
+    root = Path(cosim.__file__).parents[1]
+    pages = [root / "README.md", *(root / ".readme").glob("*.md")]
+    assert any(re.search(f"`{name}[` ]", page.read_text(encoding="utf-8")) for page in pages)
 
 
 def test_kinds_say_their_ports_and_expressions_their_functions(capsys):

@@ -43,8 +43,8 @@ def test_table_has_estimates_and_reasons(log):
     assert table[1] == "signal\tlargest\tat t\tat the end\torder"
     assert table[2].startswith("mass.y\t0.0337\t3.3 s\t")
     assert table[2].endswith("\t1.02")
-    reason = "late.y: jump.y jumps between communication points, or a quarter of the step does not"
-    assert any(line.startswith(f"no estimate\t{reason}") for line in table)
+    (reason,) = [line for line in table if line.startswith("no estimate\t")]
+    assert re.match(r"no estimate\tlate\.y: jump\.y jumps between .*quarter.* t = 1\.005 s", reason)
     (equal,) = [line for line in table if line.startswith("no error\t")]
     assert "jump.y" in equal
     (share,) = [line for line in table if line.endswith("coupling error")]

@@ -162,12 +162,12 @@ def test_estimators_and_plants_are_compared_one_after_the_other(call):
 @pytest.mark.parametrize(
     ("table", "text"),
     [
-        ({"method": "rayleigh", "gain": 1.0}, "gain: not of method 'rayleigh'; leave it out"),
-        ({"method": "gradient", "forgetting": 1.0}, "forgetting: .* its own: gain"),
+        ({"method": "rayleigh", "gain": 1.0}, "gain: .*'rayleigh'"),
+        ({"method": "gradient", "forgetting": 1.0}, "forgetting: .*'gradient'; .*: gain"),
         ({"method": "drem", "gain": -1.0}, "gain: .*got -1.0 1/s"),
-        ({"method": "extended-kalman", "deviation": 0.0}, "deviation: found 0.0"),
-        ({"method": "augmented-kalman", "intensity": -2.0}, "intensity: found -2.0"),
-        ({"method": "least-squares", "size": 1.0}, "size: not of method 'least-squares'"),
+        ({"method": "extended-kalman", "deviation": 0.0}, "deviation: .*got 0.0"),
+        ({"method": "augmented-kalman", "intensity": -2.0}, "intensity: .*got -2.0"),
+        ({"method": "least-squares", "size": 1.0}, "size: .*'least-squares'"),
     ],
 )
 def test_keys_of_no_use_are_refused(table, text):

@@ -134,7 +134,7 @@ def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
 
 def test_a_varied_key_cannot_be_set_too(log):
     """In whichever spelling."""
-    message = r"set\['identifier.P0'\] and vary\['identifier.P0'\]"
+    message = r"set\['identifier.P0'\] or vary\['identifier.P0'\], got both"
     with pytest.raises(UsageError, match=message):
         cosim.replay_sweep(
             log, vary={"components.identifier.P0": [1.0]}, set={"identifier.P0": 2.0}

@@ -54,7 +54,7 @@ CASES = {
         without_binaries,
         "no binary for this platform; found binaries for: none; expected binaries/",
     ),
-    "folder": (lambda path: path.mkdir(), "needed an .fmu file, found a folder"),
+    "folder": (lambda path: path.mkdir(), "expected an .fmu file, got a folder"),
 }
 
 

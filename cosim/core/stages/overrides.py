@@ -204,10 +204,9 @@ def _as_list(to: str, value: OverrideValue, end: ConnectionEnd) -> list[float]:
             f"override of '{to}': expected numbers, got true or false (the signal is not Boolean)"
         )
     if len(values) != end.size or array.ndim > 1:
-        found = f"shape {array.shape}" if array.ndim > 1 else f"{len(values)} values"
-        raise GraphError(
-            f"override of '{to}': expected {end.size} values, one per element, got {found}"
-        )
+        needed = "1 value" if end.size == 1 else f"{end.size} values, one per element"
+        found = f"an array of shape {array.shape}" if array.ndim > 1 else f"{len(values)} values"
+        raise GraphError(f"override of '{to}': expected {needed}, got {found}")
     return values
 
 

@@ -70,7 +70,10 @@ class SimulationState:
             try:
                 pickle.dumps(state)
             except Exception as error:  # a state is the component's own, and may raise anything
-                raise UsageError(f"state: that of {name!r} cannot be pickled: {error}") from error
+                raise UsageError(
+                    f"state: that of {name!r} cannot leave its simulation, as it cannot be "
+                    f"pickled: {error}"
+                ) from error
 
 
 class States:

@@ -295,7 +295,7 @@ class Integrator:
                 return False
         raise RunError(
             f"{self._name}: {EVENTS} events between t = {inputs.t0} s and {inputs.t1} s, "
-            f"the last at {self.state.t} s; they do not end"
+            f"the last at {self.state.t} s; events accumulate (Zeno)"
         )
 
     def finish_event(self) -> None:

@@ -174,10 +174,10 @@ def _facts_table(summary: Summary, recording: Recording, *, see: str) -> Table:
         table.add_row(label, text)
     for signal in summary.signals:
         if signal.lag:
-            text = (
-                f"lags by {signal.lag:g} s; compared with {signal.truth} {signal.lag:g} s earlier"
-            )
-            table.add_row(signal.estimate, text)
+            compared = f"compared with {signal.truth} {signal.lag:g} s earlier"
+            if math.isnan(signal.largest):
+                compared = "no value in the run"
+            table.add_row(signal.estimate, f"lags by {signal.lag:g} s; {compared}")
     _add_estimation(table, summary, recorded_start(recording))
     _add_loops(table, summary, see)
     if summary.lateness is not None:

@@ -91,5 +91,5 @@ def _problems(action: ActionTable) -> list[Problem]:
         action.drop is not None and not isinstance(action.drop, bool)
     )
     if action.seed is not None and not is_random:
-        problems.append((("seed",), "expected only with random numbers (noise, drop)"))
+        problems.append((("seed",), "allowed only with random numbers (noise, drop)"))
     return problems

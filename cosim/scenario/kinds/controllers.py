@@ -99,9 +99,10 @@ class SampledKind(PeriodicKind):
             If it cannot.
         """
         if self.offset or not self._holds:
+            found = f"offset = {self.offset}" if self.offset else "input_interpolation = 'linear'"
             raise UsageError(
                 "an exported controller takes its first sample at the start and holds its inputs "
-                "over a period; expected neither offset nor input_interpolation"
+                f"over a period: expected neither offset nor linear interpolation, got {found}"
             )
 
 

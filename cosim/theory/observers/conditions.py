@@ -134,8 +134,9 @@ def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
     directions = rank_between(columns, np.abs(columns), max(RANK_TOLERANCE, tolerance))
     if directions == n_d:
         return
+    act = "1 disturbance acts" if n_d == 1 else f"{n_d} disturbances act"
     problem = (
-        f"the disturbance is not decoupled (Assumption 5): {n_d} disturbances act in {directions} "
+        f"the disturbance is not decoupled (Assumption 5): {act} in {directions} "
         "independent directions: "
     )
     without_effect = np.flatnonzero(~columns.any(axis=0))

@@ -144,7 +144,7 @@ def test_a_loop_that_oscillates_while_it_grows_is_found():
     memory, text = run_away(graph, stop=10.0)
     peaks = np.abs(memory["a.y"])
     assert not (peaks[1:] > peaks[:-1]).all()
-    assert f"factor of {math.sqrt(1.32):.3f} a step" in text
+    assert f"factor of {math.sqrt(1.32):.3f} per step" in text
 
 
 def test_memory_does_not_grow_with_the_run():

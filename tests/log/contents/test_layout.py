@@ -162,7 +162,7 @@ def test_a_declaration_of_anything_else_is_refused(subtests):
         signals = json.loads(items["cosim.signals"])
         signals[-1][name] = value
         items["cosim.signals"] = json.dumps(signals)
-        match = rf"{name}|exponents"
+        match = "exponent" if name == "base" else name
         with (
             subtests.test(case=(name, value)),
             pytest.raises((GraphError, ValueError), match=match),

@@ -88,7 +88,7 @@ def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
     assert re.search(r"the state of 'u' cannot be transferred: it has no named", message)
     actions = [{"at": 1.0, "swap": {"plnt": str(folder / "plant3.fmu")}}]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(r"swap\.plnt: component 'plnt'; did you mean 'plant'", message)
+    assert re.search(r"swap\.plnt: .*no component 'plnt'; did you mean 'plant'", message)
     message = refusal(swapped(folder / "none.fmu"))
     assert re.search(r"swap\.plant: .*none\.fmu", message)
     actions = [{"at": at, "swap": {"plant": str(folder / "plant3.fmu")}} for at in (1.0, 1.5)]

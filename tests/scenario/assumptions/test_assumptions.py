@@ -257,7 +257,8 @@ def test_numbers_out_of_range_are_no_verdict_on_the_zeros():
     report = check_assumptions("academic", set={**COARSE, "models.academic.A": A})
     assert not report.fulfilled
     assert all(one.verdict == "" for _, one in report.verdicts)
-    assert any("needed other units" in one.evidence for _, one in report.verdicts)
+    assert ("observer", DECOUPLING) in failing(report)
+    assert "choose other units" in report.of("observer")[DECOUPLING].evidence
 
 
 def test_terms_without_parameters_leave_nothing_to_excite():

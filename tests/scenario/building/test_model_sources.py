@@ -190,7 +190,7 @@ def test_another_model_than_one_in_continuous_time_is_refused():
         ((control_system(), ["wind"]), r"disturbance.*'wind'.*u, delta"),
         ((control_system(), [2]), r"disturbance.* 2\b.*0 to 1|disturbance.*0 to 1.* 2\b"),
         ((control_system(), "delta"), r"disturbances: .*'delta'"),
-        ((control_system(), [1, "delta"]), r"disturbance 'delta' is given twice"),
+        ((control_system(), [1, "delta"]), r"disturbances: 'delta' is given twice"),
     ]
 
     def table(case):

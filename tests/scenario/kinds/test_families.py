@@ -471,7 +471,7 @@ def test_the_assumptions_of_every_element_are_told(tmp_path):
     scenario = identified(tmp_path, TWO, [0.5, 1.0, 1.5], text=PAIR)
     told = check_assumptions(scenario).of("regressor")
     assert all(told[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
-    assert "element 1: exponential: l = 1" in told[CLASS].evidence
+    assert "element 1: exponential: 1 basis functions" in told[CLASS].evidence
     assert told[CLASS].values == {"basis_functions": 3, "groups": 2, "terms": 5}
 
 

@@ -305,7 +305,7 @@ WRONG_OPTIONS = [
     ({"scenario.stop": 41.0}, "0.0 s to 41.0 s"),
     ({"plant.offset": 1.0}, "start_time = 0.0 and stop = 39.0 of [scenario] are inside"),
     ({"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
-    ({"plant.time_unit": "ms"}, "has samples from 0.0 s to 0.04 s"),
+    ({"plant.time_unit": "ms"}, "from 0.0 s to 40.0 s, got 0.0 s to 0.04 s"),
     ({"plant.columns": {"y": "level"}}, "has no column 'level'"),
     ({"plant.columns": {"level": "y"}}, "'plant' has no output 'y'"),
     (

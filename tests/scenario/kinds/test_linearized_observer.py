@@ -400,7 +400,9 @@ def test_a_run_stops_where_the_disturbance_does_not_reach_the_outputs_any_more(f
     text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
     fading = folder / "fading.toml"
     fading.write_text(text)
-    message = r"observer.*linearized at the estimate x_a = \[\S+, \S+\] at t = 0\.5 s: .*C3 B"
+    message = (
+        r"observer.*linearized at the estimate x_a = \[\S+, \S+\] at t = 0\.5 s: .*Assumption 5"
+    )
     with pytest.raises(RunError, match=message):
         cosim.run(fading, set={**ANEW, "scenario.step": 5e-3, "scenario.stop": 1.0})
 

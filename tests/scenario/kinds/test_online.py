@@ -296,7 +296,7 @@ NO_SENSE = [
     ({"window": 0.0}, "window: expected a positive finite time, got 0.0 s"),
     ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),
     ({"window": 0.0151}, "window of 'identifier'"),
-    ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "the lower 0 is above the upper -1"),
+    ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, r"identifier: bounds of theta\[0\]: .*got \[0, -1\]"),
     ({"P0": 1.0}, "P0: .*'output-error'"),
 ]
 

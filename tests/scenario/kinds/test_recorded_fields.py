@@ -198,7 +198,7 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
 WRONG_OPTIONS = [
     ({}, {}, "expected a map, map={'PORT': '/topic.field'}, or columns"),
     ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
-    ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
+    ({"plant.y": "/drive/stat.x"}, {}, "no topic for '/drive/stat.x'"),
     (
         {"plant.y": "/drive/state"},
         {},
@@ -206,7 +206,7 @@ WRONG_OPTIONS = [
     ),
     ({"plant.y": "/drive/state.name"}, {}, "text"),
     (PLANT, {"scenario.stop": 5.0}, "0.0 s to 5.0 s"),
-    (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
+    (PLANT, {"plant.offset": 0.0}, "from 0.0 s to 3.0 s, got 1699999999.5 s to 1700000003.99 s"),
     (PLANT, {"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
     (
         PLANT,

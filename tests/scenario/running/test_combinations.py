@@ -33,7 +33,7 @@ def test_an_invalid_list_of_values_is_refused(subtests):
         ({"a.x": []}, r"vary\['a.x'\]: expected at least one value"),
         ({"a.x": "12"}, r"vary\['a.x'\]: expected a list, got '12'"),
         ({"a.x": 3.0}, r"vary\['a.x'\]: expected a list, got 3.0"),
-        ({"a.x": [object]}, r"vary\['a.x'\]: found <class 'object'>; needed a number, true or"),
+        ({"a.x": [object]}, r"vary\['a.x'\]: expected a number, .* got <class 'object'>"),
         ([1.0], r"vary: .*\[1\.0\]"),
         ({1: [1.0]}, "vary: .* 1$"),
     ]:

@@ -154,7 +154,7 @@ def test_a_port_has_one_name(other):
     """What drives observer.y is plant.y; the same name may be given for both."""
     text = (
         r"map\['plant\.y'\]: 'plant\.y' is given twice, as 'out1' for 'observer\.y' "
-        r"and as 'aux' for 'plant\.y'; needed one"
+        r"and as 'aux' for 'plant\.y'"
     )
     with pytest.raises(ScenarioError, match=text):
         cosim.load("academic").swap(plant=other, map={**MAP, "plant.y": "aux"})
@@ -236,7 +236,7 @@ WRONG = {
     "a map without a swap": (
         {},
         {"observer.y": "out1"},
-        r"^map\['observer\.y'\]: nothing is swapped, so no port gets another name",
+        r"^map\['observer\.y'\]: .* swapped component: .*\[swap\]$",
     ),
     "no dot": (True, {"y": "out1"}, r"map\['y'\]: expected COMPONENT\.PORT"),
     "no such component": (
@@ -247,14 +247,12 @@ WRONG = {
     "no such port": (
         True,
         {"plant.uu": "force"},
-        r"map\['plant\.uu'\]: the scenario connects no 'plant\.uu', and the component that is "
-        r"replaced has no such port; did you mean 'plant\.u'\?",
+        r"map\['plant\.uu'\]: .*'plant\.uu'.*; did you mean 'plant\.u'\?",
     ),
     "another component's port": (
         True,
         {"regressor.delta": "out1"},
-        r"map\['regressor\.delta'\]: 'regressor\.delta' does not belong to 'plant', nor does that "
-        r"drive it; .*: .*observer\.y",
+        r"map\['regressor\.delta'\]: 'regressor\.delta' .*'plant'.*; available: .*observer\.y",
     ),
     "no such output there": (
         True,
@@ -279,7 +277,8 @@ WRONG = {
     "an input for an output": (
         True,
         {**MAP, "observer.y": "force"},
-        r"'plant\.force' is an input of 'plant'; needed an output",
+        r"map\['observer\.y'\]: 'plant\.force': expected an output of 'plant', got an input; "
+        r"available: aux, s, out1\n",
     ),
     "no such element of an input": (
         True,
@@ -294,7 +293,7 @@ WRONG = {
     "no name in a list": (
         True,
         {**MAP, "observer.y": ["out1", ""]},
-        r"map\['observer\.y'\]: found no name",
+        r"map\['observer\.y'\]: expected the name of a port .*'plant', got none\n",
     ),
     "a slice of nothing": (
         True,
@@ -319,7 +318,8 @@ WRONG = {
     "an element alone": (
         True,
         {**MAP_OF_Y, "plant.x_a[1]": "s[1]"},
-        r"map\['plant\.x_a\[1\]'\]: .* is a part of 'plant\.x_a', which has 2 elements; needed",
+        r"map\['plant\.x_a\[1\]'\]: .*'plant\.x_a', which has 2 elements; .*: plant\.x_a\[0\], or "
+        r".*plant\.x_a=\[NAME, NAME\]\n",
     ),
     "an element that the replaced has not": (
         True,
@@ -334,12 +334,12 @@ WRONG = {
     "a list that is not closed": (
         True,
         {**MAP, "plant.x_a": "[s[0], s[1]"},
-        r"map\['plant\.x_a'\]: found '\[s\[0\], s\[1\]', a list that is not closed; needed \[NAME",
+        r"map\['plant\.x_a'\]: expected \[NAME, NAME\], got '\[s\[0\], s\[1\]'",
     ),
     "no name": (
         True,
         {**MAP, "observer.y": ""},
-        r"map\['observer\.y'\]: found no name, needed that of a port of the component",
+        r"map\['observer\.y'\]: expected the name of a port .*'plant', got none\n",
     ),
 }
 
@@ -360,10 +360,10 @@ def test_all_that_is_wrong_is_reported_at_once(other):
             set={"observer.filter_rat": 1.0, "obsrver.L": [1.0]},
         )
     for text in (
-        "swap['plnt']: there is no",
+        "swap['plnt']: unknown component 'plnt'",
         "map['plant.uu']: ",
         "set['observer.filter_rat']: ",
-        "set['obsrver.L']: there is no",
+        "set['obsrver.L']: unknown component 'obsrver'",
     ):
         assert text in str(caught.value)
 
@@ -382,20 +382,19 @@ def test_a_wrong_entry_of_the_file_is_reported_with_its_line(subtests):
         ),
         (
             'plant = "x.fmu#xx"',
-            r"found '#xx' after the path, needed '#me' \(model exchange\) "
-            r"or '#cs' \(co-simulation\)",
+            r"academic:\d+: swap\.plant: .*'#me' .*'#cs' .*, got '#xx'$",
         ),
         (
             'plant = { path = "x.fmu", map = { "regressor.z" = "x" } }',
-            r"academic:\d+: swap\.plant\.map\.regressor\.z: the scenario connects no 'regr",
+            r"academic:\d+: swap\.plant\.map\.regressor\.z: 'regressor\.z' .*; available: plant\.u",
         ),
         (
             'plant = { path = "x.fmu", map = { "observer.y[0]" = "x" } }',
-            r"swap\.plant\.map\.observer\.y\[0\]: 'observer\.y\[0\]' does not belong to 'plant'",
+            r"swap\.plant\.map\.observer\.y\[0\]: 'observer\.y\[0\]' .*did you mean 'observer\.y'",
         ),
         (
             'plant = { path = "x.fmu", map = { plant.u = 1 } }',
-            r"swap\.plant\.map\.plant\.u: expected a string, got 1",
+            r"swap\.plant\.map\.plant\.u: expected a string.*, got 1\n",
         ),
         ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
     ]:
@@ -483,7 +482,9 @@ def test_elements_of_an_input_may_be_turned_round(tmp_path):
     assert runs[0]["k.y"].tolist() == runs[1]["k.y"].tolist()
     assert runs[0]["k.y"][-1] == pytest.approx([0.4, 2.0])
     wrong = {"k.u[0]": "y[1]", "k.u[1]": "y[0]"}
-    with pytest.raises(ScenarioError, match=r"'k\.y\[1\]' is an output of 'k'; needed an input"):
+    with pytest.raises(
+        ScenarioError, match=r"'k\.y\[1\]': expected an input of 'k', got an output"
+    ):
         cosim.run(scenario, swap={"k": path}, map=wrong)
 
 
@@ -503,7 +504,8 @@ def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
         assert rewired["observer.y"].tolist() == log[driver].tolist()
     wrong = {**MAP, "plant.x_b": "push"}
     with pytest.raises(
-        ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.push' is an input of 'pl"
+        ScenarioError,
+        match=r"map\['plant\.x_b'\]: 'plant\.push': expected an output of 'plant', got",
     ):
         cosim.run("academic", swap={"plant": other}, map=wrong, set=COARSE)
 

@@ -359,7 +359,7 @@ def test_the_command_replays_with_and_without_the_code(folder, call):
 def test_a_class_that_is_no_component_is_named_before_the_run(tmp_path):
     """With what it lacks, at its line."""
     write(tmp_path, own="class Own:\n    pass\n")
-    message = r"one\.toml:10: components\.own: component 'own': .*Own.*None"
+    message = r"one\.toml:10: components\.own: .*Interface, got None .*Own$"
     with pytest.raises(ScenarioError, match=message):
         cosim.run(one(tmp_path))
     write(
@@ -372,7 +372,7 @@ def test_a_class_that_is_no_component_is_named_before_the_run(tmp_path):
                     return u
         """,
     )
-    with pytest.raises(ScenarioError, match=r"no outputs, advance"):
+    with pytest.raises(ScenarioError, match=r"type Own; missing: outputs, advance"):
         cosim.run(one(tmp_path))
 
 

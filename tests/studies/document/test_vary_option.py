@@ -53,9 +53,9 @@ def test_an_option_is_what_a_file_has(text, value):
         ("log:1:10:2.5", "expected log:FIRST:LAST:POINTS"),
         ("linear:1:10:inf", "expected linear:FIRST:LAST:POINTS"),
         ("tolerance:x", "'x' in 'tolerance:x'"),
-        ("1,,2", "an empty value in '1,,2'"),
-        ("", "an empty value in ''"),
-        ("choice:", "an empty value in ''"),
+        ("1,,2", "empty one in '1,,2'"),
+        ("", "empty one in ''"),
+        ("choice:", "empty one in ''"),
     ],
 )
 def test_what_is_none_is_refused(text, message):
