@@ -113,6 +113,7 @@ class Case:
         two = self.moved(of, i, j, 2 * h) - self.moved(of, i, j, -2 * h)
         return (8.0 * one - two) / (12.0 * h)
 
+    @cached_property
     def bounds(self):
         """Return the Cramer-Rao bounds of the unknowns that count, for noise of deviation 1."""
         all_of = [
@@ -132,7 +133,7 @@ class Case:
 
     def noise(self):
         """Return the deviation that makes the largest bound one part in a hundred."""
-        return 0.01 / np.max(self.bounds() / np.abs(self.truth))
+        return 0.01 / np.max(self.bounds / np.abs(self.truth))
 
     def assessment(self, sigma, seed):
         """Return what the package says of y with noise."""
@@ -172,7 +173,7 @@ def ratios(name, shared, seeds):
     """
     case = Case(CASES[name], shared)
     sigma = case.noise()
-    bounds = sigma * case.bounds()
+    bounds = sigma * case.bounds
     errors = []
     told = 0
     for seed in range(seeds):
@@ -212,7 +213,7 @@ def test_where_noise_chooses_between_two_optima_that_is_told(seed):
     case = Case(CASES["3 exp"], False)
     sigma = case.noise()
     assessment = case.assessment(sigma, seed)
-    bounds = sigma * case.bounds()
+    bounds = sigma * case.bounds
     assert str(assessment.parameters[2].verdict) == "WEAK"
     both = [assessment.fit.theta, assessment.other_optimum]
     if seed == 1:
@@ -226,7 +227,7 @@ def test_four_exponentials_under_one_alpha_are_found():
     case = Case(CASES["4 exp"], True)
     sigma = case.noise()
     errors = case.estimates(sigma, seed=1)[0] - case.truth
-    assert (np.abs(errors) <= 4.0 * sigma * case.bounds()).all()
+    assert (np.abs(errors) <= 4.0 * sigma * case.bounds).all()
 
 
 @pytest.mark.campaign

@@ -126,7 +126,7 @@ def test_an_output_that_is_never_measured_is_refused():
     """It is named."""
     pattern = np.ones((len(GRID), 2), np.bool_)
     pattern[:, 1] = False
-    with pytest.raises(AssumptionError, match=r"y\[1\] is never measured"):
+    with pytest.raises(AssumptionError, match=r"y\[1\]: expected at least one"):
         missing(pattern, 1)
 
 

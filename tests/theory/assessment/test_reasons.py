@@ -257,7 +257,7 @@ def test_a_failed_test_of_several_data_sets_names_that_of_it():
 
 def test_a_single_sample_is_no_record():
     """Refused by name, before a time scale is divided by its length."""
-    with pytest.raises(AssumptionError, match="found a single sample, at 0 s"):
+    with pytest.raises(AssumptionError, match="a single sample at 0 s"):
         assess(OutputErrorProblem([measured(1.0, t=T[:1])], plant(1), ONE))
 
 

@@ -244,7 +244,7 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
             ["a"],
             [Sine()],
             (1, 2, 4),
-            r"components \[0\] that share alpha 'a': expected 3 equally spaced delays, got 1, 2, 4 s",
+            r"share alpha 'a': expected 3 equally spaced delays, got 1, 2, 4 s",
         ),
         (["a", "b"], [Exponential()] * 2, (1, 2, 2), r"delays 2 and 3: .* got 2 s twice"),
     ],
