@@ -6,6 +6,7 @@ bounds of theta, or of the constants where there is no theta, is one part in a h
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -132,7 +133,7 @@ class Case:
         return np.array([errors[all_of.index(place)] for place in self.names])
 
     def noise(self):
-        """Return the deviation that makes the largest bound one part in a hundred."""
+        """Compute the deviation that makes the largest bound one part in a hundred."""
         return 0.01 / np.max(self.bounds / np.abs(self.truth))
 
     def assessment(self, sigma, seed):

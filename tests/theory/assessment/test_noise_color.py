@@ -81,12 +81,12 @@ def assessed(N, disturbing, **options):
 def test_slow_directions_take_nothing_from_the_color(a, N):
     """Beside 31 cosines, which hold much of the power, the coefficient is that of the noise.
 
-    In the mean over 8 records to 4 of its standard errors; the error has no smaller variance than
+    In the mean over 4 records to 4 of its standard errors; the error has no smaller variance than
     (1 - a^2)/N, and less than twice that for these N.
     """
     cosines = np.cos(np.pi * np.outer(np.linspace(0.0, 1.0, N), np.arange(31)))
     found = []
-    for seed in range(8):
+    for seed in range(4):
         colored = ColoredRecord(noise(N, [a], seed), cosines, np.ones(N, bool))
         found.append(autoregression([colored], Criterion.SCHWARZ).a.sum())
     error = np.sqrt(2.0 * (1.0 - a**2) / N / len(found))

@@ -24,7 +24,7 @@ from tests.theory.experiments import FAMILIES, delta, design, noisy, record, sim
 COARSE = 1e-2  # s
 START = np.array([-0.05, -0.5])
 PLACES = np.array([0, 50, 400, 1500, 4000])
-FEW = 40  # seeds
+FEW = 30  # seeds
 
 
 def smoothed(data, fit=None):

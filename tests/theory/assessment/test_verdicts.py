@@ -174,13 +174,13 @@ def test_colored_noise_is_whitened():
     assert (np.abs(errors) < 4.0).all()
 
 
-def test_a_wrong_model_does_not_pass_for_colored_noise():
+@pytest.mark.parametrize("case", ["A12", "constant delta"])
+def test_a_wrong_model_does_not_pass_for_colored_noise(case):
     """Also with colored noise on top, and where it alone leaves something slow."""
     white = np.random.default_rng(6).standard_normal(len(times(COARSE)))
     noise = 1e-3 * lfilter([1.0], [1.0, -0.8], white)[:, np.newaxis]
-    for case in ("A12", "constant delta"):
-        _, found = verdicts(record(exact(case, COARSE) + noise, COARSE))
-        assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
+    _, found = verdicts(record(exact(case, COARSE) + noise, COARSE))
+    assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
 
 
 def test_few_samples_among_many_inputs_count_as_few():

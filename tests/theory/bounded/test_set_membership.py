@@ -11,11 +11,19 @@ from scipy.optimize import OptimizeResult, linprog
 from cosim.errors import AssumptionError
 from cosim.theory.bounded.feasible_program import (
     Cells,
+    FeasibleProgram,
+    ProgramSolution,
     RecordedOutputs,
     cells_of,
     gaussian_noise_bound,
 )
-from cosim.theory.bounded.set_membership import feasible_interval, least_bound, starts_around
+from cosim.theory.bounded.set_membership import (
+    MOST_PROGRAMS,
+    MOST_RETURNS,
+    feasible_interval,
+    least_bound,
+    starts_around,
+)
 from cosim.theory.bounded.worst_case import (
     BoundedDisturbance,
     Prediction,
@@ -427,6 +435,45 @@ def test_a_program_that_cannot_be_solved_is_no_verdict(monkeypatch):
     assert (interval.lower.item(), interval.upper.item()) == (-np.inf, np.inf)
     assert interval.unsolved == 1
     assert attempts == [("highs-ipm", False), ("highs", True)]
+
+
+def within_a_tenth():
+    """Return the problem, the data and the start of a constant 1 within 0.1, seen directly."""
+    model = direct(samples=9, h=0.1)
+    recorded = RecordedOutputs(np.ones((9, 1)), Cells(1, 1), NO_NOISE)
+    return model.problem(0.1), recorded, np.array([[0.0, 1.0]])
+
+
+def test_a_search_returns_to_the_set_a_limited_number_of_times(monkeypatch):
+    """Where every step leaves it: 8 times for each end, after which there is no end."""
+    monkeypatch.setattr(FeasibleProgram, "solve", lambda *_: None)
+    counted = []
+    interval = feasible_interval(*within_a_tenth(), watch=counted.append)
+    assert counted[-1] == 1 + 2 * MOST_RETURNS == 17
+    assert (interval.lower.item(), interval.upper.item()) == (-np.inf, np.inf)
+
+
+def test_a_search_that_never_rests_ends(monkeypatch):
+    """After 60 linear programs for each end, or for a feasible point: it shows none."""
+    taken = []
+
+    def step_aside(*_):
+        taken.append(None)
+        step = np.array([0.01 * (-1.0) ** len(taken), 0.0])
+        return ProgramSolution(step, multiple=1.0, violation=1.0)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FeasibleProgram, "solve", step_aside)
+        interval = feasible_interval(*within_a_tenth())
+    assert len(taken) == 2 * MOST_PROGRAMS == 120
+    assert (interval.lower.item(), interval.upper.item()) == (-np.inf, np.inf)
+    taken.clear()
+    monkeypatch.setattr(FeasibleProgram, "restore", step_aside)
+    interval = feasible_interval(*within_a_tenth())
+    assert len(taken) == 2 * MOST_PROGRAMS  # where it is and near it, 60 times
+    assert not interval.feasible
+    assert np.isnan(interval.lower.item())
+    assert interval.unsolved == 0
 
 
 def test_an_interval_takes_no_more_programs_than_it_may(monkeypatch):

@@ -1,4 +1,4 @@
-"""The basin of output error: what 81 starts reach, in turn by each stage and in the identifier."""
+"""The basin of output error: what 49 starts reach, in turn by each stage and in the identifier."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.scenario.online import COARSE, noisy
 from tests.theory.academic import DELAYS, THETA, academic, alpha, delayed
 
 FAMILIES = (Exponential(), Exponential())
-AXIS = np.linspace(-3.0, 0.3, 9)
+AXIS = np.linspace(-3.0, 0.3, 7)
 STARTS = np.stack(np.meshgrid(AXIS, AXIS), axis=-1).reshape(-1, 2)
 
 
@@ -87,7 +87,7 @@ class Recorded:
 
 
 def reached(recorded):
-    """Return how many of 81 starts reach the optimum in turn; the others must say so."""
+    """Return how many of 49 starts reach the optimum in turn; the others must say so."""
     count = 0
     judged = []
     for start in STARTS:
@@ -115,13 +115,13 @@ def lagging(tmp_path_factory):
 
 
 def test_nearly_all_starts_reach_the_optimum(coarse):
-    """80 of 81 at least."""
-    assert reached(coarse) >= 80
+    """48 of 49 at least."""
+    assert reached(coarse) >= 48
 
 
 def test_starts_that_end_elsewhere_say_so(lagging):
     """In a short record whose filter lags some of them do."""
-    assert reached(lagging) < 81
+    assert reached(lagging) < 49
 
 
 def test_the_search_finds_the_optimum(coarse):
@@ -174,4 +174,4 @@ def test_the_whole_basin(sigma, tmp_path):
         "observer.filter_rate": 1e3,
     }
     recorded = Recorded(tmp_path, sigma, settings)
-    assert reached(recorded) >= 80
+    assert reached(recorded) >= 48

@@ -125,7 +125,7 @@ def transition(family_of, state, u0, u1, alpha0, alpha1):
 @pytest.mark.parametrize("families", [(Exponential(), Exponential()), (Sine(), Exponential())])
 def test_the_extended_filter_is_that_of_the_book(families):
     """Covariance form, its Jacobian by differences, gives the kernel's theta and errors."""
-    t = np.arange(401) * H
+    t = np.arange(201) * H
     sizes = [family.v for family in families]
     y, u = simulate(TWO_OUTPUTS, t, delta(t), sigma=1e-2)
     order = sum(sizes)
