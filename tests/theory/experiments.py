@@ -6,6 +6,7 @@ import itertools
 from functools import cache
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -16,6 +17,7 @@ from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 
 FAMILIES = (Exponential(), Exponential())
+COARSE = 1e-2  # s: a tenth of the samples, for tests that run every time
 A = np.array([[0, 1, 1], [0, -2, 1], [1, 0, 1.0]])
 BU = np.array([[0], [2], [1.0]])
 BD = np.array([[1], [0], [0.0]])
@@ -73,6 +75,20 @@ def delta(t: Vector, rates: tuple[float, float] = (1.7, 2.3)) -> Matrix:
     first = 1.35 + 0.25 * np.sin(rates[0] * t)
     second = 1.1 + 0.2 * np.cos(rates[1] * t)
     return np.stack([first, second], axis=1) * np.exp(np.outer(t, THETA))
+
+
+def solved(t: Vector) -> Matrix:
+    """Solve the plant at the instants ``t``, to 1e-12."""
+    reduced = reduce(academic())
+
+    def rate(t: float, x: Vector) -> Vector:
+        forced = reduced.B_1a[:, 0] * np.sin(t) + reduced.B_2a[:, 0] * delta(np.array([t])).sum()
+        return reduced.A_a @ x + forced
+
+    solution = solve_ivp(
+        rate, (0.0, t[-1]), [1.0, -1.0], method="DOP853", rtol=1e-12, atol=1e-13, t_eval=t
+    )
+    return (reduced.C3 @ solution.y).T + np.outer(np.sin(t), reduced.C4[0])
 
 
 @cache

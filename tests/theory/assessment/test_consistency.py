@@ -18,8 +18,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import forced_outputs
-from tests.theory.assessment.test_verdicts import COARSE, solved
-from tests.theory.experiments import FAMILIES, design, exact, times
+from tests.theory.experiments import COARSE, FAMILIES, design, exact, solved, times
 from tests.theory.experiments import record as example_record
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states
 from tests.theory.looped import for_each
@@ -56,7 +55,7 @@ def test_a_wrong_gain_of_a_held_input_is_inconsistent(sigma):
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-7, 1e-5])
 @pytest.mark.parametrize("bits", [None, 12])
-def test_what_is_allowed_passes_each_test(bits, sigma):
+def test_allowed_errors_pass_each_test(bits, sigma):
     """Data below the errors of step and quantization: no test fails beside a good verdict."""
     y = exact("good", COARSE) if bits else solved(times(COARSE))
     y = y + sigma * np.random.default_rng(3).standard_normal(y.shape)
@@ -169,7 +168,7 @@ def test_a_wrong_gain_leaves_its_own_trace_at_any_samples(t, held):
     )
 
 
-def test_what_is_lacking_in_an_unstable_plant_shows_in_its_predicted_outputs():
+def test_errors_of_an_unstable_plant_show_in_its_predicted_outputs():
     """A direction is bounded there, as the residual is: it is no simulation that grows."""
     plant = DisturbedPlant(A=[[1.0]], B=[[1.0]], Bd=[[1.0]], C=[[1.0]], D=[[0.0]], Dd=[[0.0]])
     u = np.sin(GRID)

@@ -189,7 +189,7 @@ def test_an_estimate_at_a_bound_names_it(bounds, side, bound, sigma):
     assert parameter.lower is None
 
 
-def test_what_is_inconsistent_has_no_interval():
+def test_an_inconsistent_parameter_has_no_interval():
     """There is none that holds."""
     data = measured(1.0)
     wrong = DataSet(data.t, data.y + 0.1 * np.sin(data.t)[:, np.newaxis], data.u, data.alpha)

@@ -19,9 +19,8 @@ from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.academic import delta as true_delta
-from tests.theory.experiments import FAMILIES, delta, design, noisy, record, simulate, times
+from tests.theory.experiments import COARSE, FAMILIES, delta, design, noisy, record, simulate, times
 
-COARSE = 1e-2  # s
 START = np.array([-0.05, -0.5])
 PLACES = np.array([0, 50, 400, 1500, 4000])
 FEW = 30  # seeds

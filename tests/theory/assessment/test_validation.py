@@ -14,6 +14,7 @@ from cosim.theory.assessment.validation import ValidationVerdict, validate
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (
+    COARSE,
     FAMILIES,
     delta,
     design,
@@ -23,7 +24,6 @@ from tests.theory.experiments import (
     times,
 )
 
-COARSE = 1e-2  # s
 START = np.array([-0.05, -0.5])
 
 

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 import cosim.theory.assessment.assessing
@@ -19,11 +18,10 @@ from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.disturbances.families import Exponential, TExponential
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.plants.descriptor import reduce
-from tests.theory.academic import THETA, academic, alpha
-from tests.theory.academic import delta as true_delta
+from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (
     BOUND,
+    COARSE,
     FAMILIES,
     WRONG_MODELS,
     design,
@@ -31,12 +29,12 @@ from tests.theory.experiments import (
     noisy,
     record,
     simulate,
+    solved,
     times,
 )
 from tests.theory.looped import for_each
 
 START = np.array([-0.05, -0.5])
-COARSE = 1e-2  # s: a tenth of the samples, for tests that run every time
 GOOD = [Verdict.IDENTIFIABLE, Verdict.IDENTIFIABLE]
 
 
@@ -50,20 +48,6 @@ def misses(assessment) -> list[bool]:
     """Return which intervals do not contain the truth, those of false alarms too."""
     missed = np.abs(assessment.fit.theta - THETA) > assessment.half_width
     return list(missed)
-
-
-def solved(t):
-    """Solve the plant at the instants ``t``, to 1e-12."""
-    reduced = reduce(academic())
-
-    def rate(t, x):
-        forced = reduced.B_1a[:, 0] * np.sin(t) + reduced.B_2a[:, 0] * true_delta(np.array([t]))[0]
-        return reduced.A_a @ x + forced
-
-    solution = solve_ivp(
-        rate, (0.0, t[-1]), [1.0, -1.0], method="DOP853", rtol=1e-12, atol=1e-13, t_eval=t
-    )
-    return (reduced.C3 @ solution.y).T + np.outer(np.sin(t), reduced.C4[0])
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-5, 1e-4, 1e-3, 1e-2])
@@ -397,7 +381,7 @@ def test_wrong_models_over_200_seeds(case):
 @pytest.mark.parametrize(
     ("case", "offset"), [("alpha times 1.05", False), ("constant delta", True)]
 )
-def test_what_the_class_contains_stays_identifiable_over_200_seeds(case, offset):
+def test_disturbances_of_the_class_stay_identifiable_over_200_seeds(case, offset):
     """The amplitude takes a scaled alpha, the offset a constant; 93 % of the intervals hold."""
     missed = np.zeros(2, int)
     for seed in range(200):

@@ -165,7 +165,7 @@ def test_much_noise_leaves_the_interval_around_the_estimate(monkeypatch):
     np.testing.assert_allclose(by_noise, 3.66 * fit.standard_error, rtol=0.1)
 
 
-def test_what_is_not_covered_is_refused():
+def test_gaps_missing_values_and_unstable_plants_are_refused():
     """Samples at any times, missing outputs, and plants whose simulation overflows."""
     data = recording(np.zeros((4001, 1)))
     kept = np.arange(4001) != 7

@@ -313,7 +313,7 @@ def test_a_set_that_the_search_from_the_estimate_misses_is_there_around_it(two_p
 
 
 @pytest.mark.slow
-def test_what_is_reached_from_around_the_estimate_contains_the_truth(two_pieces):
+def test_the_interval_from_around_the_estimate_contains_the_truth(two_pieces):
     """The interval of all that the starts reach."""
     problem, recorded, starts = two_pieces
     assert not contains(feasible_interval(problem, recorded, starts[:1]), TRUTH[:2])

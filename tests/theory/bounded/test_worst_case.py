@@ -229,7 +229,7 @@ def test_a_refit_that_does_not_converge_is_refused(monkeypatch):
         refit(model.problem(0.1), y, np.array([0.3, 0.01]))
 
 
-def test_what_the_outputs_do_not_determine_is_refused():
+def test_unknowns_that_the_outputs_do_not_determine_are_refused():
     """A component of amplitude zero leaves no trace of its theta."""
     problem = direct(samples=21, h=0.1).problem(0.1)
     with pytest.raises(AssumptionError, match=r"do not determine the 2 unknowns: .* pivots"):

@@ -356,7 +356,7 @@ def test_gains_are_interpolated_between_the_thetas_they_are_designed_for():
     rate=st.floats(0.1, 2.5),
     delta=st.booleans(),
 )
-def test_what_is_proven_is_stable_everywhere(middle, width, rate, delta):
+def test_loops_proven_stable_are_stable_everywhere(middle, width, rate, delta):
     """By the eigenvalues of a loop that was written with other tools; else there is a reason.
 
     A loop that is not proven is unstable at the theta that is named, or decays slowly there.

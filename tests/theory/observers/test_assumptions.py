@@ -141,7 +141,7 @@ def test_a_report_says_what_the_errors_say(known):
         assert [str(error)] == said
 
 
-def test_what_rests_on_a_failing_assumption_is_not_decided_and_the_rest_is_said():
+def test_assumptions_that_rest_on_a_failing_one_are_not_decided_and_the_others_are():
     """Of an index of 2 with too few outputs both; of a relative degree of 2 also the zeros."""
     E = np.diag([1.0, 1.0, 0.0])
     A = [[-1, 0, 1], [0, -2, 1], [1, 1, 0]]

@@ -416,7 +416,7 @@ FIXED = "M - L C is not Hurwitz: .*NOT_DETECTABLE"
         (partial(with_a_fixed_mode_at, make=nearly_unseen_disturbance), FIXED),
     ],
 )
-def test_what_is_stable_by_rounding_alone_is_refused(made, verdict):
+def test_modes_stable_by_rounding_alone_are_refused(made, verdict):
     """The terms of M - L C cancel: what is left of a mode at 0 is their rounding, not its own.
 
     Beyond that, 100 eps times a few times their size, it is not refused.

@@ -190,7 +190,7 @@ def test_a_singular_pencil_is_refused():
         ({"n_a": 4}, r"n_a: expected 1 to 3, .* got 4"),
     ],
 )
-def test_what_does_not_fit_is_refused(change, message):
+def test_matrices_that_do_not_fit_are_refused(change, message):
     """The message names the matrix, the shape found and the shape needed."""
     system = {
         "A": np.eye(3),

@@ -277,7 +277,7 @@ BORDERS = [
 
 
 @for_each(("small", "verdicts"), BORDERS)
-def test_what_is_reduced_near_a_lower_rank_is_as_good_as_it_says(small, verdicts):
+def test_a_reduction_near_a_lower_rank_is_as_accurate_as_it_says(small, verdicts):
     """Nothing is accepted and more wrong than its accuracy; nothing well conditioned is refused.
 
     What is refused is refused for what is near to a lower rank, E or A22.
@@ -286,7 +286,7 @@ def test_what_is_reduced_near_a_lower_rank_is_as_good_as_it_says(small, verdicts
 
 
 @for_each(("seed", "A22"), [(20, 1e-6), (75, 1e-6), (81, 1e-8), (54, 1e-13)])
-def test_what_is_left_of_large_terms_has_their_errors(seed, A22):
+def test_differences_of_large_terms_have_the_errors_of_the_terms(seed, A22):
     """Of x_b and its large gains little may be left in a reduced system, which is no more exact.
 
     At 54 A22 has no inverse at all, though its equations are independent.

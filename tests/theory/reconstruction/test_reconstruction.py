@@ -151,7 +151,7 @@ def test_the_response_of_a_window_is_that_of_its_taps():
     assert window.response(0.0) == 1.0
 
 
-def test_what_cannot_be_reconstructed_so_is_refused():
+def test_unsuitable_filters_are_refused():
     """A window needs samples, a polynomial as many as it has coefficients, a filter a rate."""
     for arguments, message in (
         ((0, 1, H), "half width: .* 1 to 100000 samples, got 0"),
@@ -327,7 +327,7 @@ def test_the_noise_gain_does_not_depend_on_how_slow_an_observer_is():
     assert gain[0, 0] == pytest.approx(math.sqrt(1.0 / (1.0 - a * a)), rel=1e-3)
 
 
-def test_what_a_window_adds_to_the_start_time_is_its_length():
+def test_a_window_adds_its_length_to_the_start_time():
     """(36): nothing older has a weight, so that no fraction of it is left."""
     options = {"lambda_obs": 2.0, "delays": (1.0, 3.0)}
     fractions = {"epsilon_observer": 1e-3, "epsilon_filter": 1e-3}
@@ -409,7 +409,7 @@ def test_a_signal_without_noise_has_that_of_rounding():
     assert noise_level(np.full(300, 7.0)) == 0.0
 
 
-def test_what_is_not_smooth_against_its_samples_is_refused():
+def test_signals_not_smooth_against_their_samples_are_refused():
     """Nothing is guessed: estimates that do not settle, samples that are none, too few of them."""
     fast = np.sin(1.5 * np.arange(400))
     for samples, message in (
