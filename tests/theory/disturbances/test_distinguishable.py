@@ -102,7 +102,9 @@ def test_a_sine_that_may_be_seen_is_accepted():
     check([Sine(), CONSTANT], bounds={0: (0.0, 1e-3)})
     check([Sine(), CONSTANT], bounds={0: (-1.1e-3, 9e-4)})
     check([Sine(), CONSTANT], bounds={0: (0.0, 9e-4)}, span=30.0)
+    check([CONSTANT, Sine()], bounds={0: (0.0, 1e-3)})
     check([Sine(), Exponential()], bounds={0: (0.0, 9e-4)})
+    check([Exponential(), Sine()], bounds={1: (0.0, 9e-4)})
 
 
 T = np.linspace(0.0, 4.0, 41)
