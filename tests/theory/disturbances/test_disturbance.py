@@ -18,8 +18,11 @@ from cosim.theory.disturbances.families import (
     Sine,
     TExponential,
     coefficients,
+    even_parameters,
     family_named,
+    generators,
     group_by_alpha,
+    search_box,
 )
 from cosim.theory.disturbances.linear_family import LinearFamily
 from tests.theory.closed_forms import FORMS, OSCILLATOR
@@ -228,3 +231,79 @@ def test_coefficients_stack_the_components_of_a_group():
     np.testing.assert_allclose(
         stacked, [[1, 1, 0], expected], rtol=0, atol=1e-14
     )  # expm of norm 2.6
+
+
+def test_a_component_without_amplitude_has_no_phase():
+    """Nor derivatives; one that is too large for a number has neither."""
+    for beta, amplitude in ((np.zeros(2), 0.0), (np.array([math.inf, 1.0]), math.inf)):
+        constants, slopes = Sine().constants_of(beta)
+        assert constants[0] == amplitude
+        assert math.isnan(constants[1])
+        assert np.isnan(slopes).all()
+
+
+def test_roots_at_the_ends_of_the_unique_range_have_their_rate():
+    """cos(w spacing) = 1 is a constant, -1 the fastest rate that these delays tell."""
+    assert Sine().theta_from_roots([1.0, 1.0], 0.5).tolist() == [0.0]
+    assert Sine().theta_from_roots([-1.0, -1.0], 0.5) == pytest.approx([2.0 * math.pi])
+    z = math.exp(-0.5)
+    assert DampedSine().theta_from_roots([z, z], 0.5) == pytest.approx([1.0, 0.0], abs=1e-7)
+
+
+def test_a_start_is_searched_on_the_time_scales_of_the_record():
+    """From a decay to a twentieth within the shortest time to a tenfold growth over the record.
+
+    Rates from a quarter of a period over the record to half of one in the shortest time.
+    """
+    span = 20.0
+    shortest = 0.5
+    families = [Exponential(), DampedSine(), Polynomial(2), Sine(), TExponential()]
+    box = search_box(families, span=span, shortest=shortest)
+    decay, growth = math.log(math.exp(-3.0)) / shortest, math.log(10.0) / span
+    slow, fast = math.pi / 2.0 / span, math.pi / shortest
+    np.testing.assert_allclose(box.lower, [decay, -growth, slow, slow, decay], rtol=1e-15)
+    np.testing.assert_allclose(box.upper, [growth, -decay, fast, fast, growth], rtol=1e-15)
+    np.testing.assert_allclose(box.step, (box.upper - box.lower) / 10.0, rtol=1e-15)
+    assert box.graded == (True, True, False, False, True)  # exponents, not rates
+    assert box.even == even_parameters(families)
+
+
+def test_a_parameter_is_even_where_its_negative_has_the_same_modes():
+    """So of rates: the eigenvalues of G are those of the same signals."""
+    for family in FAMILIES.values():
+        theta = np.array([0.7, 1.9])[: len(family.parameters)]
+        modes = np.sort_complex(np.linalg.eigvals(family.G(theta)))
+        for j, is_even in enumerate(family.even):
+            negative = theta.copy()
+            negative[j] = -theta[j]
+            others = np.sort_complex(np.linalg.eigvals(family.G(negative)))
+            assert np.allclose(modes, others, atol=1e-7) == is_even
+
+
+def test_the_kernels_have_the_matrices_of_every_component():
+    """G0 + sum theta_j G1_j is G, component by component; without parameters there is no slope."""
+    families = [Polynomial(2), DampedSine(), Exponential()]
+    theta = np.array([0.4, 1.3, -0.2])
+    made = generators(families)
+    assert made.size == (3, 2, 1)
+    assert made.count == (0, 2, 1)
+    assert made.parameters == 3
+    np.testing.assert_array_equal(made.c, [1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+    G0 = np.split(made.G0, [9, 13])
+    G1 = np.split(made.G1, [4, 8])
+    damped = G0[1] + theta[0] * G1[0] + theta[1] * G1[1]
+    np.testing.assert_array_equal(G0[0], np.diag([1.0, 2.0], 1).ravel())
+    np.testing.assert_allclose(damped, families[1].G(theta[:2]).ravel(), rtol=1e-15)
+    np.testing.assert_allclose(G0[2] + theta[2] * G1[2], [theta[2]], rtol=1e-15)
+    assert len(generators([Polynomial(0)]).G1) == 0
+    with pytest.raises(AssumptionError, match="at least one component, got none"):
+        generators([])
+
+
+def test_a_polynomial_names_its_coefficients_by_power():
+    """The formula is their sum."""
+    cubic = Polynomial(3)
+    assert cubic.constants == ("level", "slope", "coefficient_2", "coefficient_3")
+    assert cubic.formula == "{level} + {slope} t + {coefficient_2} t^2 + {coefficient_3} t^3"
+    assert Polynomial(0, "constant").formula == "{level}"
+    assert cubic.theta_from_roots([1.0] * 4, 0.5).shape == (0,)
