@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import least_squares, root
 from scipy.signal import lsim
 
+import cosim.theory.bounded.worst_case
 from cosim.errors import AssumptionError
 from cosim.theory.bounded.worst_case import (
     BoundedDisturbance,
@@ -160,6 +161,23 @@ def test_random_starts_find_no_worse_disturbance():
         start = 0.02 * np.sign(smooth)[:, np.newaxis]
         found = worst_error(problem, TRUTH, 1, -1, start)
         assert found.error == pytest.approx(default.error, rel=1e-8)
+
+
+def test_the_search_ends_where_the_next_signal_is_no_worse(monkeypatch):
+    """From the worst one it tries one more and returns it."""
+    problem = direct(samples=9, h=0.25).problem(0.1)
+    found = worst_error(problem, ONE_EXPONENTIAL, 0, 1)
+    tried = []
+
+    def error_under(*arguments):
+        tried.append(arguments)
+        return measured(*arguments)
+
+    measured = cosim.theory.bounded.worst_case._error_under
+    monkeypatch.setattr(cosim.theory.bounded.worst_case, "_error_under", error_under)
+    again = worst_error(problem, ONE_EXPONENTIAL, 0, 1, found.delta_0)
+    assert len(tried) == 2
+    assert again.error == pytest.approx(found.error, rel=1e-12)
 
 
 def test_the_interval_around_an_estimate_is_that_of_all_corners():

@@ -135,7 +135,7 @@ def test_a_ratio_counts_where_the_other_alpha_is_not_small():
         small = np.arange(len(T)) >= kept
         base = np.where(small, 9e-4, 1.0)
         other = np.where(small, -7.0, np.exp(0.5 * T))
-        alpha = np.column_stack([other, base])
+        alpha = 5.0 * np.column_stack([other, base])
         if is_refused:
             with pytest.raises(AssumptionError, match=r"exp\(0.5 t\)"):
                 check_exchangeable(T, alpha, ONE, ["p", "q"])

@@ -154,11 +154,11 @@ def test_the_response_of_a_window_is_that_of_its_taps():
 def test_unsuitable_filters_are_refused():
     """A window needs samples, a polynomial as many as it has coefficients, a filter a rate."""
     for arguments, message in (
-        ((0, 1, H), "half width: .* 1 to 100000 samples, got 0"),
-        ((100_001, 1, H), "half width: .* got 100001"),
-        ((1, 3, H), "order: .* 1 to 10, and less than the 3 samples, got 3"),
+        ((0, 1, H), r"half width: .* 1 to 100000 samples, got 0"),
+        ((100_001, 1, H), r"half width: .* got 100001"),
+        ((1, 3, H), r"order: .* 1 to 10, and less than the 3 samples, got 3"),
         ((20, 0, H), r"order: .* got 0"),
-        ((20, 11, H), r"order: .* 1 to 10, .* got 11"),
+        ((20, 11, H), r"order: .* got 11"),
         ((20, 2, 0.0), r"step: .* got 0"),
     ):
         with pytest.raises(AssumptionError, match=message):
