@@ -703,7 +703,7 @@ def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
     )
     assert code == 0
     assert "c.fmu: FMI 2.0, co-simulation, binary for" in out
-    assert "co-simulation only: with a period the controller samples and holds" in out
+    assert "co-simulation only: a sampled controller" in out
     code, out, _ = call(
         "export", "closed-loop", "--component", "controller", "--fmi", "3", "--out", "d.fmu"
     )

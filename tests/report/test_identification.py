@@ -200,7 +200,7 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
     _, output, _ = call("identify", *paths)
     shown = rows(output)
     assert shown["theta[1]"][3] == "INCONSISTENT"
-    assert "the residual is not what noise leaves" in shown["INCONSISTENT"][0]
+    assert "noise does not explain the residual" in shown["INCONSISTENT"][0]
     text = shown["contradiction"][0]
     for path in paths:
         assert f"{path} alone" in text

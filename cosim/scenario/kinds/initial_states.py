@@ -55,17 +55,29 @@ class GivenStates:
 def changed_states(
     graph: Graph, given: Mapping[str, GivenStates], row: Vector
 ) -> dict[str, list[StateChangeRecord]]:
-    """Return what the first row of a run changes of the initial states, by component."""
+    """Return what the first row of a run changes of the initial states, by component.
+
+    A component of a partial log may lack a signal that this follows from; it is left out.
+    """
     changes = {}
     for name, states in given.items():
         signals = _signals(graph.layout[name], row)
         coordinates = states.coordinates
+        if not _has_all(signals, coordinates):
+            continue
         u = signals.get("u", np.zeros(0))[: coordinates.Xu.shape[1]]
         delta = signals.get("delta", np.zeros(0))
         changed = states.changes(u=u, delta=delta, x=signals["x"])
         if changed:
             changes[name] = changed
     return changes
+
+
+def _has_all(signals: Mapping[str, Vector], coordinates: UserCoordinates) -> bool:
+    """Return whether there are the states and the inputs on which they depend."""
+    needed = [("u", coordinates.Xu), ("delta", coordinates.Xd)]
+    names = {"x"} | {name for name, gains in needed if gains.shape[1] > 0}
+    return names <= signals.keys()
 
 
 def _signals(channel: Channel, row: Vector) -> dict[str, Vector]:

@@ -258,6 +258,16 @@ def test_whatever_is_recorded_a_replay_has_the_bits_of_the_run(name, tmp_path):
     check_draws(name, 3, tmp_path)
 
 
+@pytest.mark.parametrize("signals", [["motor.y"], ["motor.x"], ["motor.x", "motor.u"]])
+def test_a_plant_without_its_states_or_inputs_is_replayed(signals, tmp_path):
+    """Whether its initial states were made consistent is not known then."""
+    settings = {"scenario.stop": 0.1, "motor.x0": [0.0, 1.0]}
+    log = cosim.run("pair", out=tmp_path / "a.mcap", set=settings | recorded(signals))
+    assert "x[1] = 1 is 0" in " ".join(message.text for message in log.messages())
+    assert verify(log, cosim.replay(log, set=ALL)).passed
+    assert verify(log, cosim.replay(log)).passed
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", shipped())
 def test_more_of_what_is_recorded_has_the_bits_of_the_run(name, tmp_path):
