@@ -1,7 +1,7 @@
-"""Modules that import parts of the package which need the extra ``dask``: for the slow tests alone."""
+"""Modules of slow tests that import parts of the package which need the extra ``dask``."""
 
 from importlib.util import find_spec
 
-collect_ignore = (
-    [] if find_spec("distributed") else ["test_cluster_workers.py", "test_real_studies.py"]
-)
+NEED_DASK = ["test_cluster_workers.py", "test_real_studies.py"]
+
+collect_ignore = [] if find_spec("distributed") else NEED_DASK
