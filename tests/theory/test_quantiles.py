@@ -1,5 +1,7 @@
 """Quantiles, against the tails of mpmath at 40 digits and against scipy."""
 
+from itertools import product
+
 import mpmath
 import numpy as np
 import pytest
@@ -12,7 +14,6 @@ from cosim.theory.quantiles import (
     ratio_above,
     student_two_sided,
 )
-from tests.theory.looped import for_each
 
 PROBABILITIES = [1e-12, 1e-8, 0.01, 0.05, 0.5, 0.9]
 # Each of the few hundred operations of a tail rounds once, and the exponents of its density are
@@ -20,39 +21,43 @@ PROBABILITIES = [1e-12, 1e-8, 0.01, 0.05, 0.5, 0.9]
 ROUNDING = 1e-12
 
 
-@for_each("probability", PROBABILITIES)
-@for_each("degrees", [0.5, 1, 2, 7.3, 40, 1000])
-def test_a_chi_square_exceeds_the_quantile_with_the_probability(probability, degrees):
+def test_a_chi_square_exceeds_the_quantile_with_the_probability(subtests):
     """The tail beyond the quantile is the probability."""
-    quantile = chi_square_above(probability, degrees)
-    with mpmath.workdps(40):
-        half = mpmath.mpf(degrees) / 2
-        tail = mpmath.gammainc(half, mpmath.mpf(quantile) / 2, regularized=True)
-    assert float(tail) == pytest.approx(probability, rel=ROUNDING)
+    for probability, degrees in product(PROBABILITIES, [0.5, 1, 2, 7.3, 40, 1000]):
+        with subtests.test(probability=probability, degrees=degrees):
+            quantile = chi_square_above(probability, degrees)
+            with mpmath.workdps(40):
+                half = mpmath.mpf(degrees) / 2
+                tail = mpmath.gammainc(half, mpmath.mpf(quantile) / 2, regularized=True)
+            assert float(tail) == pytest.approx(probability, rel=ROUNDING)
 
 
-@for_each("probability", PROBABILITIES)
-@for_each("degrees", [0.5, 1, 7.3, 400])
-@for_each("freedom", [0.7, 10, 200, 4e4])
-def test_a_ratio_exceeds_the_quantile_with_the_probability(probability, degrees, freedom):
+def test_a_ratio_exceeds_the_quantile_with_the_probability(subtests):
     """The tail beyond the quantile is the probability."""
-    quantile = ratio_above(probability, degrees, freedom)
-    with mpmath.workdps(40):
-        half = mpmath.mpf(freedom) / 2
-        x = mpmath.mpf(freedom) / (mpmath.mpf(freedom) + mpmath.mpf(quantile))
-        tail = mpmath.betainc(half, mpmath.mpf(degrees) / 2, 0, x, regularized=True)
-    assert float(tail) == pytest.approx(probability, rel=ROUNDING)
+    for probability, degrees, freedom in product(
+        PROBABILITIES, [0.5, 1, 7.3, 400], [0.7, 10, 200, 4e4]
+    ):
+        with subtests.test(probability=probability, degrees=degrees, freedom=freedom):
+            quantile = ratio_above(probability, degrees, freedom)
+            with mpmath.workdps(40):
+                half = mpmath.mpf(freedom) / 2
+                x = mpmath.mpf(freedom) / (mpmath.mpf(freedom) + mpmath.mpf(quantile))
+                tail = mpmath.betainc(half, mpmath.mpf(degrees) / 2, 0, x, regularized=True)
+            assert float(tail) == pytest.approx(probability, rel=ROUNDING)
 
 
-@for_each("confidence", [0.5, 0.95, 0.999, 1.0 - 2.0**-20])
-def test_normal_and_student_values_are_those_of_scipy(confidence):
+def test_normal_and_student_values_are_those_of_scipy(subtests):
     """Of one value, and of several that all are within."""
-    for count in (1, 3):
-        normal = -special.ndtri((1.0 - confidence) / (2.0 * count))
-        assert normal_two_sided(confidence, count) == pytest.approx(normal, rel=ROUNDING)
-    for degrees in (1, 2, 30.5, 39995.0):
-        student = -special.stdtrit(degrees, 0.5 * (1.0 - confidence))
-        assert student_two_sided(confidence, degrees) == pytest.approx(student, rel=ROUNDING)
+    for confidence in [0.5, 0.95, 0.999, 1.0 - 2.0**-20]:
+        with subtests.test(confidence=confidence):
+            for count in (1, 3):
+                normal = -special.ndtri((1.0 - confidence) / (2.0 * count))
+                assert normal_two_sided(confidence, count) == pytest.approx(normal, rel=ROUNDING)
+            for degrees in (1, 2, 30.5, 39995.0):
+                student = -special.stdtrit(degrees, 0.5 * (1.0 - confidence))
+                assert student_two_sided(confidence, degrees) == pytest.approx(
+                    student, rel=ROUNDING
+                )
 
 
 def test_a_ratio_to_a_known_scale_is_a_chi_square():

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.theory.richardson import step_error
-from tests.theory.looped import for_each
 
 T = np.linspace(0.0, 10.0, 401)
 
@@ -16,15 +15,16 @@ def runs(error):
     return [np.sin(T) + error(h) for h in (1.0, 0.5, 0.25)]
 
 
-@for_each("p", [1, 2, 3, 4])
-def test_an_error_of_one_order_is_exact(p):
+def test_an_error_of_one_order_is_exact(subtests):
     """Without terms of higher order the extrapolation has no error but rounding."""
-    found = step_error(T, *runs(lambda h: 1e-3 * h**p * np.cos(0.7 * T)))
-    assert found.order == pytest.approx(p, abs=1e-9)
-    assert found.largest == pytest.approx(1e-3, rel=1e-9)
-    assert found.time == 0.0
-    assert found.last == pytest.approx(1e-3 * np.cos(7.0), rel=1e-9)
-    assert not found.reason
+    for p in [1, 2, 3, 4]:
+        with subtests.test(p=p):
+            found = step_error(T, *runs(lambda h, p=p: 1e-3 * h**p * np.cos(0.7 * T)))
+            assert found.order == pytest.approx(p, abs=1e-9)
+            assert found.largest == pytest.approx(1e-3, rel=1e-9)
+            assert found.time == 0.0
+            assert found.last == pytest.approx(1e-3 * np.cos(7.0), rel=1e-9)
+            assert not found.reason
 
 
 @given(

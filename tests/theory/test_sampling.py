@@ -16,15 +16,15 @@ from cosim.theory.estimators.gradient import gradient
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.sampling import distinct_steps, equal_step
 from tests.theory.lag import FAMILY, lag, record
-from tests.theory.looped import for_each
 
 
-@for_each("step", [1e-3, 1e-2 / 3.0, 7.0])
-def test_the_rounding_of_times_makes_no_other_step(step):
+def test_the_rounding_of_times_makes_no_other_step(subtests):
     """Far from 0 too, where the times have fewer digits."""
-    for start in (0.0, 1e3):
-        t = start + np.arange(1000) * step
-        assert equal_step(t) == pytest.approx(step, abs=1e-12)
+    for step in [1e-3, 1e-2 / 3.0, 7.0]:
+        with subtests.test(step=step):
+            for start in (0.0, 1e3):
+                t = start + np.arange(1000) * step
+                assert equal_step(t) == pytest.approx(step, abs=1e-12)
 
 
 def test_the_steps_that_differ_are_found_with_their_places():
@@ -56,11 +56,12 @@ def two_exponentials():
     return plan(expand((2,)), groups, [1.0, 2.0, 3.0])
 
 
-@for_each("method", EQUAL_METHODS)
-def test_a_method_for_equal_steps_refuses_others(method):
+def test_a_method_for_equal_steps_refuses_others(subtests):
     """It names the place and the step there, and takes times that are merely rounded."""
-    t = 1e4 + np.arange(100) * 1e-2
-    EQUAL_METHODS[method](t)
-    t[50:] += 1e-3
-    with pytest.raises(AssumptionError, match=r"after t = 10000.* s comes 0\.011 s later"):
-        EQUAL_METHODS[method](t)
+    for method in EQUAL_METHODS:
+        with subtests.test(method=method):
+            t = 1e4 + np.arange(100) * 1e-2
+            EQUAL_METHODS[method](t)
+            t[50:] += 1e-3
+            with pytest.raises(AssumptionError, match=r"after t = 10000.* s comes 0\.011 s later"):
+                EQUAL_METHODS[method](t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -21,7 +22,6 @@ from cosim.theory.forced_response import forced_outputs
 from tests.theory.experiments import COARSE, FAMILIES, design, exact, solved, times
 from tests.theory.experiments import record as example_record
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states
-from tests.theory.looped import for_each
 
 START = np.array([-0.12])
 GRID = np.arange(2001) * 1e-2
@@ -141,31 +141,31 @@ UNEQUAL = np.concatenate([np.arange(0.0, 5.0, 0.005), np.arange(5.0, 20.0, 0.02)
 JITTERED = GRID + 1e-3 * np.random.default_rng(8).random(len(GRID))
 
 
-@for_each("held", [False, True])
-@for_each("t", [UNEQUAL, JITTERED])
-def test_the_states_of_a_fit_are_those_at_the_samples(t, held):
+def test_the_states_of_a_fit_are_those_at_the_samples(subtests):
     """Whatever their distances, and whether the input is held between them."""
-    u = staircase(len(t), 3)
-    x = states(t, u, held=held)
-    data = record(t, u, x[:, np.newaxis], held=held)
-    fit = fit_output_error([data], lag(), FAMILY, START)
-    response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
-    np.testing.assert_allclose(response.states[:, 0], x, atol=1e-9)
+    for held, (number, t) in product([False, True], enumerate([UNEQUAL, JITTERED])):
+        with subtests.test(held=held, number=number):
+            u = staircase(len(t), 3)
+            x = states(t, u, held=held)
+            data = record(t, u, x[:, np.newaxis], held=held)
+            fit = fit_output_error([data], lag(), FAMILY, START)
+            response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
+            np.testing.assert_allclose(response.states[:, 0], x, atol=1e-9)
 
 
-@for_each("held", [False, True])
-@for_each("t", [UNEQUAL, JITTERED])
-def test_a_wrong_gain_leaves_its_own_trace_at_any_samples(t, held):
+def test_a_wrong_gain_leaves_its_own_trace_at_any_samples(subtests):
     """The direction of a wrong B is the response of the plant to u."""
-    u = staircase(len(t), 3)
-    data = record(t, u, states(t, u, held=held)[:, np.newaxis], held=held)
-    fit = fit_output_error([data], lag(), FAMILY, START)
-    response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
-    directions = model_errors(lag(), data, response)
-    place = directions.names.index("u[0] in the dynamics of x_a[0]")
-    np.testing.assert_allclose(
-        directions.columns[:, 0, place], states(t, u, amplitude=0.0, held=held), atol=1e-9
-    )
+    for held, (number, t) in product([False, True], enumerate([UNEQUAL, JITTERED])):
+        with subtests.test(held=held, number=number):
+            u = staircase(len(t), 3)
+            data = record(t, u, states(t, u, held=held)[:, np.newaxis], held=held)
+            fit = fit_output_error([data], lag(), FAMILY, START)
+            response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
+            directions = model_errors(lag(), data, response)
+            place = directions.names.index("u[0] in the dynamics of x_a[0]")
+            np.testing.assert_allclose(
+                directions.columns[:, 0, place], states(t, u, amplitude=0.0, held=held), atol=1e-9
+            )
 
 
 def test_errors_of_an_unstable_plant_show_in_its_predicted_outputs():
@@ -195,28 +195,28 @@ def test_the_error_of_long_steps_among_short_ones_is_computed():
     np.testing.assert_allclose(found[:, 0], true - chord, rtol=2e-2, atol=1e-3 * np.ptp(found))
 
 
-@for_each("feedthrough", [0.0, 0.5])
-@for_each("place", [0, 10, 25])
-def test_samples_between_the_points_of_an_input_have_the_error_of_its_lines(place, feedthrough):
+def test_samples_between_the_points_of_an_input_have_the_error_of_its_lines(subtests):
     """Where u is known at other instants than y: it is wrong at the samples themselves too."""
-    fine = np.arange(20001) * 1e-3
-    u = np.sin(2.0 * fine)
-    y = states(fine, u) + feedthrough * u
-    points = fine[::50]
-    samples = fine[place::50]
-    t = np.union1d(samples, points)
-    at_samples = np.full((len(t), 1), np.nan)
-    at_samples[np.searchsorted(t, samples), 0] = y[place::50]
-    between = np.interp(t, points, u[::50])[:, np.newaxis]
-    taken = np.isin(t, points)
-    data = DataSet(t, at_samples, between, alpha(t)[:, np.newaxis], taken=taken)
-    plant = replace(lag(), D=np.array([[feedthrough]]))
-    found = assess_near(OutputErrorProblem([data], plant, FAMILY), START)
-    parameter = found.parameters[0]
-    assert parameter.verdict is Verdict.IDENTIFIABLE
-    assert parameter.lower <= RATE <= parameter.upper
-    delta = (alpha(t) * np.exp(RATE * t))[:, np.newaxis]
-    error = step_error(plant, data, delta)[~np.isnan(at_samples)]
-    lines = states(t, between[:, 0]) + feedthrough * between[:, 0]
-    true = y[place::50] - lines[np.searchsorted(t, samples)]
-    np.testing.assert_allclose(error, true, atol=0.1 * np.abs(true).max())
+    for feedthrough, place in product([0.0, 0.5], [0, 10, 25]):
+        with subtests.test(feedthrough=feedthrough, place=place):
+            fine = np.arange(20001) * 1e-3
+            u = np.sin(2.0 * fine)
+            y = states(fine, u) + feedthrough * u
+            points = fine[::50]
+            samples = fine[place::50]
+            t = np.union1d(samples, points)
+            at_samples = np.full((len(t), 1), np.nan)
+            at_samples[np.searchsorted(t, samples), 0] = y[place::50]
+            between = np.interp(t, points, u[::50])[:, np.newaxis]
+            taken = np.isin(t, points)
+            data = DataSet(t, at_samples, between, alpha(t)[:, np.newaxis], taken=taken)
+            plant = replace(lag(), D=np.array([[feedthrough]]))
+            found = assess_near(OutputErrorProblem([data], plant, FAMILY), START)
+            parameter = found.parameters[0]
+            assert parameter.verdict is Verdict.IDENTIFIABLE
+            assert parameter.lower <= RATE <= parameter.upper
+            delta = (alpha(t) * np.exp(RATE * t))[:, np.newaxis]
+            error = step_error(plant, data, delta)[~np.isnan(at_samples)]
+            lines = states(t, between[:, 0]) + feedthrough * between[:, 0]
+            true = y[place::50] - lines[np.searchsorted(t, samples)]
+            np.testing.assert_allclose(error, true, atol=0.1 * np.abs(true).max())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -17,7 +19,6 @@ from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import simulate
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, states
-from tests.theory.looped import for_each
 
 START = np.array([-0.12])
 GRID = np.arange(2001) * 1e-2
@@ -130,23 +131,23 @@ def test_an_output_that_is_never_measured_is_refused():
         missing(pattern, 1)
 
 
-@for_each("outputs", [1, 2, 8, 9, 17])
-@for_each("lost", [0.0, 0.3])
-def test_values_of_a_sample_are_whitened_by_the_covariance_of_those_that_are_there(outputs, lost):
+def test_values_of_a_sample_are_whitened_by_the_covariance_of_those_that_are_there(subtests):
     """Sample by sample, by the inverse factor of their part of it; of any number of outputs."""
-    rng = np.random.default_rng(outputs)
-    measured = rng.random((200, outputs)) >= lost
-    rows = rng.standard_normal((200, outputs, 3))
-    mixed = rng.standard_normal((outputs, outputs))
-    covariance = mixed @ mixed.T + np.eye(outputs)
-    noise = NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
-    expected = np.zeros_like(rows)
-    for k, there in enumerate(measured):
-        if there.any():
-            factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
-            expected[k, there] = np.linalg.solve(factor, rows[k, there])
-    # the covariance has a condition below 1e4
-    np.testing.assert_allclose(noise.whitened(rows, measured), expected, rtol=0, atol=1e-10)
+    for outputs, lost in product([1, 2, 8, 9, 17], [0.0, 0.3]):
+        with subtests.test(outputs=outputs, lost=lost):
+            rng = np.random.default_rng(outputs)
+            measured = rng.random((200, outputs)) >= lost
+            rows = rng.standard_normal((200, outputs, 3))
+            mixed = rng.standard_normal((outputs, outputs))
+            covariance = mixed @ mixed.T + np.eye(outputs)
+            noise = NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
+            expected = np.zeros_like(rows)
+            for k, there in enumerate(measured):
+                if there.any():
+                    factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
+                    expected[k, there] = np.linalg.solve(factor, rows[k, there])
+            # the covariance has a condition below 1e4
+            np.testing.assert_allclose(noise.whitened(rows, measured), expected, rtol=0, atol=1e-10)
 
 
 def test_a_thinned_record_keeps_every_so_many_values_of_each_output():

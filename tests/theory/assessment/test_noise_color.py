@@ -20,7 +20,6 @@ from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above
-from tests.theory.looped import for_each
 
 RATE = -0.3
 SIGMA = 1e-3
@@ -108,12 +107,13 @@ def test_gaps_end_the_windows_of_a_model():
     np.testing.assert_allclose(model.a, a, atol=4.0 * np.sqrt((1.0 - 0.36) / (0.5 * N)))
 
 
-@for_each("a", [0.0, 0.5, 0.95, -0.6])
-def test_the_memory_of_noise_is_that_of_its_autocorrelations(a):
+def test_the_memory_of_noise_is_that_of_its_autocorrelations(subtests):
     """Of a first order their squares are a geometric series, (1 + a^2)/(1 - a^2)."""
-    expected = (1.0 + a**2) / (1.0 - a**2)
-    assert correlation_length(np.array([a])) == pytest.approx(expected, rel=1e-9)
-    assert correlation_length(np.array([1.001])) == np.inf
+    for a in [0.0, 0.5, 0.95, -0.6]:
+        with subtests.test(a=a):
+            expected = (1.0 + a**2) / (1.0 - a**2)
+            assert correlation_length(np.array([a])) == pytest.approx(expected, rel=1e-9)
+            assert correlation_length(np.array([1.001])) == np.inf
 
 
 def test_a_ratio_with_a_known_scale_is_a_chi_square():

@@ -32,7 +32,6 @@ from tests.theory.experiments import (
     solved,
     times,
 )
-from tests.theory.looped import for_each
 
 START = np.array([-0.05, -0.5])
 GOOD = [Verdict.IDENTIFIABLE, Verdict.IDENTIFIABLE]
@@ -77,17 +76,18 @@ def test_the_bias_of_the_step_is_computed():
     np.testing.assert_allclose(assessment.consistency.bias, error, rtol=1e-2)
 
 
-@for_each("sigma", [0.0, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2])
-def test_twelve_bits_are_identifiable(sigma):
+def test_twelve_bits_are_identifiable(subtests):
     """The lattice of a converter is found, and what it leaves in the residual is allowed."""
-    level = 8.0 / 4096
-    y = exact("good", COARSE)
-    noise = sigma * np.random.default_rng(5).standard_normal(y.shape)
-    quantized = level * np.round((y + noise) / level)
-    assessment, found = verdicts(record(quantized, COARSE))
-    assert assessment.consistency.accuracy[0].spacing[0] == pytest.approx(level)
-    assert found == GOOD
-    assert misses(assessment) == [False, False]
+    for sigma in [0.0, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2]:
+        with subtests.test(sigma=sigma):
+            level = 8.0 / 4096
+            y = exact("good", COARSE)
+            noise = sigma * np.random.default_rng(5).standard_normal(y.shape)
+            quantized = level * np.round((y + noise) / level)
+            assessment, found = verdicts(record(quantized, COARSE))
+            assert assessment.consistency.accuracy[0].spacing[0] == pytest.approx(level)
+            assert found == GOOD
+            assert misses(assessment) == [False, False]
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3])

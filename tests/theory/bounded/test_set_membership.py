@@ -34,7 +34,6 @@ from cosim.theory.bounded.worst_case import (
 )
 from tests.theory.academic import alpha
 from tests.theory.exponential_plant import TRUTH, direct, example
-from tests.theory.looped import for_each
 
 NO_NOISE = np.zeros(1)
 FIXED = np.array([True, True])
@@ -489,26 +488,26 @@ def test_an_interval_takes_no_more_programs_than_it_may(monkeypatch):
     assert interval.unsolved == 1
 
 
-@for_each(
-    ("arguments", "message"),
-    [
+def test_recordings_that_do_not_fit_are_refused(subtests):
+    """Each with what was found and what was needed."""
+    for arguments, message in [
         ((np.zeros((9, 1)), Cells(2, 1), np.zeros(2)), r"noise: expected 1, .* got \[0.0, 0.0\]"),
         ((np.zeros((9, 1)), Cells(2, 1), np.array([-1.0])), r"noise: expected 1, .* got \[-1.0\]"),
         ((np.zeros((9, 1)), Cells(9, 1), np.zeros(1)), "samples: expected at least 10, .* got 9"),
         ((np.full((9, 1), np.nan), Cells(2, 1), np.zeros(1)), "outputs: expected a finite"),
-    ],
-)
-def test_recordings_that_do_not_fit_are_refused(arguments, message):
-    """Each with what was found and what was needed."""
-    with pytest.raises(AssumptionError, match=message):
-        RecordedOutputs(*arguments)
+    ]:
+        with subtests.test(message=message), pytest.raises(AssumptionError, match=message):
+            RecordedOutputs(*arguments)
 
 
-@for_each("averaged", [0, 3])
-def test_cells_that_cannot_be_averaged_are_refused(averaged):
+def test_cells_that_cannot_be_averaged_are_refused(subtests):
     """At least one sample, at most all."""
-    with pytest.raises(AssumptionError, match=f"averaged: expected 1 to 2, .* got {averaged}"):
-        Cells(2, averaged)
+    for averaged in [0, 3]:
+        with (
+            subtests.test(averaged=averaged),
+            pytest.raises(AssumptionError, match=f"averaged: expected 1 to 2, .* got {averaged}"),
+        ):
+            Cells(2, averaged)
 
 
 def test_the_least_multiple_of_no_bound_is_refused():

@@ -23,7 +23,6 @@ from cosim.theory.bounded.worst_case import (
     worst_error,
 )
 from tests.theory.exponential_plant import TRUTH, direct, example
-from tests.theory.looped import for_each
 
 ONE_EXPONENTIAL = np.array([-0.5, 1.0])  # theta, amplitude
 
@@ -40,28 +39,32 @@ def corners(samples, bound):
     return bound * np.array(list(product((-1.0, 1.0), repeat=samples)))
 
 
-@for_each(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
-def test_the_response_is_that_of_straight_lines(n, n_d, n_y):
+def test_the_response_is_that_of_straight_lines(subtests):
     """scipy simulates the same plant for inputs in straight lines, from rest."""
-    A, Bd, C, Dd = random_plant(n, n_d, n_y)
-    delta_0 = np.random.default_rng(1).standard_normal((60, n_d))
-    computed = irregular_response(A, Bd, C, Dd, 0.1).respond(delta_0)
-    expected = delta_0 @ Dd.T
-    if n:
-        _, expected, _ = lsim((A, Bd, C, Dd), delta_0, np.arange(60) * 0.1)
-    # sums of 60 terms of size up to 10
-    np.testing.assert_allclose(computed, expected.reshape(60, n_y), rtol=0, atol=1e-11)
+    for n, n_d, n_y in [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)]:
+        with subtests.test(n=n):
+            A, Bd, C, Dd = random_plant(n, n_d, n_y)
+            delta_0 = np.random.default_rng(1).standard_normal((60, n_d))
+            computed = irregular_response(A, Bd, C, Dd, 0.1).respond(delta_0)
+            expected = delta_0 @ Dd.T
+            if n:
+                _, expected, _ = lsim((A, Bd, C, Dd), delta_0, np.arange(60) * 0.1)
+            # sums of 60 terms of size up to 10
+            np.testing.assert_allclose(computed, expected.reshape(60, n_y), rtol=0, atol=1e-11)
 
 
-@for_each(("n", "n_d", "n_y"), [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)])
-def test_the_adjoint_is_the_transposed_response(n, n_d, n_y):
+def test_the_adjoint_is_the_transposed_response(subtests):
     """`a' (L delta_0) = (L' a)' delta_0` for all a and delta_0."""
-    response = irregular_response(*random_plant(n, n_d, n_y), 0.1)
-    rng = np.random.default_rng(2)
-    delta_0 = rng.standard_normal((60, n_d))
-    functional = rng.standard_normal((60, n_y))
-    forward = np.vdot(functional, response.respond(delta_0))
-    assert np.vdot(response.adjoint(functional), delta_0) == pytest.approx(forward, abs=1e-11)
+    for n, n_d, n_y in [(1, 1, 1), (3, 1, 2), (4, 2, 1), (0, 1, 1)]:
+        with subtests.test(n=n):
+            response = irregular_response(*random_plant(n, n_d, n_y), 0.1)
+            rng = np.random.default_rng(2)
+            delta_0 = rng.standard_normal((60, n_d))
+            functional = rng.standard_normal((60, n_y))
+            forward = np.vdot(functional, response.respond(delta_0))
+            assert np.vdot(response.adjoint(functional), delta_0) == pytest.approx(
+                forward, abs=1e-11
+            )
 
 
 def test_the_functional_is_weighted_least_squares():
@@ -254,18 +257,16 @@ def test_unknowns_that_the_outputs_do_not_determine_are_refused():
         first_order(problem, np.array([-0.5, 0.0]))
 
 
-@for_each(
-    ("bound", "weight", "message"),
-    [
+def test_a_problem_that_does_not_fit_is_refused(subtests):
+    """Each with what was found and what was needed."""
+    for bound, weight, message in [
         ([0.1, 0.1], np.eye(1), r"bounds of delta_0: expected 1, .* got \[0.1, 0.1\]"),
         ([-0.1], np.eye(1), r"bounds of delta_0: .* got \[-0.1\]"),
         ([np.nan], np.eye(1), r"bounds of delta_0: .* got \[nan\]"),
         ([0.1], np.eye(2), r"weight: .* \(1, 1\), .* got \(2, 2\)"),
         ([0.1], -np.eye(1), "weight: .* eigenvalues, got -1"),
-    ],
-)
-def test_a_problem_that_does_not_fit_is_refused(bound, weight, message):
-    """Each with what was found and what was needed."""
-    model = direct(samples=5, h=0.1)
-    with pytest.raises(AssumptionError, match=message):
-        BoundedDisturbance(model, model.irregular, np.array(bound), weight, 1)
+    ]:
+        with subtests.test(message=message):
+            model = direct(samples=5, h=0.1)
+            with pytest.raises(AssumptionError, match=message):
+                BoundedDisturbance(model, model.irregular, np.array(bound), weight, 1)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -44,7 +45,6 @@ from cosim.theory.disturbances.linear_family import LinearFamily
 from cosim.theory.observers.observer import StateSpace, design, realize
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
-from tests.theory.looped import for_each
 
 H = 1e-2
 SLOW = 0.2  # a step at which the loop is unstable from 5.1 rad/s on
@@ -75,31 +75,33 @@ def test_the_regulator_of_a_double_integrator_is_that_of_the_textbooks():
     assert np.allclose(K, [[1.0, np.sqrt(3.0)]], rtol=1e-12)
 
 
-@for_each("m", [1, 2])
-def test_poles_are_placed(m):
+def test_poles_are_placed(subtests):
     """With one input also a double one; with several against scipy's placement."""
-    plant = random_plant(3, n=3, m=m)
-    wanted = [-1.0, -1.0, -4.0] if m == 1 else [-1.0, -2.0, -4.0]
-    K = state_feedback(plant.A, plant.B, poles=wanted)
-    reached = np.poly(np.linalg.eigvals(plant.A - plant.B @ K))
-    assert np.allclose(reached, np.poly(wanted), rtol=1e-8)
-    if m == 2:
-        other = place_poles(plant.A, plant.B, wanted).gain_matrix
-        assert np.allclose(np.poly(np.linalg.eigvals(plant.A - plant.B @ other)), reached)
+    for m in [1, 2]:
+        with subtests.test(m=m):
+            plant = random_plant(3, n=3, m=m)
+            wanted = [-1.0, -1.0, -4.0] if m == 1 else [-1.0, -2.0, -4.0]
+            K = state_feedback(plant.A, plant.B, poles=wanted)
+            reached = np.poly(np.linalg.eigvals(plant.A - plant.B @ K))
+            assert np.allclose(reached, np.poly(wanted), rtol=1e-8)
+            if m == 2:
+                other = place_poles(plant.A, plant.B, wanted).gain_matrix
+                assert np.allclose(np.poly(np.linalg.eigvals(plant.A - plant.B @ other)), reached)
 
 
-@for_each("seed", range(4))
-def test_a_constant_disturbance_and_reference_leave_no_error(seed):
+def test_a_constant_disturbance_and_reference_leave_no_error(subtests):
     """The static gain of the closed loop, by scipy, is 0 from delta and 1 from r."""
-    plant = random_plant(seed)
-    K = state_feedback(plant.A, plant.B, Q=np.ones(4))
-    F = feedforward(plant, K).gain
-    N = reference_gain(plant, K).gain
-    B = np.hstack([plant.Bd + plant.B @ F, plant.B @ N])
-    D = np.hstack([plant.Dd + plant.D @ F, plant.D @ N])
-    closed = ScipyStateSpace(plant.A - plant.B @ K, B, plant.C - plant.D @ K, D)
-    static = closed.D - closed.C @ np.linalg.solve(closed.A, closed.B)
-    assert np.allclose(static, np.hstack([np.zeros((2, 1)), np.eye(2)]), atol=1e-12)
+    for seed in range(4):
+        with subtests.test(seed=seed):
+            plant = random_plant(seed)
+            K = state_feedback(plant.A, plant.B, Q=np.ones(4))
+            F = feedforward(plant, K).gain
+            N = reference_gain(plant, K).gain
+            B = np.hstack([plant.Bd + plant.B @ F, plant.B @ N])
+            D = np.hstack([plant.Dd + plant.D @ F, plant.D @ N])
+            closed = ScipyStateSpace(plant.A - plant.B @ K, B, plant.C - plant.D @ K, D)
+            static = closed.D - closed.C @ np.linalg.solve(closed.A, closed.B)
+            assert np.allclose(static, np.hstack([np.zeros((2, 1)), np.eye(2)]), atol=1e-12)
 
 
 def test_a_matched_disturbance_is_cancelled_exactly():
@@ -111,9 +113,9 @@ def test_a_matched_disturbance_is_cancelled_exactly():
     assert np.allclose(feedforward(matched, K).gain, -M, rtol=1e-12)
 
 
-@for_each(
-    ("options", "message"),
-    [
+def test_a_state_feedback_that_is_none_is_refused(subtests):
+    """With what was found and what was needed."""
+    for options, message in [
         ({}, "one of K, poles and Q, got none"),
         ({"K": [[1.0, 1.0]], "Q": [1.0, 1.0]}, "one of K, poles and Q, got K and Q"),
         ({"K": [[1.0, 1.0]], "R": [1.0]}, "R, the weight of u, needs Q"),
@@ -123,13 +125,11 @@ def test_a_matched_disturbance_is_cancelled_exactly():
         ({"Q": [-1.0, 1.0]}, "Q is not positive semidefinite"),
         ({"Q": [1.0, 1.0], "R": [0.0]}, "R: expected a positive definite"),
         ({"poles": [-1.0, -2.0, -3.0]}, "state feedback: expected 2 poles, as many as K .* got 3"),
-    ],
-)
-def test_a_state_feedback_that_is_none_is_refused(options, message):
-    """With what was found and what was needed."""
-    A = np.array([[1.0, 1.0], [0.0, -1.0]])
-    with pytest.raises(AssumptionError, match=message):
-        state_feedback(A, np.array([[0.0], [1.0]]), **options)
+    ]:
+        with subtests.test(message=message):
+            A = np.array([[1.0, 1.0], [0.0, -1.0]])
+            with pytest.raises(AssumptionError, match=message):
+                state_feedback(A, np.array([[0.0], [1.0]]), **options)
 
 
 def test_an_unstable_mode_that_u_does_not_reach_is_refused():
@@ -291,17 +291,22 @@ def test_of_several_transmission_zeros_the_one_that_is_a_mode_is_named():
         check_zeros(plant, model, box)
 
 
-@for_each("seed", range(4))
-def test_a_transmission_zero_at_0_is_refused_under_a_constant_in_any_coordinates(seed):
+def test_a_transmission_zero_at_0_is_refused_under_a_constant_in_any_coordinates(subtests):
     """The velocity of a mass, where rounding moves the zero; no theta is named without one."""
-    A = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 1.0], [0.0, 0.0, -3.0]])
-    B = np.array([[0.0], [1.0], [0.5]])
-    T, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    system = DescriptorSystem.general(A=T @ A @ T.T, Bu=T @ B, Bd=T @ B, C=[[0, 1, 0]] @ T.T)
-    plant = regulated_plant(reduce(system), [0])
-    no_parameters = ParameterBox(np.zeros(0), np.zeros(0))
-    with pytest.raises(AssumptionError, match=r"a mode of the disturbance, .*TRANSMISSION_ZERO"):
-        check_zeros(plant, internal_model([FAMILIES["constant"]], 1), no_parameters)
+    for seed in range(4):
+        with subtests.test(seed=seed):
+            A = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 1.0], [0.0, 0.0, -3.0]])
+            B = np.array([[0.0], [1.0], [0.5]])
+            T, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+            system = DescriptorSystem.general(
+                A=T @ A @ T.T, Bu=T @ B, Bd=T @ B, C=[[0, 1, 0]] @ T.T
+            )
+            plant = regulated_plant(reduce(system), [0])
+            no_parameters = ParameterBox(np.zeros(0), np.zeros(0))
+            with pytest.raises(
+                AssumptionError, match=r"a mode of the disturbance, .*TRANSMISSION_ZERO"
+            ):
+                check_zeros(plant, internal_model([FAMILIES["constant"]], 1), no_parameters)
 
 
 # --- the certificate ---
@@ -319,16 +324,17 @@ def rate_at(reduced, gains, schedule, theta, *, h=H, delta=False):
     return growth(loop_matrix(reduced, gains, theta, h, at=at, delta=delta), h)
 
 
-@for_each("delta", [False, True])
-def test_the_loop_is_that_of_other_tools(delta):
+def test_the_loop_is_that_of_other_tools(subtests):
     """Written step by step with scipy's exponential, its gains between two nodes."""
-    reduced = drive()
-    gains = designed(reduced, lower=1.0, upper=2.0, ff=delta)
-    loop = loop_of(reduced, gains, delta=delta)
-    for theta in (1.0, 1.7):
-        at = loop.schedule.at(np.array([theta]))
-        expected = loop_matrix(reduced, gains, theta, H, at=at, delta=delta)
-        assert np.allclose(loop.Phi(np.array([theta])), expected, rtol=0.0, atol=1e-11)
+    for delta in [False, True]:
+        with subtests.test(delta=delta):
+            reduced = drive()
+            gains = designed(reduced, lower=1.0, upper=2.0, ff=delta)
+            loop = loop_of(reduced, gains, delta=delta)
+            for theta in (1.0, 1.7):
+                at = loop.schedule.at(np.array([theta]))
+                expected = loop_matrix(reduced, gains, theta, H, at=at, delta=delta)
+                assert np.allclose(loop.Phi(np.array([theta])), expected, rtol=0.0, atol=1e-11)
 
 
 def test_gains_are_interpolated_between_the_thetas_they_are_designed_for():
@@ -390,73 +396,80 @@ def test_a_proof_with_one_cell_holds_for_a_theta_that_varies():
     assert np.abs(state).max() < 1e-2 * largest
 
 
-@for_each("scale", [(1e6, 1.0, 1e-3, 1.0), (1.0, 1e-4, 1.0, 1e3)])
-def test_the_proof_succeeds_whatever_the_units_of_the_states(scale):
+def test_the_proof_succeeds_whatever_the_units_of_the_states(subtests):
     """The same loop in units a million times larger and smaller."""
-    units = np.array(scale)
-    reduced = drive(units)
-    weights = np.array([1.0, 10.0, 1.0, 1.0]) / units**2
-    gains = designed(reduced, lower=1.0, upper=2.0, Q=weights)
-    certificate = certify(loop_of(reduced, gains))
-    assert certificate.proven
-    same = certify(loop_of(drive(), designed(drive(), lower=1.0, upper=2.0)))
-    assert certificate.rate == pytest.approx(same.rate, rel=1e-3)
+    for scale in [(1e6, 1.0, 1e-3, 1.0), (1.0, 1e-4, 1.0, 1e3)]:
+        with subtests.test(scale=scale):
+            units = np.array(scale)
+            reduced = drive(units)
+            weights = np.array([1.0, 10.0, 1.0, 1.0]) / units**2
+            gains = designed(reduced, lower=1.0, upper=2.0, Q=weights)
+            certificate = certify(loop_of(reduced, gains))
+            assert certificate.proven
+            same = certify(loop_of(drive(), designed(drive(), lower=1.0, upper=2.0)))
+            assert certificate.rate == pytest.approx(same.rate, rel=1e-3)
 
 
-@for_each(("of_u", "of_y"), [(1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
-def test_the_proof_does_not_depend_on_the_units_of_u_and_y(of_u, of_y):
+def test_the_proof_does_not_depend_on_the_units_of_u_and_y(subtests):
     """What drives the internal model, e and the rest of u, is as large as its units make it."""
-    inner = drive()
-    reduced = replace(inner, B_1a=of_u * inner.B_1a, C3=of_y * inner.C3)
-    gains = designed(reduced, lower=1.5, upper=2.5, R=[of_u**2])
-    certified = certify_compensator(gains, sampled(reduced, H))
-    expected = certify_compensator(designed(inner, lower=1.5, upper=2.5), sampled(inner, H))
-    assert certified.rate == pytest.approx(expected.rate, rel=1e-6)
-    assert certified.cells <= 8 * expected.cells
+    for of_u, of_y in [(1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)]:
+        with subtests.test(of_y=of_y):
+            inner = drive()
+            reduced = replace(inner, B_1a=of_u * inner.B_1a, C3=of_y * inner.C3)
+            gains = designed(reduced, lower=1.5, upper=2.5, R=[of_u**2])
+            certified = certify_compensator(gains, sampled(reduced, H))
+            expected = certify_compensator(designed(inner, lower=1.5, upper=2.5), sampled(inner, H))
+            assert certified.rate == pytest.approx(expected.rate, rel=1e-6)
+            assert certified.cells <= 8 * expected.cells
 
 
-@for_each(("slower", "steps"), [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3), (1e3, 1e3)])
-def test_the_proof_depends_neither_on_the_unit_of_time_nor_on_the_step(slower, steps):
+def test_the_proof_depends_neither_on_the_unit_of_time_nor_on_the_step(subtests):
     """A vibration and a ramp, all rates a thousand times lower, the step a thousandth, or both.
 
     In the other unit of time the loop is the same one, to rounding. With a step far shorter than
     all that happens it is that of continuous time; the step of 0.01 s is worth 2 % of the rate.
     """
-    inner = drive()
-    reduced = replace(
-        inner, A_a=inner.A_a / slower, B_1a=inner.B_1a / slower, B_2a=inner.B_2a / slower
-    )
-    families = (Sine(), FAMILIES["ramp"])
-    gains = designed(reduced, lower=1.0 / slower, upper=2.0 / slower, families=families)
-    poles = [-6.0 / slower, -8.0 / slower]
-    observed = realize(reduced, design(reduced, poles=poles, filter_rate=50.0 / slower))
-    observer = StateSpace(observed.A, observed.B, observed.C[:4], observed.D[:4])
-    h = H * slower / steps
-    system = ControlledPlant(plant=plant_of(reduced), observer=observer, regulated=(0,), h=h)
-    certified = certify_compensator(gains, system)
-    expected = certify_compensator(
-        designed(inner, lower=1.0, upper=2.0, families=families), sampled(inner, H)
-    )
-    assert certified.rate * slower == pytest.approx(
-        expected.rate, rel=1e-5 if steps == 1.0 else 0.02
-    )
-    assert certified.cells <= 2 * expected.cells
+    for slower, steps in [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3), (1e3, 1e3)]:
+        with subtests.test(slower=slower, steps=steps):
+            inner = drive()
+            reduced = replace(
+                inner, A_a=inner.A_a / slower, B_1a=inner.B_1a / slower, B_2a=inner.B_2a / slower
+            )
+            families = (Sine(), FAMILIES["ramp"])
+            gains = designed(reduced, lower=1.0 / slower, upper=2.0 / slower, families=families)
+            poles = [-6.0 / slower, -8.0 / slower]
+            observed = realize(reduced, design(reduced, poles=poles, filter_rate=50.0 / slower))
+            observer = StateSpace(observed.A, observed.B, observed.C[:4], observed.D[:4])
+            h = H * slower / steps
+            system = ControlledPlant(
+                plant=plant_of(reduced), observer=observer, regulated=(0,), h=h
+            )
+            certified = certify_compensator(gains, system)
+            expected = certify_compensator(
+                designed(inner, lower=1.0, upper=2.0, families=families), sampled(inner, H)
+            )
+            assert certified.rate * slower == pytest.approx(
+                expected.rate, rel=1e-5 if steps == 1.0 else 0.02
+            )
+            assert certified.cells <= 2 * expected.cells
 
 
-@for_each("rate", [0.4, 2e-3])
-@for_each("degree", [1, 5])
-def test_the_gain_of_a_polynomial_is_accurate_at_any_rate(degree, rate):
+def test_the_gain_of_a_polynomial_is_accurate_at_any_rate(subtests):
     """All modes at 0 move to minus the rate: the coefficients of (s + rate)^(degree + 1)."""
-    n = degree + 1
-    model = internal_model([Polynomial(degree)], 1)
-    A = np.array([[-1.0]])
-    one = np.eye(1)
-    plant = regulated_plant(reduce(DescriptorSystem.general(A=A, Bu=one, Bd=one, C=one)), [0])
-    gains = stabilize(plant, np.zeros((1, 1)), model, np.zeros(0), rate)
-    closed = model.S(np.zeros(0)) - gains.B_w @ gains.K_w
-    units = rate ** -np.arange(float(n))  # in which the model has entries of its rate
-    scaled = closed * units / units[:, np.newaxis] / rate
-    assert np.allclose(np.poly(scaled), np.poly(-np.ones(n)), rtol=0.0, atol=1e-9)
+    for rate, degree in product([0.4, 2e-3], [1, 5]):
+        with subtests.test(rate=rate, degree=degree):
+            n = degree + 1
+            model = internal_model([Polynomial(degree)], 1)
+            A = np.array([[-1.0]])
+            one = np.eye(1)
+            plant = regulated_plant(
+                reduce(DescriptorSystem.general(A=A, Bu=one, Bd=one, C=one)), [0]
+            )
+            gains = stabilize(plant, np.zeros((1, 1)), model, np.zeros(0), rate)
+            closed = model.S(np.zeros(0)) - gains.B_w @ gains.K_w
+            units = rate ** -np.arange(float(n))  # in which the model has entries of its rate
+            scaled = closed * units / units[:, np.newaxis] / rate
+            assert np.allclose(np.poly(scaled), np.poly(-np.ones(n)), rtol=0.0, atol=1e-9)
 
 
 def test_a_loop_far_from_what_can_be_proven_is_refused():

@@ -16,7 +16,6 @@ from cosim.theory.disturbances.families import (
     Sine,
     TExponential,
 )
-from tests.theory.looped import for_each
 
 CONSTANT = Polynomial(0, "constant")
 RAMP = Polynomial(1, "ramp")
@@ -31,47 +30,47 @@ def check(families, fixed=(), bounds=None, alphas=None, span=20.0):
     check_distinguishable(families, alphas, alphas, bounds=both, span=span)
 
 
-@for_each(
-    ("families", "fixed", "message"),
-    [
-        ([CONSTANT, CONSTANT], (), r"a constant: .*merge them: one term of family 'constant'"),
-        ([CONSTANT, RAMP], (), r"a constant: .*merge them: one term of family 'ramp'"),
-        ([RAMP, CONSTANT], (), r"a constant: .*merge them: one term of family 'ramp'"),
-        ([Exponential(), CONSTANT], (0.0,), r"a constant: .*merge them into one term"),
-        ([CONSTANT, Exponential()], (5e-7,), r"a constant: .*merge them into one term"),
-        ([Exponential(), Exponential()], (-0.2, -0.2), r"exp\(-0.2 t\): "),
-        ([Exponential(), Exponential()], (1.0, 1.0 + 5e-7), r"exp\(1 t\): "),
-        ([Exponential(), Exponential()], (-100.0, -100.0 - 5e-5), r"exp\(-100 t\): "),
-        ([TExponential(), Exponential()], (-0.2, -0.2), r"exp\(-0.2 t\): "),
-        ([Sine(), Sine()], (1.5, 1.5), r"a sine of 1.5 rad/s: "),
-        ([DampedSine(), Sine()], (0.0, 1.5, 1.5), r"a sine of 1.5 rad/s: "),
-    ],
-)
-def test_terms_that_say_the_same_are_refused(families, fixed, message):
+def test_terms_that_say_the_same_are_refused(subtests):
     """The message has both terms, their alpha and the signal, and what to do."""
-    names = r"terms\[0\] \(.*\) and terms\[1\] \(.*\) share alpha 'a', .* make "
-    with pytest.raises(AssumptionError, match=names + message):
-        check(families, fixed)
+    for number, (families, fixed, message) in enumerate(
+        [
+            ([CONSTANT, CONSTANT], (), r"a constant: .*merge them: one term of family 'constant'"),
+            ([CONSTANT, RAMP], (), r"a constant: .*merge them: one term of family 'ramp'"),
+            ([RAMP, CONSTANT], (), r"a constant: .*merge them: one term of family 'ramp'"),
+            ([Exponential(), CONSTANT], (0.0,), r"a constant: .*merge them into one term"),
+            ([CONSTANT, Exponential()], (5e-7,), r"a constant: .*merge them into one term"),
+            ([Exponential(), Exponential()], (-0.2, -0.2), r"exp\(-0.2 t\): "),
+            ([Exponential(), Exponential()], (1.0, 1.0 + 5e-7), r"exp\(1 t\): "),
+            ([Exponential(), Exponential()], (-100.0, -100.0 - 5e-5), r"exp\(-100 t\): "),
+            ([TExponential(), Exponential()], (-0.2, -0.2), r"exp\(-0.2 t\): "),
+            ([Sine(), Sine()], (1.5, 1.5), r"a sine of 1.5 rad/s: "),
+            ([DampedSine(), Sine()], (0.0, 1.5, 1.5), r"a sine of 1.5 rad/s: "),
+        ]
+    ):
+        with subtests.test(number=number):
+            names = r"terms\[0\] \(.*\) and terms\[1\] \(.*\) share alpha 'a', .* make "
+            with pytest.raises(AssumptionError, match=names + message):
+                check(families, fixed)
 
 
-@for_each(
-    ("families", "fixed"),
-    [
-        ([Exponential(), Exponential()], ()),
-        ([Exponential(), CONSTANT], ()),
-        ([Exponential(), CONSTANT], (2e-6,)),
-        ([Exponential(), Exponential()], (1.0, 1.0 + 2e-6)),
-        ([Exponential(), Exponential()], (-100.0, -100.0 - 2e-4)),
-        ([Exponential(), Exponential()], (None, BY_CHANCE)),
-        ([Sine(), Sine()], ()),
-        ([Sine(), CONSTANT], ()),
-        ([DampedSine(), Sine()], (0.1, 1.5, 1.5)),
-        ([Exponential(), Sine(), Exponential()], (-0.2, -0.2, -0.3)),
-    ],
-)
-def test_terms_that_differ_for_some_theta_are_accepted(families, fixed):
+def test_terms_that_differ_for_some_theta_are_accepted(subtests):
     """A parameter that is free, values apart by more than rounding, an agreement by chance."""
-    check(families, fixed)
+    for number, (families, fixed) in enumerate(
+        [
+            ([Exponential(), Exponential()], ()),
+            ([Exponential(), CONSTANT], ()),
+            ([Exponential(), CONSTANT], (2e-6,)),
+            ([Exponential(), Exponential()], (1.0, 1.0 + 2e-6)),
+            ([Exponential(), Exponential()], (-100.0, -100.0 - 2e-4)),
+            ([Exponential(), Exponential()], (None, BY_CHANCE)),
+            ([Sine(), Sine()], ()),
+            ([Sine(), CONSTANT], ()),
+            ([DampedSine(), Sine()], (0.1, 1.5, 1.5)),
+            ([Exponential(), Sine(), Exponential()], (-0.2, -0.2, -0.3)),
+        ]
+    ):
+        with subtests.test(number=number):
+            check(families, fixed)
 
 
 def test_terms_of_other_alphas_are_not_compared():
@@ -81,20 +80,18 @@ def test_terms_of_other_alphas_are_not_compared():
         check([Exponential(), Sine(), Exponential()], (-0.2, 3.0, -0.2), alphas=["a", "b", "a"])
 
 
-@for_each(
-    ("families", "bounds", "rate"),
-    [
+def test_a_sine_as_slow_as_a_straight_line_is_refused_beside_a_constant(subtests):
+    """Below 0.02 rad in a run of 20 s, whichever comes first."""
+    for families, bounds, rate in [
         ([Sine(), CONSTANT], {0: (0.0, 9e-4)}, "0.0009"),
         ([CONSTANT, Sine()], {0: (-9e-4, 0.0)}, "0.0009"),
         ([CONSTANT, Sine()], {0: (-9e-4, 5e-4)}, "0.0009"),
         ([Exponential(), CONSTANT, DampedSine()], {2: (0.0, 5e-4)}, "0.0005"),
-    ],
-)
-def test_a_sine_as_slow_as_a_straight_line_is_refused_beside_a_constant(families, bounds, rate):
-    """Below 0.02 rad in a run of 20 s, whichever comes first."""
-    message = rf"bounded by {rate} rad/s: .* in the 20 s .* above 0.001 rad/s"
-    with pytest.raises(AssumptionError, match=message):
-        check(families, bounds=bounds)
+    ]:
+        with subtests.test(bounds=bounds):
+            message = rf"bounded by {rate} rad/s: .* in the 20 s .* above 0.001 rad/s"
+            with pytest.raises(AssumptionError, match=message):
+                check(families, bounds=bounds)
 
 
 def test_a_sine_that_may_be_seen_is_accepted():
@@ -112,21 +109,27 @@ BASE = 2.0 + np.sin(1.7 * T)
 ONE = [[Exponential()], [Exponential()]]
 
 
-@for_each(
-    ("other", "families", "family"),
-    [
-        (BASE * np.exp(0.5 * T), ONE, "exponential"),
-        (-3.0 * BASE * np.exp(0.5 * T), ONE, "exponential"),
-        (BASE * np.exp(0.5 * T), [[Sine(), DampedSine()], [DampedSine()]], "damped-sine"),
-        (BASE * np.exp(0.5 * T), [[TExponential()], [CONSTANT, TExponential()]], "t-exponential"),
-    ],
-)
-def test_an_alpha_that_is_another_times_an_exponential_is_refused(other, families, family):
+def test_an_alpha_that_is_another_times_an_exponential_is_refused(subtests):
     """Terms with an exponent take it up; the message has the rate and both alphas."""
-    alpha = np.column_stack([other, BASE])
-    message = rf"alpha 'p' is a multiple of exp\(0.5 t\) times alpha 'q', .* '{family}' .* by 0.5"
-    with pytest.raises(AssumptionError, match=message):
-        check_exchangeable(T, alpha, families, ["p", "q"])
+    for number, (other, families, family) in enumerate(
+        [
+            (BASE * np.exp(0.5 * T), ONE, "exponential"),
+            (-3.0 * BASE * np.exp(0.5 * T), ONE, "exponential"),
+            (BASE * np.exp(0.5 * T), [[Sine(), DampedSine()], [DampedSine()]], "damped-sine"),
+            (
+                BASE * np.exp(0.5 * T),
+                [[TExponential()], [CONSTANT, TExponential()]],
+                "t-exponential",
+            ),
+        ]
+    ):
+        with subtests.test(number=number):
+            alpha = np.column_stack([other, BASE])
+            message = (
+                rf"alpha 'p' is a multiple of exp\(0.5 t\) times alpha 'q', .* '{family}' .* by 0.5"
+            )
+            with pytest.raises(AssumptionError, match=message):
+                check_exchangeable(T, alpha, families, ["p", "q"])
 
 
 def test_a_ratio_counts_where_the_other_alpha_is_not_small():
@@ -143,18 +146,18 @@ def test_a_ratio_counts_where_the_other_alpha_is_not_small():
             check_exchangeable(T, alpha, ONE, ["p", "q"])
 
 
-@for_each(
-    ("other", "families"),
-    [
-        (BASE * np.exp(0.5 * T), [[Exponential()], [Sine()]]),
-        (BASE * np.exp(0.5 * T), [[Exponential()], [TExponential()]]),
-        (BASE * np.exp(0.5 * T), [[Sine()], [Sine()]]),
-        (BASE * np.exp(0.01 * T**2), ONE),
-        (BASE * np.exp(0.5 * T) * (1.0 + 1e-5 * np.sin(T)), ONE),
-        (BASE * np.exp(0.5 * T) * np.where(T > 2.0, 1.0, -1.0), ONE),
-        (BASE * np.exp(0.5 * T) * np.where(T == 2.0, 0.0, 1.0), ONE),
-    ],
-)
-def test_alphas_that_exchange_nothing_are_accepted(other, families):
+def test_alphas_that_exchange_nothing_are_accepted(subtests):
     """No term to take the exponent up, or a ratio that is no exponential."""
-    check_exchangeable(T, np.column_stack([other, BASE]), families, ["p", "q"])
+    for number, (other, families) in enumerate(
+        [
+            (BASE * np.exp(0.5 * T), [[Exponential()], [Sine()]]),
+            (BASE * np.exp(0.5 * T), [[Exponential()], [TExponential()]]),
+            (BASE * np.exp(0.5 * T), [[Sine()], [Sine()]]),
+            (BASE * np.exp(0.01 * T**2), ONE),
+            (BASE * np.exp(0.5 * T) * (1.0 + 1e-5 * np.sin(T)), ONE),
+            (BASE * np.exp(0.5 * T) * np.where(T > 2.0, 1.0, -1.0), ONE),
+            (BASE * np.exp(0.5 * T) * np.where(T == 2.0, 0.0, 1.0), ONE),
+        ]
+    ):
+        with subtests.test(number=number):
+            check_exchangeable(T, np.column_stack([other, BASE]), families, ["p", "q"])

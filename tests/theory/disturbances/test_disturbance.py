@@ -26,7 +26,6 @@ from cosim.theory.disturbances.families import (
 )
 from cosim.theory.disturbances.linear_family import LinearFamily
 from tests.theory.closed_forms import FORMS, OSCILLATOR
-from tests.theory.looped import for_each
 
 KNOWN = st.sampled_from(sorted(FORMS)).flatmap(FORMS.__getitem__)
 
@@ -168,9 +167,9 @@ SQUARE = ((0.0, 1.0), (-1.0, 0.0))
 ONE = (((0.0, 0.0), (-1.0, 0.0)),)
 
 
-@for_each(
-    ("arguments", "message"),
-    [
+def test_a_generator_that_is_none_is_refused(subtests):
+    """Shapes, names, an unobserved state, parameters that no signal depends on."""
+    for arguments, message in [
         ((SQUARE, ONE, (1.0, 0.0, 0.0), ("a",)), r"G0: expected 3 rows of 3 .* got 2 rows of 2"),
         ((SQUARE, (((1.0,),),), (1.0, 0.0), ("a",)), r"G\[0\]: expected 2 rows .* got 1 rows of 1"),
         ((SQUARE, ONE, (1.0, 0.0), ()), r"parameters: expected 1 names, .* got 0"),
@@ -189,12 +188,9 @@ ONE = (((0.0, 0.0), (-1.0, 0.0)),)
         ((SQUARE, ONE * 2, (1.0, 0.0), ("a", "b")), r"the 2 parameters a, b move the 2 eig"),
         ((SQUARE, ONE, (1.0, 0.0), ("a",), ((2.0, 1.0),)), r"search of a: .* got \[2, 1\]"),
         ((SQUARE, ONE, (1.0, 0.0), ("a",), ()), r"search: expected 1 ranges, .* got 0"),
-    ],
-)
-def test_a_generator_that_is_none_is_refused(arguments, message):
-    """Shapes, names, an unobserved state, parameters that no signal depends on."""
-    with pytest.raises(AssumptionError, match=message):
-        LinearFamily(*arguments)
+    ]:
+        with subtests.test(message=message), pytest.raises(AssumptionError, match=message):
+            LinearFamily(*arguments)
 
 
 def test_a_theta_of_the_wrong_size_is_refused():

@@ -3,7 +3,6 @@ import numpy as np
 from cosim.theory.disturbances.excitation import describe_excitation, information
 from cosim.theory.disturbances.regression import expand, mu
 from tests.theory.academic import delayed
-from tests.theory.looped import for_each
 
 
 def papers_information(case, steps):
@@ -40,9 +39,9 @@ def test_the_verdict_names_the_prior_that_decides(case):
     )
 
 
-@for_each(
-    ("eigenvalues", "prior", "message"),
-    [
+def test_the_verdict_has_numbers(subtests):
+    """The data determine eta, nothing does, or the prior does."""
+    for eigenvalues, prior, message in [
         (
             [1.0, 4.0],
             1e-9,
@@ -69,8 +68,6 @@ def test_the_verdict_names_the_prior_that_decides(case):
             "eigenvalue 0 is zero to rounding beside the largest 0; some combination of the "
             "regression coefficients leaves no trace in the data; the prior alone decides it",
         ),
-    ],
-)
-def test_the_verdict_has_numbers(eigenvalues, prior, message):
-    """The data determine eta, nothing does, or the prior does."""
-    assert describe_excitation(np.array(eigenvalues), prior) == message
+    ]:
+        with subtests.test(message=message):
+            assert describe_excitation(np.array(eigenvalues), prior) == message

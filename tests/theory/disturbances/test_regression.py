@@ -22,7 +22,6 @@ from cosim.theory.disturbances.regression import (
 )
 from tests.theory.academic import DELAYS, THETA, alpha, delayed
 from tests.theory.closed_forms import FORMS
-from tests.theory.looped import for_each
 
 SIZES = [[1], [2], [1, 1], [3], [2, 1], [1, 2], [1, 1, 1], [2, 2], [1, 1, 2]]
 
@@ -122,41 +121,41 @@ def permanent(matrix):
 
 
 @pytest.mark.parametrize("is_shared", [True, False], ids=["one alpha", "an alpha each"])
-@for_each("names", MIXTURES)
 @settings(max_examples=10)
 @given(data=st.data())
-def test_the_regression_holds_for_every_signal_of_the_class(names, is_shared, data):
+def test_the_regression_holds_for_every_signal_of_the_class(is_shared, data):
     """(25) vanishes whatever the amplitudes, parameters, alphas and delays, for l = 1 to 4.
 
     The signals are closed forms, the alphas any numbers. What is left is rounding, relative to the
     sum of the absolute products of the determinant, expanded to the last factor: components of one
     alpha that are nearly the same have minors whose products cancel.
     """
-    forms = [data.draw(FORMS[name]) for name in names]
-    alphas_of = ["a"] * len(forms) if is_shared else list("abcd"[: len(forms)])
-    groups = group_by_alpha(alphas_of, [form.family for form in forms])
-    sizes = tuple(group.size for group in groups)
-    gaps = data.draw(
-        st.lists(st.floats(0.2, 0.9), min_size=sum(sizes) + 1, max_size=sum(sizes) + 1)
-    )
-    times = 2.0 - np.cumsum(gaps)
-    delays = 2.0 - times
-    seed = data.draw(st.integers(0, 1000))
-    alphas = np.random.default_rng(seed).uniform(0.5, 2.0, (len(delays), len(groups)))
-    delta = np.zeros(len(delays))
-    size = np.zeros(len(delays))
-    K = []
-    for b, group in enumerate(groups):
-        own = [forms[i] for i in group.components]
-        K.append(coefficients(group.families, [form.theta for form in own], delays))
-        for form in own:
-            delta += alphas[:, b] * [form(t) for t in times]
-            size += alphas[:, b] * [form.size(t) for t in times]
-    terms = expand(sizes)
-    products = mu(terms, delta[None], alphas[None])[0] * chi(terms, K)
-    columns = [np.abs(alphas[:, [b]] * rows) for b, rows in enumerate(K)]
-    absolute = permanent(np.column_stack([size, *columns]))
-    assert abs(products.sum()) <= 1e-12 * absolute + np.finfo(np.float64).tiny
+    for names in MIXTURES:
+        forms = [data.draw(FORMS[name]) for name in names]
+        alphas_of = ["a"] * len(forms) if is_shared else list("abcd"[: len(forms)])
+        groups = group_by_alpha(alphas_of, [form.family for form in forms])
+        sizes = tuple(group.size for group in groups)
+        gaps = data.draw(
+            st.lists(st.floats(0.2, 0.9), min_size=sum(sizes) + 1, max_size=sum(sizes) + 1)
+        )
+        times = 2.0 - np.cumsum(gaps)
+        delays = 2.0 - times
+        seed = data.draw(st.integers(0, 1000))
+        alphas = np.random.default_rng(seed).uniform(0.5, 2.0, (len(delays), len(groups)))
+        delta = np.zeros(len(delays))
+        size = np.zeros(len(delays))
+        K = []
+        for b, group in enumerate(groups):
+            own = [forms[i] for i in group.components]
+            K.append(coefficients(group.families, [form.theta for form in own], delays))
+            for form in own:
+                delta += alphas[:, b] * [form(t) for t in times]
+                size += alphas[:, b] * [form.size(t) for t in times]
+        terms = expand(sizes)
+        products = mu(terms, delta[None], alphas[None])[0] * chi(terms, K)
+        columns = [np.abs(alphas[:, [b]] * rows) for b, rows in enumerate(K)]
+        absolute = permanent(np.column_stack([size, *columns]))
+        assert abs(products.sum()) <= 1e-12 * absolute + np.finfo(np.float64).tiny, names
 
 
 @given(st.sampled_from(SIZES), st.randoms(use_true_random=False))
@@ -190,19 +189,16 @@ def test_eta_needs_a_first_constant():
         eta(expand((2,)), [coefficients([Sine()], [0.0], DELAYS)])
 
 
-@for_each(
-    ("delays", "message"),
-    [
+def test_delays_that_do_not_fit_are_refused(subtests):
+    """Assumption 3: as many as needed, finite, pairwise distinct."""
+    for delays, message in [
         ((1.0, 2.0, 1.0), r"delays 1 and 3: .* got 1 s twice"),
         ((1.0, 2.0), r"delays: expected 3, .* got 2"),
         ((1.0, -2.0, 3.0), r"delay 2: .* got -2 s"),
         ((1.0, 2.0, math.nan), r"delay 3: .* got nan s"),
-    ],
-)
-def test_delays_that_do_not_fit_are_refused(delays, message):
-    """Assumption 3: as many as needed, finite, pairwise distinct."""
-    with pytest.raises(AssumptionError, match=message):
-        check_delays(delays, 3)
+    ]:
+        with subtests.test(message=message), pytest.raises(AssumptionError, match=message):
+            check_delays(delays, 3)
 
 
 def grid(*functions, delays=DELAYS):
@@ -218,9 +214,9 @@ def test_the_papers_alphas_are_independent():
     check_delays(DELAYS, 3)
 
 
-@for_each(
-    ("alphas", "message"),
-    [
+def test_dependent_alpha_products_are_refused(subtests):
+    """The message names proportional alphas; alphas that a delay scales or repeats are refused."""
+    for alphas, message in [
         (
             grid(np.cos, lambda t: -3.0 * np.cos(t)),
             r"alpha 'a' and alpha 'b' are proportional; merge their components into one group",
@@ -237,12 +233,9 @@ def test_the_papers_alphas_are_independent():
             grid(np.cos, lambda t: 2 + np.sin(t))[:1],
             r"at least 2 instants .* alpha products, got 1",
         ),
-    ],
-)
-def test_dependent_alpha_products_are_refused(alphas, message):
-    """The message names proportional alphas; alphas that a delay scales or repeats are refused."""
-    with pytest.raises(AssumptionError, match=message):
-        check_alpha_products(expand((1, 1)), alphas, ["a", "b"])
+    ]:
+        with subtests.test(message=message), pytest.raises(AssumptionError, match=message):
+            check_alpha_products(expand((1, 1)), alphas, ["a", "b"])
 
 
 def test_the_limits_of_the_linear_route_are_warned_of():

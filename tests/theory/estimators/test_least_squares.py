@@ -26,7 +26,6 @@ from cosim.theory.estimators.least_squares import (
     trapezoid_weights,
 )
 from tests.theory.academic import DELAYS, THETA, delayed
-from tests.theory.looped import for_each
 
 
 def gauss(a, b, pieces):
@@ -158,28 +157,29 @@ def test_terms_of_other_families_are_recovered_beside_one_without_parameters(
     np.testing.assert_allclose(recover(planned, eta), [decay, rate, exponent], rtol=0, atol=1e-6)
 
 
-@for_each(
-    ("family", "theta"), [(DampedSine(), [0.2, 1.3]), (Sine(), [1.3]), (TExponential(), [-0.4])]
-)
-def test_the_kernel_recovers_theta_as_the_formula_does(family, theta):
+def test_the_kernel_recovers_theta_as_the_formula_does(subtests):
     """One row for each unknown of the regression, which has eta as its solution."""
-    terms, groups, planned = recovery(["a"], [family], [0.5, 1.0, 1.5])
-    eta = exact_eta(terms, groups, [theta], [0.5, 1.0, 1.5])
-    kernel = LeastSquares(
-        LeastSquaresConstants(
-            unknowns=len(eta),
-            start_time=0.0,
-            information=0.0,
-            recovery=recovery_constants(planned),
-            held=True,
-        )
-    )
-    kernel.initialize()
-    mu = np.column_stack([-eta, np.eye(len(eta))])
-    rows = np.vstack([mu, mu[-1]])
-    y = kernel.step.advance(np.arange(len(rows)) * 1.0, 1.0, rows)
-    np.testing.assert_allclose(y[-1, : len(theta)], recover(planned, eta), rtol=0, atol=1e-7)
-    np.testing.assert_allclose(y[-1, : len(theta)], theta, rtol=0, atol=1e-6)
+    for family, theta in [(DampedSine(), [0.2, 1.3]), (Sine(), [1.3]), (TExponential(), [-0.4])]:
+        with subtests.test(theta=theta):
+            terms, groups, planned = recovery(["a"], [family], [0.5, 1.0, 1.5])
+            eta = exact_eta(terms, groups, [theta], [0.5, 1.0, 1.5])
+            kernel = LeastSquares(
+                LeastSquaresConstants(
+                    unknowns=len(eta),
+                    start_time=0.0,
+                    information=0.0,
+                    recovery=recovery_constants(planned),
+                    held=True,
+                )
+            )
+            kernel.initialize()
+            mu = np.column_stack([-eta, np.eye(len(eta))])
+            rows = np.vstack([mu, mu[-1]])
+            y = kernel.step.advance(np.arange(len(rows)) * 1.0, 1.0, rows)
+            np.testing.assert_allclose(
+                y[-1, : len(theta)], recover(planned, eta), rtol=0, atol=1e-7
+            )
+            np.testing.assert_allclose(y[-1, : len(theta)], theta, rtol=0, atol=1e-6)
 
 
 def test_terms_without_parameters_have_no_recovery():
@@ -224,9 +224,9 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
     assert np.isnan(recover(sine, np.array([0.0, 1.0]))).all()
 
 
-@for_each(
-    ("alphas", "families", "delays", "message"),
-    [
+def test_a_recovery_that_does_not_exist_is_refused(subtests):
+    """The message lists the possible families."""
+    for alphas, families, delays, message in [
         (
             ["a"] * 3,
             [Exponential()] * 3,
@@ -247,27 +247,27 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
             r"share alpha 'a': expected 3 equally spaced delays, got 1, 2, 4 s",
         ),
         (["a", "b"], [Exponential()] * 2, (1, 2, 2), r"delays 2 and 3: .* got 2 s twice"),
-    ],
-)
-def test_a_recovery_that_does_not_exist_is_refused(alphas, families, delays, message):
-    """The message lists the possible families."""
-    with pytest.raises(AssumptionError, match=message):
-        recovery(alphas, families, delays)
+    ]:
+        with subtests.test(message=message), pytest.raises(AssumptionError, match=message):
+            recovery(alphas, families, delays)
 
 
-@for_each(("name", "prior"), [("C04", 1e-3), ("C05", 1e-9)])
-def test_least_squares_is_the_solution_of_the_papers_equations(case, name, prior):
+def test_least_squares_is_the_solution_of_the_papers_equations(case, subtests):
     """(33)-(34) from exact delta: theta_2 has the wrong sign with P(0) = 1e3 I, not with 1e9 I."""
-    reference = case(name)
-    expected = reference["expected"] if name == "C04" else reference["expected"]["P0_1e9"]
-    _, _, planned = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
-    for sample in expected["oracle_delta"]:
-        t, weights = gauss(
-            reference["T_id"], sample["t"], 100
-        )  # pieces below 0.4 s: the rule is exact to rounding
-        computed = least_squares(mu(expand((1, 1)), *delayed(t)), weights, prior)
-        np.testing.assert_allclose(computed, sample["eta"], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(recover(planned, computed), sample["theta"], rtol=0, atol=1e-9)
+    for name, prior in [("C04", 1e-3), ("C05", 1e-9)]:
+        with subtests.test(name=name):
+            reference = case(name)
+            expected = reference["expected"] if name == "C04" else reference["expected"]["P0_1e9"]
+            _, _, planned = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
+            for sample in expected["oracle_delta"]:
+                t, weights = gauss(
+                    reference["T_id"], sample["t"], 100
+                )  # pieces below 0.4 s: the rule is exact to rounding
+                computed = least_squares(mu(expand((1, 1)), *delayed(t)), weights, prior)
+                np.testing.assert_allclose(computed, sample["eta"], rtol=0, atol=1e-9)
+                np.testing.assert_allclose(
+                    recover(planned, computed), sample["theta"], rtol=0, atol=1e-9
+                )
 
 
 def test_least_squares_without_a_prior_is_exact(case):

@@ -22,7 +22,6 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
-from tests.theory.looped import for_each
 
 FAMILIES = (Exponential(), Exponential())
 START = np.array([-0.05, -0.5])
@@ -270,9 +269,9 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
     np.testing.assert_allclose(fit.standard_error, 1e-3 * BOUND, rtol=0.02)
 
 
-@for_each(
-    ("change", "text"),
-    [
+def test_samples_that_are_none_are_refused(subtests):
+    """Each with what was found."""
+    for change, text in [
         (
             {"t": np.array([0.0, 2.0, 1.0])},
             r"t: .* ascending .* got 2.0 s at sample 1",
@@ -283,18 +282,16 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
         ({"y": np.zeros(3)}, "y: "),
         ({"t": "late"}, "t: could not convert string to float"),
         ({"alpha": np.full((3, 2), np.inf)}, r"alpha: .* at t = 0.0 s"),
-    ],
-)
-def test_samples_that_are_none_are_refused(change, text):
-    """Each with what was found."""
-    good = {
-        "t": np.arange(3.0),
-        "y": np.zeros((3, 1)),
-        "u": np.zeros((3, 1)),
-        "alpha": np.ones((3, 2)),
-    }
-    with pytest.raises(AssumptionError, match=text.replace("(", r"\(").replace(")", r"\)")):
-        DataSet(**{**good, **change})
+    ]:
+        with subtests.test(text=text):
+            good = {
+                "t": np.arange(3.0),
+                "y": np.zeros((3, 1)),
+                "u": np.zeros((3, 1)),
+                "alpha": np.ones((3, 2)),
+            }
+            with pytest.raises(AssumptionError, match=text.replace("(", r"\(").replace(")", r"\)")):
+                DataSet(**{**good, **change})
 
 
 def test_fewer_samples_than_unknowns_are_refused():
@@ -312,29 +309,29 @@ def test_a_start_of_another_size_is_refused(exact, start):
         fit_output_error([data(*exact)], plant(), FAMILIES, np.array(start))
 
 
-@for_each(
-    ("change", "text"),
-    [
-        ({"data": []}, "data: .* got none"),
-        ({"stated": np.array([[-1.0]])}, r"stated: .* covariance .* got \[\[-1.0\]\]"),
-        ({"stated": np.array([[np.nan]])}, "stated: expected"),
-        ({"stated": np.eye(2)}, r"stated: .* of shape \(1, 1\), got"),
-        ({"stated": np.array([1.0])}, "stated: expected"),
-        ({"bounds": {2: (0.0, 1.0)}}, r"bounds: no theta\[2\]"),
-        ({"bounds": {0: (1.0, 0.0)}}, r"bounds of theta\[0\]: .* 1.0 > 0.0"),
-        ({"families": FAMILIES[:1]}, "families: expected 2 columns, as of the plant, got 1"),
-    ],
-)
-def test_a_problem_that_does_not_fit_together_is_refused(exact, change, text):
+def test_a_problem_that_does_not_fit_together_is_refused(exact, subtests):
     """When it is stated, not in the midst of a fit."""
-    good = {"data": [data(*exact)], "plant": plant(), "families": FAMILIES}
-    with pytest.raises(AssumptionError, match=text):
-        OutputErrorProblem(**{**good, **change})
+    for number, (change, text) in enumerate(
+        [
+            ({"data": []}, "data: .* got none"),
+            ({"stated": np.array([[-1.0]])}, r"stated: .* covariance .* got \[\[-1.0\]\]"),
+            ({"stated": np.array([[np.nan]])}, "stated: expected"),
+            ({"stated": np.eye(2)}, r"stated: .* of shape \(1, 1\), got"),
+            ({"stated": np.array([1.0])}, "stated: expected"),
+            ({"bounds": {2: (0.0, 1.0)}}, r"bounds: no theta\[2\]"),
+            ({"bounds": {0: (1.0, 0.0)}}, r"bounds of theta\[0\]: .* 1.0 > 0.0"),
+            ({"families": FAMILIES[:1]}, "families: expected 2 columns, as of the plant, got 1"),
+        ]
+    ):
+        with subtests.test(number=number):
+            good = {"data": [data(*exact)], "plant": plant(), "families": FAMILIES}
+            with pytest.raises(AssumptionError, match=text):
+                OutputErrorProblem(**{**good, **change})
 
 
-@for_each(
-    ("matrix", "is_one"),
-    [
+def test_a_covariance_is_symmetric_and_positive_definite(subtests):
+    """Whatever the units of its outputs are."""
+    for matrix, is_one in [
         ([[1e-12, 0.0], [0.0, 1e12]], True),
         ([[1.0, 0.5], [0.5, 1.0]], True),
         ([[1.0, 0.5], [0.4, 1.0]], False),
@@ -342,8 +339,6 @@ def test_a_problem_that_does_not_fit_together_is_refused(exact, change, text):
         ([[1.0, 1.0], [1.0, 1.0]], False),
         ([[1.0, 0.0], [0.0, 0.0]], False),
         ([[1.0, np.inf], [np.inf, 1.0]], False),
-    ],
-)
-def test_a_covariance_is_symmetric_and_positive_definite(matrix, is_one):
-    """Whatever the units of its outputs are."""
-    assert is_covariance(np.array(matrix)) == is_one
+    ]:
+        with subtests.test(matrix=matrix):
+            assert is_covariance(np.array(matrix)) == is_one

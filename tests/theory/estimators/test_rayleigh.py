@@ -15,7 +15,6 @@ from cosim.theory.estimators.rayleigh import (
     rayleigh_constants,
 )
 from tests.theory.academic import DELAYS, THETA, delayed
-from tests.theory.looped import for_each
 
 FAMILIES = (Exponential(), Exponential())
 TERMS = expand((1, 1))
@@ -46,13 +45,14 @@ def test_the_search_finds_theta_of_exact_rows():
     assert found.variance < 1e-20
 
 
-@for_each("start", [(-2.5, -2.5), (-0.3, -0.1), (0.0, -1.0), (-1.0, 0.0)])
-def test_starts_far_away_reach_theta(start):
+def test_starts_far_away_reach_theta(subtests):
     """Also those where both are exchanged, or equal."""
-    rows, factors = regression()
-    N = noise_covariance(TERMS, factors)
-    found = rayleigh(constants(), rows, N, theta=np.array(start))
-    np.testing.assert_allclose(found.theta, THETA, rtol=1e-7)
+    for start in [(-2.5, -2.5), (-0.3, -0.1), (0.0, -1.0), (-1.0, 0.0)]:
+        with subtests.test(start=start):
+            rows, factors = regression()
+            N = noise_covariance(TERMS, factors)
+            found = rayleigh(constants(), rows, N, theta=np.array(start))
+            np.testing.assert_allclose(found.theta, THETA, rtol=1e-7)
 
 
 def test_the_covariance_of_the_noise_is_the_sum_over_unit_noises():

@@ -22,7 +22,6 @@ from cosim.theory.estimators.start_grid import (
     search_starts,
     start_grid,
 )
-from tests.theory.looped import for_each
 
 T = np.arange(401) * 0.02
 LOWER = np.array([-3.0, 0.2])
@@ -219,22 +218,20 @@ def test_a_rate_beyond_the_box_is_found_within_bounds(bounds):
     assert (abs(start[0] - 100.0) < 0.1) == (box.lower[0] <= 100.0 <= box.upper[0])
 
 
-@for_each(
-    ("bounds", "expected"),
-    [
+def test_bounds_cut_the_box_of_the_search(subtests):
+    """Where they overlap it; beside it they are searched themselves."""
+    for bounds, expected in [
         ((5.0, np.inf), (5.0, None)),
         ((-np.inf, 5.0), (None, 5.0)),
         ((2.0, 5.0), (2.0, 5.0)),
         ((-np.inf, np.inf), (None, None)),
         ((-9.0, -8.0), (-9.0, -8.0)),
-    ],
-)
-def test_bounds_cut_the_box_of_the_search(bounds, expected):
-    """Where they overlap it; beside it they are searched themselves."""
-    box = box_of_search([Sine()], span=20.0, spacing=0.1)
-    cut = box_of_search([Sine()], span=20.0, spacing=0.1, bounds={0: bounds})
-    assert cut.lower[0] == (box.lower[0] if expected[0] is None else expected[0])
-    assert cut.upper[0] == (box.upper[0] if expected[1] is None else expected[1])
+    ]:
+        with subtests.test(bounds=bounds):
+            box = box_of_search([Sine()], span=20.0, spacing=0.1)
+            cut = box_of_search([Sine()], span=20.0, spacing=0.1, bounds={0: bounds})
+            assert cut.lower[0] == (box.lower[0] if expected[0] is None else expected[0])
+            assert cut.upper[0] == (box.upper[0] if expected[1] is None else expected[1])
 
 
 @pytest.mark.parametrize("every", [1, 10])
@@ -267,9 +264,10 @@ def test_two_sines_are_found_up_to_twenty_five_periods():
     np.testing.assert_allclose(np.sort(start), [3.0, 7.5], atol=1e-2)
 
 
-@for_each("parameters", range(1, 13))
-def test_a_grid_has_all_the_points_that_are_searched(parameters):
+def test_a_grid_has_all_the_points_that_are_searched(subtests):
     """One more in every direction is more than 4096 in all, or than an axis has; exact roots."""
-    points = grid_points(parameters)
-    assert points**parameters <= MOST_POINTS
-    assert points == MOST_POINTS_ON_AN_AXIS or (points + 1) ** parameters > MOST_POINTS
+    for parameters in range(1, 13):
+        with subtests.test(parameters=parameters):
+            points = grid_points(parameters)
+            assert points**parameters <= MOST_POINTS
+            assert points == MOST_POINTS_ON_AN_AXIS or (points + 1) ** parameters > MOST_POINTS

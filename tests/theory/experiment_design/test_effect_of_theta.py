@@ -5,7 +5,6 @@ import pytest
 
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.experiment_design.effect_of_theta import effect_of_theta
-from tests.theory.looped import for_each
 
 T = np.linspace(0.0, 8.0, 10001)  # more than one block
 
@@ -41,11 +40,14 @@ def test_the_weakest_direction_of_two_sines_counts():
     assert found == pytest.approx(expected, rel=1e-7)
 
 
-@for_each("second", [0.0, 1.0])
-def test_a_sine_that_is_absent_or_twice_there_has_no_effect(second):
+def test_a_sine_that_is_absent_or_twice_there_has_no_effect(subtests):
     """Nothing but rounding: the amplitude is 0, or each of the two may be either."""
-    delta = (1.0 + second) * np.sin(2.0 * T)
-    rates = np.array([2.0, 2.0 if second else 1.0])
-    found = effect_of_theta([Sine(), Sine()], rates, T, np.ones((len(T), 2)), delta)
-    assert found < 1e-12
-    assert effect_of_theta([Sine()], np.array([2.0]), T, np.ones((len(T), 1)), 0.0 * T) == 0.0
+    for second in [0.0, 1.0]:
+        with subtests.test(second=second):
+            delta = (1.0 + second) * np.sin(2.0 * T)
+            rates = np.array([2.0, 2.0 if second else 1.0])
+            found = effect_of_theta([Sine(), Sine()], rates, T, np.ones((len(T), 2)), delta)
+            assert found < 1e-12
+            assert (
+                effect_of_theta([Sine()], np.array([2.0]), T, np.ones((len(T), 1)), 0.0 * T) == 0.0
+            )

@@ -22,7 +22,6 @@ from cosim.theory.observers.assumptions import (
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.known_systems import GOOD, KnownSystem, matrices, systems
-from tests.theory.looped import for_each
 
 SYSTEMS = systems()
 
@@ -67,21 +66,26 @@ def in_coordinates(known: KnownSystem, coordinates: str, seed: int):
 
 
 @pytest.mark.parametrize("coordinates", ["as it is", "mixed", "units"])
-@for_each("known", SYSTEMS)
-def test_verdicts_are_those_that_are_known(known, coordinates):
+def test_verdicts_are_those_that_are_known(coordinates, subtests):
     """Of every system the one verdict, by its name; its zeros; and of good ones nothing fails."""
-    for seed in range(1 if coordinates == "as it is" else 3):
-        system = in_coordinates(known, coordinates, seed).system
-        verdicts = model_verdicts(system)
-        failing = [verdict for verdict in verdicts if verdict.fulfilled is False]
-        assert [verdict.verdict for verdict in failing] == [known.verdict] * (known.verdict != GOOD)
-        for verdict in failing:
-            assert verdict.evidence
-            assert verdict.cure
-        if known.zeros is not None:
-            (found,) = [one.values["zeros"] for one in verdicts if one.name == DETECTABILITY]
-            zeros = np.sort_complex(np.array(found, np.complex128))
-            np.testing.assert_allclose(zeros, np.sort_complex(known.zeros), atol=1e-7)
+    for known in SYSTEMS:
+        with subtests.test(name=known.name):
+            for seed in range(1 if coordinates == "as it is" else 3):
+                system = in_coordinates(known, coordinates, seed).system
+                verdicts = model_verdicts(system)
+                failing = [verdict for verdict in verdicts if verdict.fulfilled is False]
+                assert [verdict.verdict for verdict in failing] == [known.verdict] * (
+                    known.verdict != GOOD
+                )
+                for verdict in failing:
+                    assert verdict.evidence
+                    assert verdict.cure
+                if known.zeros is not None:
+                    (found,) = [
+                        one.values["zeros"] for one in verdicts if one.name == DETECTABILITY
+                    ]
+                    zeros = np.sort_complex(np.array(found, np.complex128))
+                    np.testing.assert_allclose(zeros, np.sort_complex(known.zeros), atol=1e-7)
 
 
 def test_there_are_30_systems():
@@ -121,24 +125,25 @@ def test_a_disturbance_that_never_reaches_y_needs_another_output(name, words):
     assert "offline" not in str(caught.value)
 
 
-@for_each("known", SYSTEMS)
-def test_a_report_says_what_the_errors_say(known):
+def test_a_report_says_what_the_errors_say(subtests):
     """Where the observer is refused, its error is the evidence and the cure of the verdict."""
-    verdicts = model_verdicts(known.matrices.system)
-    said = [f"{one.evidence}; {one.cure}" for one in verdicts if one.fulfilled is False]
-    if known.verdict == GOOD:
-        assert not said
-        reduced = reduce(known.matrices.system)
-        assert observer.error_dynamics(reduced).fixed_modes.real.max(initial=-1.0) < 0.0
-        return
-    with pytest.raises(AssumptionError) as caught:
-        observer.design(reduce(known.matrices.system), poles=[-1.0])
-    error = caught.value
-    assert error.verdict == known.verdict
-    if known.verdict == "PENCIL_SINGULAR":  # the index fails with it
-        assert str(error).endswith(said[0])
-    else:
-        assert [str(error)] == said
+    for known in SYSTEMS:
+        with subtests.test(name=known.name):
+            verdicts = model_verdicts(known.matrices.system)
+            said = [f"{one.evidence}; {one.cure}" for one in verdicts if one.fulfilled is False]
+            if known.verdict == GOOD:
+                assert not said
+                reduced = reduce(known.matrices.system)
+                assert observer.error_dynamics(reduced).fixed_modes.real.max(initial=-1.0) < 0.0
+                continue
+            with pytest.raises(AssumptionError) as caught:
+                observer.design(reduce(known.matrices.system), poles=[-1.0])
+            error = caught.value
+            assert error.verdict == known.verdict
+            if known.verdict == "PENCIL_SINGULAR":  # the index fails with it
+                assert str(error).endswith(said[0])
+            else:
+                assert [str(error)] == said
 
 
 def test_assumptions_that_rest_on_a_failing_one_are_not_decided_and_the_others_are():

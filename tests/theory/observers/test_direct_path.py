@@ -13,7 +13,6 @@ from cosim.theory.plants.descriptor import (
     invariant_zeros,
     reduce,
 )
-from tests.theory.looped import for_each
 from tests.theory.scrambled import Matrices, mixing, movable
 
 RATE = 50.0
@@ -219,9 +218,9 @@ def test_a_direct_path_of_1e_9_is_used_and_one_of_rounding_is_not():
 DOUBLE = ([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-@for_each(
-    ("Bd", "Dd", "message"),
-    [
+def test_verdicts_hold_beside_a_direct_path(subtests):
+    """Each with its evidence: ranks, powers, the zero."""
+    for Bd, Dd, message in [
         (
             [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
             [[0.0, 0.0], [0.0, 1.0]],
@@ -249,13 +248,11 @@ DOUBLE = ([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [[1.0, 0.0, 0.0
             [[1.0], [0.0]],
             r"the invariant zero at \+3 cannot be moved by L \(NOT_DETECTABLE\)",
         ),
-    ],
-)
-def test_verdicts_hold_beside_a_direct_path(Bd, Dd, message):
-    """Each with its evidence: ranks, powers, the zero."""
-    A, C = DOUBLE
-    if "NOT_DETECTABLE" in message:  # (s - 3)/s: delta of exp(3 t) is blocked
-        A = [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
-    system = DescriptorSystem.general(A=A, Bd=Bd, C=C, Dd=Dd)
-    with pytest.raises(AssumptionError, match=message):
-        design(reduce(system), poles=[-1.0])
+    ]:
+        with subtests.test(message=message):
+            A, C = DOUBLE
+            if "NOT_DETECTABLE" in message:  # (s - 3)/s: delta of exp(3 t) is blocked
+                A = [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+            system = DescriptorSystem.general(A=A, Bd=Bd, C=C, Dd=Dd)
+            with pytest.raises(AssumptionError, match=message):
+                design(reduce(system), poles=[-1.0])

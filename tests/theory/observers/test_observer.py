@@ -21,7 +21,6 @@ from cosim.theory.plants.descriptor import (
     reduce,
 )
 from tests.theory.academic import academic, algebraic_state, ordinary
-from tests.theory.looped import for_each
 
 halves = st.integers(-8, 8).map(lambda k: k / 2)
 
@@ -58,18 +57,19 @@ def test_the_papers_gain_follows_from_its_pole():
     )  # one division; L0 orthogonal to the fixed mode
 
 
-@for_each("epsilon", ["0.1", "0.01", "0.001", "0.0001"])
-def test_the_identification_start_time_is_the_papers(case, epsilon):
+def test_the_identification_start_time_is_the_papers(case, subtests):
     """(36)-(38)."""
-    times = identification_start_time(
-        lambda_obs=2.0,
-        filter_rate=1e3,
-        delays=(1.0, 2.0, 3.0),
-        epsilon_observer=float(epsilon),
-        epsilon_filter=float(epsilon),
-    )
-    assert abs(times.T_id - case("C01")["expected"]["T_id"][epsilon]) <= case("C01")["tol"]
-    assert times.T_id == times.T_obs + times.T_f + times.D_max
+    for epsilon in ["0.1", "0.01", "0.001", "0.0001"]:
+        with subtests.test(epsilon=epsilon):
+            times = identification_start_time(
+                lambda_obs=2.0,
+                filter_rate=1e3,
+                delays=(1.0, 2.0, 3.0),
+                epsilon_observer=float(epsilon),
+                epsilon_filter=float(epsilon),
+            )
+            assert abs(times.T_id - case("C01")["expected"]["T_id"][epsilon]) <= case("C01")["tol"]
+            assert times.T_id == times.T_obs + times.T_f + times.D_max
 
 
 def test_a_gain_for_one_output_may_be_a_list_or_a_column():
@@ -261,9 +261,9 @@ INTEGRATORS = ([[0.0, 1], [0, -1]], [[0.0], [1]], [[1.0, 0]])
 ZERO_AT_ONE = ([[0.0, 1], [-2, -3]], [[0.0], [1]], [[-1.0, 1]])
 
 
-@for_each(
-    ("reduced", "options", "message"),
-    [
+def test_a_design_that_cannot_work_is_refused(subtests):
+    """Each verdict has its evidence."""
+    for reduced, options, message in [
         (
             INTEGRATORS,
             {"L": [1, 0]},
@@ -314,15 +314,12 @@ ZERO_AT_ONE = ([[0.0, 1], [-2, -3]], [[0.0], [1]], [[-1.0, 1]])
             {"poles": [-1, -1, -1]},
             r"at most 2 times, .* got -1 3 times",
         ),
-    ],
-)
-def test_a_design_that_cannot_work_is_refused(reduced, options, message):
-    """Each verdict has its evidence."""
-    with pytest.raises(AssumptionError, match=message):
-        design(
-            reduce(academic()) if reduced is None else reduced_system(*reduced),
-            **({"filter_rate": 1e3} | options),
-        )
+    ]:
+        with subtests.test(message=message), pytest.raises(AssumptionError, match=message):
+            design(
+                reduce(academic()) if reduced is None else reduced_system(*reduced),
+                **({"filter_rate": 1e3} | options),
+            )
 
 
 def exact(matrix):
@@ -474,24 +471,22 @@ def test_an_initial_value_that_does_not_fit_is_refused(options, message):
         initial_state_map(reduced, design(reduced, L=[4, 0], filter_rate=1.0), **options)
 
 
-@for_each(
-    ("change", "message"),
-    [
+def test_a_start_time_that_does_not_exist_is_refused(subtests):
+    """(36)-(38) need positive rates, fractions and a delay."""
+    for change, message in [
         ({"lambda_obs": 0.0}, r"lambda_obs: .* got 0"),
         ({"filter_rate": np.inf}, r"filter_rate: .* got inf"),
         ({"epsilon_observer": 1.0}, r"epsilon_observer: .* got 1"),
         ({"epsilon_filter": 0.0}, r"epsilon_filter: .* got 0"),
         ({"delays": ()}, r"delays: .* got none"),
-    ],
-)
-def test_a_start_time_that_does_not_exist_is_refused(change, message):
-    """(36)-(38) need positive rates, fractions and a delay."""
-    options = {
-        "lambda_obs": 2.0,
-        "filter_rate": 1e3,
-        "delays": (1.0,),
-        "epsilon_observer": 0.1,
-        "epsilon_filter": 0.1,
-    }
-    with pytest.raises(AssumptionError, match=message):
-        identification_start_time(**(options | change))
+    ]:
+        with subtests.test(message=message):
+            options = {
+                "lambda_obs": 2.0,
+                "filter_rate": 1e3,
+                "delays": (1.0,),
+                "epsilon_observer": 0.1,
+                "epsilon_filter": 0.1,
+            }
+            with pytest.raises(AssumptionError, match=message):
+                identification_start_time(**(options | change))

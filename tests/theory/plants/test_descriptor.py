@@ -14,7 +14,6 @@ from cosim.theory.plants.descriptor import (
     reduce,
 )
 from tests.theory.academic import academic, algebraic_state, ordinary
-from tests.theory.looped import for_each
 
 # Small integers (and halves) are exact in float64 and their solves have condition below 1e4 here,
 # so 1e-12 is 1e4 roundings.
@@ -172,9 +171,9 @@ def test_a_singular_pencil_is_refused():
         reduce(system)
 
 
-@for_each(
-    ("change", "message"),
-    [
+def test_matrices_that_do_not_fit_are_refused(subtests):
+    """The message names the matrix, the shape found and the shape needed."""
+    for change, message in [
         ({"A": np.ones((2, 3))}, r"A: .* \(n, n\).* got \(2, 3\)"),
         ({"Bu": np.ones((2, 1))}, r"Bu: .* \(3, n_u\).* got \(2, 1\)"),
         ({"Bd": np.ones((4, 1))}, r"Bd: .* \(3, n_d\).* got \(4, 1\)"),
@@ -188,19 +187,17 @@ def test_a_singular_pencil_is_refused():
         ({"A": np.diag([1.0, 1, np.inf])}, r"A\[2, 2\]: .* got inf"),
         ({"n_a": 0}, r"n_a: expected 1 to 3, .* got 0"),
         ({"n_a": 4}, r"n_a: expected 1 to 3, .* got 4"),
-    ],
-)
-def test_matrices_that_do_not_fit_are_refused(change, message):
-    """The message names the matrix, the shape found and the shape needed."""
-    system = {
-        "A": np.eye(3),
-        "Bu": np.ones((3, 1)),
-        "Bd": np.ones((3, 1)),
-        "C": np.ones((1, 3)),
-        "n_a": 2,
-    }
-    with pytest.raises(AssumptionError, match=message):
-        DescriptorSystem.partitioned(**(system | change))
+    ]:
+        with subtests.test(message=message):
+            system = {
+                "A": np.eye(3),
+                "Bu": np.ones((3, 1)),
+                "Bd": np.ones((3, 1)),
+                "C": np.ones((1, 3)),
+                "n_a": 2,
+            }
+            with pytest.raises(AssumptionError, match=message):
+                DescriptorSystem.partitioned(**(system | change))
 
 
 def test_matrices_are_frozen():

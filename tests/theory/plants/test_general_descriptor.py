@@ -14,7 +14,6 @@ from cosim.theory.plants.descriptor import (
 )
 from cosim.theory.plants.index import LEAST_ACCURACY
 from tests.theory.academic import academic
-from tests.theory.looped import for_each
 from tests.theory.scrambled import Matrices, index_one, mixing
 
 POINTS = (0.3 + 1.1j, 2.0j, -0.7 + 0.2j)
@@ -63,13 +62,14 @@ def check_reduction(seed):
         assert (np.abs(found - expected) <= 1e-10 * 2.0**n_a * size).all()
 
 
-@for_each("seed", range(40))
-def test_a_scrambled_system_has_the_eigenvalues_and_transfers_of_its_pencil(seed):
+def test_a_scrambled_system_has_the_eigenvalues_and_transfers_of_its_pencil(subtests):
     """Any E of index 1, in units up to 1e6 apart: y, x and eigenvalues are those of s E - A.
 
     Mixing has condition 10 on either side, so the data have it 100: 1e-10 is 1e4 roundings.
     """
-    check_reduction(seed)
+    for seed in range(40):
+        with subtests.test(seed=seed):
+            check_reduction(seed)
 
 
 @pytest.mark.campaign
@@ -79,19 +79,20 @@ def test_scrambled_systems_at_length():
         check_reduction(seed)
 
 
-@for_each("seed", range(20))
-def test_a_direct_path_is_told_from_what_a_coordinate_change_leaves(seed):
+def test_a_direct_path_is_told_from_what_a_coordinate_change_leaves(subtests):
     """C5 = 0 stays 0 to the last bit in any coordinates and units; 1e-9 of size 1 stays there."""
-    rng = np.random.default_rng(seed)
-    n_a = int(rng.integers(1, 6))
-    plain = index_one(rng, n=n_a + 3, n_a=n_a)
-    direct = np.array([[1e-9], [0.0]])
-    small = Matrices(plain.E, plain.A, plain.Bu, plain.Bd, plain.C, plain.Du, direct)
-    for matrices, expected in ((plain, np.zeros((2, 1))), (small, direct)):
-        found = reduce(matrices.scrambled(rng).system).C5
-        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.0)
-    found = reduce(plain.scrambled(rng).in_other_units(rng).system)
-    assert not found.C5.any()
+    for seed in range(20):
+        with subtests.test(seed=seed):
+            rng = np.random.default_rng(seed)
+            n_a = int(rng.integers(1, 6))
+            plain = index_one(rng, n=n_a + 3, n_a=n_a)
+            direct = np.array([[1e-9], [0.0]])
+            small = Matrices(plain.E, plain.A, plain.Bu, plain.Bd, plain.C, plain.Du, direct)
+            for matrices, expected in ((plain, np.zeros((2, 1))), (small, direct)):
+                found = reduce(matrices.scrambled(rng).system).C5
+                np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.0)
+            found = reduce(plain.scrambled(rng).in_other_units(rng).system)
+            assert not found.C5.any()
 
 
 def test_rounding_in_the_data_of_the_partitioned_form_is_no_direct_path():
@@ -137,17 +138,18 @@ def test_a_regular_E_keeps_the_states():
     np.testing.assert_allclose(E @ mass.B_2a, B, rtol=0, atol=1e-15)
 
 
-@for_each("size", [1e-100, 1e-12, 1e12, 1e100])
-def test_units_of_inputs_and_outputs_do_not_touch_the_pencil(size):
+def test_units_of_inputs_and_outputs_do_not_touch_the_pencil(subtests):
     """E and A have ranks of their own: B and C only scale what follows."""
-    matrices = {"E": np.diag([1.0, 0.0]), "A": [[-1.0, 1.0], [1.0, 1.0]]}
-    B = np.array([[1.0], [2.0]])
-    C = np.array([[1.0, 3.0]])
-    plain = reduce(DescriptorSystem.general(**matrices, Bd=B, C=C))
-    scaled = reduce(DescriptorSystem.general(**matrices, Bd=size * B, C=C / size**2))
-    # powers of ten are rounded: one rounding for each
-    np.testing.assert_allclose(scaled.B_2a, size * plain.B_2a, rtol=1e-15)
-    np.testing.assert_allclose(scaled.C5, plain.C5 / size, rtol=1e-15)
+    for size in [1e-100, 1e-12, 1e12, 1e100]:
+        with subtests.test(size=size):
+            matrices = {"E": np.diag([1.0, 0.0]), "A": [[-1.0, 1.0], [1.0, 1.0]]}
+            B = np.array([[1.0], [2.0]])
+            C = np.array([[1.0, 3.0]])
+            plain = reduce(DescriptorSystem.general(**matrices, Bd=B, C=C))
+            scaled = reduce(DescriptorSystem.general(**matrices, Bd=size * B, C=C / size**2))
+            # powers of ten are rounded: one rounding for each
+            np.testing.assert_allclose(scaled.B_2a, size * plain.B_2a, rtol=1e-15)
+            np.testing.assert_allclose(scaled.C5, plain.C5 / size, rtol=1e-15)
 
 
 def kronecker(rng, *, chains, n_a, singular):
@@ -179,28 +181,32 @@ def kronecker(rng, *, chains, n_a, singular):
     return P @ E @ Q, P @ A @ Q
 
 
-@for_each("seed", range(30))
-def test_the_index_is_found_in_any_coordinates(seed):
+def test_the_index_is_found_in_any_coordinates(subtests):
     """The longest chain of the Weierstrass form is the index; reduce refuses all but 1."""
-    rng = np.random.default_rng(seed)
-    chains = [int(k) for k in rng.integers(1, 5, size=int(rng.integers(1, 4)))]
-    singular = seed % 3 == 0
-    E, A = kronecker(rng, chains=chains, n_a=int(rng.integers(1, 5)), singular=singular)
-    system = DescriptorSystem.general(E=E, A=A, C=np.ones((1, len(A))))
-    if singular:
-        verdict = r"PENCIL_SINGULAR: .*reciprocal condition at 5 points: at most .*one is missing"
-        with pytest.raises(AssumptionError, match=verdict):
-            pencil_index(system)
-    else:
-        assert pencil_index(system) == max(chains)
-        verdict = (
-            rf"INDEX_{max(chains)}: .* index 1, got .* \(ranks of E by shuffles: .* of {len(A)}\)"
-        )
-    if singular or max(chains) > 1:
-        with pytest.raises(AssumptionError, match=verdict):
-            reduce(system)
-    else:
-        assert len(reduce(system).A_a) == len(A) - len(chains)
+    for seed in range(30):
+        with subtests.test(seed=seed):
+            rng = np.random.default_rng(seed)
+            chains = [int(k) for k in rng.integers(1, 5, size=int(rng.integers(1, 4)))]
+            singular = seed % 3 == 0
+            E, A = kronecker(rng, chains=chains, n_a=int(rng.integers(1, 5)), singular=singular)
+            system = DescriptorSystem.general(E=E, A=A, C=np.ones((1, len(A))))
+            if singular:
+                verdict = (
+                    r"PENCIL_SINGULAR: .*reciprocal condition at 5 points: at most .*one is missing"
+                )
+                with pytest.raises(AssumptionError, match=verdict):
+                    pencil_index(system)
+            else:
+                assert pencil_index(system) == max(chains)
+                verdict = (
+                    rf"INDEX_{max(chains)}: .* index 1, got .* "
+                    rf"\(ranks of E by shuffles: .* of {len(A)}\)"
+                )
+            if singular or max(chains) > 1:
+                with pytest.raises(AssumptionError, match=verdict):
+                    reduce(system)
+            else:
+                assert len(reduce(system).A_a) == len(A) - len(chains)
 
 
 # --- E, or A22, between two ranks ---
@@ -276,22 +282,24 @@ BORDERS = [
 ]
 
 
-@for_each(("small", "verdicts"), BORDERS)
-def test_a_reduction_near_a_lower_rank_is_as_accurate_as_it_says(small, verdicts):
+def test_a_reduction_near_a_lower_rank_is_as_accurate_as_it_says(subtests):
     """Nothing is accepted and more wrong than its accuracy; nothing well conditioned is refused.
 
     What is refused is refused for what is near to a lower rank, E or A22.
     """
-    assert {check_border(seed, small) for seed in range(6)} <= verdicts
+    for small, verdicts in BORDERS:
+        with subtests.test(small=small):
+            assert {check_border(seed, small) for seed in range(6)} <= verdicts
 
 
-@for_each(("seed", "A22"), [(20, 1e-6), (75, 1e-6), (81, 1e-8), (54, 1e-13)])
-def test_differences_of_large_terms_have_the_errors_of_the_terms(seed, A22):
+def test_differences_of_large_terms_have_the_errors_of_the_terms(subtests):
     """Of x_b and its large gains little may be left in a reduced system, which is no more exact.
 
     At 54 A22 has no inverse at all, though its equations are independent.
     """
-    assert check_border(seed, {"A22": A22, "spread": 6.0}) == "INDEX_UNCLEAR"
+    for seed, A22 in [(20, 1e-6), (75, 1e-6), (81, 1e-8), (54, 1e-13)]:
+        with subtests.test(seed=seed):
+            assert check_border(seed, {"A22": A22, "spread": 6.0}) == "INDEX_UNCLEAR"
 
 
 @pytest.mark.campaign
@@ -319,9 +327,9 @@ def test_an_unclear_rank_is_said_with_the_singular_values_and_the_gap():
     assert reduce(near_a_lower_rank(0)).inaccuracy == ""
 
 
-@for_each(
-    ("change", "message"),
-    [
+def test_a_general_system_that_does_not_fit_is_refused(subtests):
+    """The message names the matrix, or what the system lacks."""
+    for change, message in [
         ({"E": np.zeros((2, 2))}, r"E = 0 \(2 x 2\): there are no dynamic states"),
         (
             {"E": [[0.0, 1.0], [0.0, 0.0]], "A": np.eye(2)},
@@ -335,13 +343,11 @@ def test_an_unclear_rank_is_said_with_the_singular_values_and_the_gap():
             r"the matrices have numbers too large or too small to compute with \(overflow",
         ),
         ({"Dd": [[1.0]]}, r"Dd: .* \(1, 0\).* got \(1, 1\)"),
-    ],
-)
-def test_a_general_system_that_does_not_fit_is_refused(change, message):
-    """The message names the matrix, or what the system lacks."""
-    matrices = {"A": [[-1.0, 1.0], [1.0, 1.0]], "Bu": [[1.0], [0.0]], "C": [[1.0, 0.0]]}
-    with pytest.raises(AssumptionError, match=message):
-        reduce(DescriptorSystem.general(**(matrices | change)))
+    ]:
+        with subtests.test(message=message):
+            matrices = {"A": [[-1.0, 1.0], [1.0, 1.0]], "Bu": [[1.0], [0.0]], "C": [[1.0, 0.0]]}
+            with pytest.raises(AssumptionError, match=message):
+                reduce(DescriptorSystem.general(**(matrices | change)))
 
 
 def test_another_E_than_the_partition_says_is_refused():

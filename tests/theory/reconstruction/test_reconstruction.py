@@ -4,6 +4,7 @@ import cmath
 import math
 from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 import pytest
@@ -31,7 +32,6 @@ from cosim.theory.reconstruction.filters import (
 from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_gain
 from cosim.theory.reconstruction.noise_level import noise_level
 from tests.theory.academic import academic, ordinary
-from tests.theory.looped import for_each
 
 H = 1e-3
 FREE = np.zeros(1, np.bool_)
@@ -68,14 +68,18 @@ def test_a_window_of_200_ms_leaves_noise_of_about_1():
         assert np.sqrt(np.sum(window.taps**2)) == pytest.approx(gain, rel=1e-13)
 
 
-@for_each("rate", [1.0, 200.0, 1e4])
-@for_each("held", [False, True])
-def test_the_noise_gain_of_the_filter_is_that_of_its_discretization(rate, held):
+def test_the_noise_gain_of_the_filter_is_that_of_its_discretization(subtests):
     """The sum of the squared responses of q' = rate (w - q) to one sample."""
-    discrete = first_order_hold(np.array([[-rate]]), np.array([[rate]]), H, HELD if held else FREE)
-    gain = noise_gain(discrete, np.array([[-rate]]), np.array([[rate]]))
-    # cancellation in Ad + B0 + B1 - 1
-    assert gain[0, 0] == pytest.approx(FirstOrderFilter(rate, H).noise_gain(held=held), rel=1e-12)
+    for rate, held in product([1.0, 200.0, 1e4], [False, True]):
+        with subtests.test(rate=rate, held=held):
+            discrete = first_order_hold(
+                np.array([[-rate]]), np.array([[rate]]), H, HELD if held else FREE
+            )
+            gain = noise_gain(discrete, np.array([[-rate]]), np.array([[rate]]))
+            # cancellation in Ad + B0 + B1 - 1
+            assert gain[0, 0] == pytest.approx(
+                FirstOrderFilter(rate, H).noise_gain(held=held), rel=1e-12
+            )
 
 
 @given(st.integers(1, 60), st.integers(1, 7))
@@ -130,15 +134,16 @@ RECONSTRUCTIONS = [
 ]
 
 
-@for_each("reconstruction", RECONSTRUCTIONS)
-def test_the_bias_is_what_slow_sines_lose(reconstruction):
+def test_the_bias_is_what_slow_sines_lose(subtests):
     """The response is 1 + coefficient (i rate)^n + ..., with n lower by 1 where w is meant."""
-    bias = reconstruction.bias
-    n = bias.derivative - (bias.of == "G w")
-    rate = 20.0 if n > 2 else 0.05
-    error = reconstruction.response(rate) - 1.0
-    # the next term is smaller by about (rate x time)^2, or by rate x time where n is odd
-    assert error == pytest.approx(bias.coefficient * (1j * rate) ** n, rel=0.06)
+    for number, reconstruction in enumerate(RECONSTRUCTIONS):
+        with subtests.test(number=number):
+            bias = reconstruction.bias
+            n = bias.derivative - (bias.of == "G w")
+            rate = 20.0 if n > 2 else 0.05
+            error = reconstruction.response(rate) - 1.0
+            # the next term is smaller by about (rate x time)^2, or by rate x time where n is odd
+            assert error == pytest.approx(bias.coefficient * (1j * rate) ** n, rel=0.06)
 
 
 def test_the_response_of_a_window_is_that_of_its_taps():
@@ -187,33 +192,37 @@ def of_delta(reduced, rate):
     return x_a, x_b, reduced.C3 @ x_a
 
 
-@for_each("rate", [0.3, 7.0, 500.0])
-def test_the_papers_filter_makes_an_error_of_w(rate):
+def test_the_papers_filter_makes_an_error_of_w(subtests):
     """Through the plant to the estimate: delta + G (F(s) - 1) s w, whatever delta is."""
-    reduced = reduce(academic())
-    designed = design(reduced, poles=[-4.0], filter_rate=50.0)
-    _, _, w = of_delta(reduced, rate)
-    estimates = response(realize(reduced, designed), rate) @ np.concatenate([np.zeros(1), w])
-    filtered = 50.0 / (50.0 + 1j * rate)
-    w_dot = 1j * rate * w[0]
-    expected = 1.0 + designed.G[0, 0] * (filtered - 1.0) * w_dot
-    assert estimates[2] == pytest.approx(expected, rel=1e-12)
+    for rate in [0.3, 7.0, 500.0]:
+        with subtests.test(rate=rate):
+            reduced = reduce(academic())
+            designed = design(reduced, poles=[-4.0], filter_rate=50.0)
+            _, _, w = of_delta(reduced, rate)
+            estimates = response(realize(reduced, designed), rate) @ np.concatenate(
+                [np.zeros(1), w]
+            )
+            filtered = 50.0 / (50.0 + 1j * rate)
+            w_dot = 1j * rate * w[0]
+            expected = 1.0 + designed.G[0, 0] * (filtered - 1.0) * w_dot
+            assert estimates[2] == pytest.approx(expected, rel=1e-12)
 
 
-@for_each("rate", [0.3, 7.0])
-def test_rate_and_level_of_the_window_are_delta(rate):
+def test_rate_and_level_of_the_window_are_delta(subtests):
     """rate + level' is delta, and x_b where that depends on it."""
-    for reduced in (reduce(academic()), all_of_x_b()):
-        realization = realize_averages(reduced, design(reduced, poles=[-4.0]))
-        _, x_b, w = of_delta(reduced, rate)
-        outputs = response(realization.system, rate) @ np.concatenate([np.zeros(1), w])
-        width = realization.width
-        sums = outputs[-2 * width : -width] + 1j * rate * outputs[-width:]
-        assert sums[0] == pytest.approx(1.0, rel=1e-12)
-        if width > 1:
-            assert sums[1] == pytest.approx(x_b[0], rel=1e-12)
-        else:
-            assert outputs[2] == pytest.approx(x_b[0], rel=1e-12)
+    for rate in [0.3, 7.0]:
+        with subtests.test(rate=rate):
+            for reduced in (reduce(academic()), all_of_x_b()):
+                realization = realize_averages(reduced, design(reduced, poles=[-4.0]))
+                _, x_b, w = of_delta(reduced, rate)
+                outputs = response(realization.system, rate) @ np.concatenate([np.zeros(1), w])
+                width = realization.width
+                sums = outputs[-2 * width : -width] + 1j * rate * outputs[-width:]
+                assert sums[0] == pytest.approx(1.0, rel=1e-12)
+                if width > 1:
+                    assert sums[1] == pytest.approx(x_b[0], rel=1e-12)
+                else:
+                    assert outputs[2] == pytest.approx(x_b[0], rel=1e-12)
 
 
 def test_a_consistent_filter_starts_without_a_transient_of_x_b():
@@ -255,34 +264,37 @@ def run_average(reconstruction, delta, y, n):
     return estimated, delta(t - reconstruction.lag)
 
 
-@for_each(("order", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (6, 5)])
-def test_a_polynomial_delta_has_no_error_up_to_the_order(order, degree):
+def test_a_polynomial_delta_has_no_error_up_to_the_order(subtests):
     """The output is one degree higher; there is no value until the window is full."""
-    window = SavitzkyGolay(20, order, H)
-    polynomial = np.polynomial.Polynomial([0.3, -1.0, 2.0, 0.7, -3.0, 5.0][: degree + 1])
-    estimated, true = run_average(window, polynomial, polynomial.integ(k=[1.5]), 400)
-    assert np.isnan(estimated[:40]).all()
-    # rounding of y of up to 2, by the sum of the taps
-    bound = 1e-15 * np.abs(window.taps).sum()
-    assert np.abs(estimated[40:] - true[40:]).max() <= bound
-    higher = polynomial + 100.0 * np.polynomial.Polynomial.basis(degree + 1)
-    estimated, true = run_average(window, higher, higher.integ(k=[1.5]), 400)
-    assert np.abs(estimated[40:] - true[40:]).max() > 10 * bound
+    for order, degree in [(1, 1), (2, 1), (3, 3), (4, 3), (6, 5)]:
+        with subtests.test(order=order):
+            window = SavitzkyGolay(20, order, H)
+            polynomial = np.polynomial.Polynomial([0.3, -1.0, 2.0, 0.7, -3.0, 5.0][: degree + 1])
+            estimated, true = run_average(window, polynomial, polynomial.integ(k=[1.5]), 400)
+            assert np.isnan(estimated[:40]).all()
+            # rounding of y of up to 2, by the sum of the taps
+            bound = 1e-15 * np.abs(window.taps).sum()
+            assert np.abs(estimated[40:] - true[40:]).max() <= bound
+            higher = polynomial + 100.0 * np.polynomial.Polynomial.basis(degree + 1)
+            estimated, true = run_average(window, higher, higher.integ(k=[1.5]), 400)
+            assert np.abs(estimated[40:] - true[40:]).max() > 10 * bound
 
 
-@for_each(
-    "reconstruction",
-    [SavitzkyGolay(20, 4, H), ConsistentFilter(200.0, H), ConsistentFilter(3e3, H)],
-)
-def test_the_error_of_a_sine_is_the_predicted_one(reconstruction):
+def test_the_error_of_a_sine_is_the_predicted_one(subtests):
     """The response, the lag taken out, on a plant without dynamics; y is held between samples."""
-    rate = 60.0
-    response_there = reconstruction.response(rate)
-    estimated, _ = run_average(reconstruction, np.cos, lambda t: np.sin(rate * t) / rate, 400)
-    instants = np.arange(401) * H - reconstruction.lag
-    expected = (response_there * np.exp(1j * rate * instants)).real
-    # the start of the filter has decayed by exp(-200 x 0.3)
-    assert estimated[300:] == pytest.approx(expected[300:], abs=1e-12)
+    for number, reconstruction in enumerate(
+        [SavitzkyGolay(20, 4, H), ConsistentFilter(200.0, H), ConsistentFilter(3e3, H)]
+    ):
+        with subtests.test(number=number):
+            rate = 60.0
+            response_there = reconstruction.response(rate)
+            estimated, _ = run_average(
+                reconstruction, np.cos, lambda t, rate=rate: np.sin(rate * t) / rate, 400
+            )
+            instants = np.arange(401) * H - reconstruction.lag
+            expected = (response_there * np.exp(1j * rate * instants)).real
+            # the start of the filter has decayed by exp(-200 x 0.3)
+            assert estimated[300:] == pytest.approx(expected[300:], abs=1e-12)
 
 
 def test_a_line_has_no_error_but_the_lag_of_the_consistent_filter():
@@ -346,33 +358,33 @@ def test_a_window_adds_its_length_to_the_start_time():
 # --- the choice ---
 
 
-@for_each("noise", [0.0, 1e-9, 1e-5, 1e-2, 0.3])
-@for_each("bandwidth", [0.05, 0.3, 2.0])
-def test_the_choice_is_the_best_of_all_windows(noise, bandwidth):
+def test_the_choice_is_the_best_of_all_windows(subtests):
     """Against every length up to the widest, by the response and the noise of each."""
-    conditions = Conditions(noise, 2.0, bandwidth, 1.0)
-    choice = choose(conditions)
-    best = math.inf
-    for order in (2, 4, 6):
-        for half_width in range((order + 1) // 2, math.floor(4.4 / bandwidth) + 1):
-            window = SavitzkyGolay(half_width, order, 1.0)
-            by_noise = noise * math.sqrt(np.sum(window.taps**2))
-            k = np.arange(-half_width, half_width + 1)
-            slope = window.taps @ np.exp(1j * bandwidth * k) / (1j * bandwidth)
-            best = min(best, math.hypot(by_noise, 2.0 * abs(slope - 1.0)))
-    # both sides round their biases by 1e-16 times the sum of the taps
-    assert choice.error.total == pytest.approx(best, rel=1e-6, abs=1e-14)
-    assert choice.error.total == conditions.error(choice.window).total
+    for noise, bandwidth in product([0.0, 1e-9, 1e-5, 1e-2, 0.3], [0.05, 0.3, 2.0]):
+        with subtests.test(noise=noise, bandwidth=bandwidth):
+            conditions = Conditions(noise, 2.0, bandwidth, 1.0)
+            choice = choose(conditions)
+            best = math.inf
+            for order in (2, 4, 6):
+                for half_width in range((order + 1) // 2, math.floor(4.4 / bandwidth) + 1):
+                    window = SavitzkyGolay(half_width, order, 1.0)
+                    by_noise = noise * math.sqrt(np.sum(window.taps**2))
+                    k = np.arange(-half_width, half_width + 1)
+                    slope = window.taps @ np.exp(1j * bandwidth * k) / (1j * bandwidth)
+                    best = min(best, math.hypot(by_noise, 2.0 * abs(slope - 1.0)))
+            # both sides round their biases by 1e-16 times the sum of the taps
+            assert choice.error.total == pytest.approx(best, rel=1e-6, abs=1e-14)
+            assert choice.error.total == conditions.error(choice.window).total
 
 
-@for_each("noise", [0.0, 1e-9, 1e-5, 1e-2, 0.3])
-@for_each("bandwidth", [1e-3, 0.05, 0.3, 2.0])
-def test_no_filter_is_as_good_as_the_chosen_window(noise, bandwidth):
+def test_no_filter_is_as_good_as_the_chosen_window(subtests):
     """At no rate up to 1/step; so a filter is no candidate."""
-    conditions = Conditions(noise, 2.0, bandwidth, 1.0)
-    total = choose(conditions).error.total
-    for rate in np.geomspace(bandwidth / 10.0, 1.0, 300):
-        assert conditions.error(ConsistentFilter(float(rate), 1.0)).total > total
+    for noise, bandwidth in product([0.0, 1e-9, 1e-5, 1e-2, 0.3], [1e-3, 0.05, 0.3, 2.0]):
+        with subtests.test(noise=noise, bandwidth=bandwidth):
+            conditions = Conditions(noise, 2.0, bandwidth, 1.0)
+            total = choose(conditions).error.total
+            for rate in np.geomspace(bandwidth / 10.0, 1.0, 300):
+                assert conditions.error(ConsistentFilter(float(rate), 1.0)).total > total
 
 
 def test_a_choice_needs_conditions_that_it_can_meet():
@@ -393,13 +405,14 @@ def test_a_choice_needs_conditions_that_it_can_meet():
 # --- the noise in a signal ---
 
 
-@for_each("deviation", [1e-12, 1e-6, 1e-3, 1.0])
-def test_the_deviation_of_white_noise_is_found_under_a_smooth_signal(deviation):
+def test_the_deviation_of_white_noise_is_found_under_a_smooth_signal(subtests):
     """The standard error of differences of order 4 is 3 % at most with 4000 samples."""
-    t = np.arange(4000) * H
-    signal = 0.3 + t + np.sin(1.7 * t) * np.exp(-0.1 * t)
-    noise = np.random.default_rng(5).standard_normal(len(t))
-    assert noise_level(signal + deviation * noise) == pytest.approx(deviation, rel=0.1)
+    for deviation in [1e-12, 1e-6, 1e-3, 1.0]:
+        with subtests.test(deviation=deviation):
+            t = np.arange(4000) * H
+            signal = 0.3 + t + np.sin(1.7 * t) * np.exp(-0.1 * t)
+            noise = np.random.default_rng(5).standard_normal(len(t))
+            assert noise_level(signal + deviation * noise) == pytest.approx(deviation, rel=0.1)
 
 
 def test_a_signal_without_noise_has_that_of_rounding():
