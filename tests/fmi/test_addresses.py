@@ -79,7 +79,7 @@ def test_of_a_selection_the_vector_is_the_whole_one(instance):
     assert vector.tolist() == np.where(mask, 1.0, -1.0).tolist()
 
 
-def test_what_is_no_number_of_a_type_is_declined_before_any_is_set(instance, subtests):
+def test_no_value_is_set_where_one_does_not_fit_its_type(instance, subtests):
     """Exactly where the method refuses it."""
     instance, references = instance
 

@@ -84,7 +84,7 @@ def test_foreign_fmus_have_no_errors(foreign2, foreign3):
 
 
 @pytest.mark.slow
-def test_what_an_fmu_prints_goes_nowhere(rogue, capfd):
+def test_output_of_a_checked_fmu_is_discarded(rogue, capfd):
     """The probe prints a hundred thousand lines on stdout."""
     assert check(rogue("LOUD")) == ()
     assert capfd.readouterr() == ("", "")
@@ -151,7 +151,7 @@ def test_a_state_that_is_not_saved_is_a_warning(rogue, what, text):
         assert text in " ".join(fmu.notes)
 
 
-def test_what_happens_at_the_end_of_the_process_is_not_the_fmus(rogue):
+def test_a_failure_at_exit_is_not_blamed_on_the_fmu(rogue):
     """It leaves a handler for the end of the process, which aborts: the trial is over by then."""
     assert check(rogue("ABORTS_LATER")) == ()
 
@@ -164,7 +164,7 @@ def test_functions_that_nobody_calls(probe1):
 
 
 @pytest.mark.slow
-def test_what_hangs(rogue):
+def test_an_fmu_that_hangs_is_a_finding(rogue):
     """The child is ended after the time it has."""
     assert problems_of(rogue("HANG"), timeout=3.0) == [
         f"{RUN}: hangs: did not end within 3 s, at: steps of 0.001 s"
@@ -279,7 +279,7 @@ def head(file_format, machine):
     return b"\xcf\xfa\xed\xfe" + machine.to_bytes(4, "little")
 
 
-def test_what_a_binary_is_built_for(subtests):
+def test_binaries_of_other_machines_are_recognized(subtests):
     """The first bytes of ELF, PE and Mach-O."""
     for content, machine in [
         (head("elf", 62), ("x86_64", "linux")),
@@ -515,7 +515,7 @@ def test_all_problems_at_once(rogue):
         ),
     ],
 )
-def test_what_cannot_be_read_has_one_finding(tmp_path, xml, text):
+def test_an_unreadable_file_is_one_finding(tmp_path, xml, text):
     assert problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))[0].startswith(text)
 
 

@@ -422,7 +422,7 @@ def test_without_event_mode_no_clock_is_activated(opened):
 
 
 @TYPES
-def test_what_communication_points_mean_for_ticks_is_said(opened, interface_type):
+def test_ticks_off_the_communication_points_are_reported(opened, interface_type):
     assert opened(interface_type, "sample", "out").notes[:2] == (
         "clocked: a tick inside a communication step reaches other components at its end, and they "
         "trigger clocks at communication points: out",

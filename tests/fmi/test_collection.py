@@ -16,7 +16,7 @@ COLLECTION = os.environ.get("COSIM_FMU_COLLECTION")
 
 @pytest.mark.campaign
 @pytest.mark.skipif(not COLLECTION, reason="COSIM_FMU_COLLECTION is no folder of FMUs")
-def test_what_fmpy_runs_runs_here_with_the_same_numbers():
+def test_fmus_have_the_numbers_that_fmpy_computes():
     """With finite results, constant inputs, the same communication step; no Scheduled Execution."""
     folder = Path(COLLECTION)
     table = []

@@ -151,7 +151,7 @@ def test_without_zig_other_machines_are_refused(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_the_compiler_refuses_is_passed_on(tmp_path, monkeypatch):
+def test_errors_of_the_compiler_are_passed_on(tmp_path, monkeypatch):
     """With its own words; nothing is written."""
 
     def refuse(*arguments, **options):

@@ -129,7 +129,7 @@ def test_compiled_steps_of_newton_have_the_same_bits(pair, can):
 
 
 @pytest.mark.parametrize("native", [True, False])
-def test_what_is_said_in_a_sweep_that_is_taken_back_is_not_said(opened, native):
+def test_messages_of_a_sweep_that_is_rolled_back_are_dropped(opened, native):
     """One message a step, though Newton's method takes each step at least twice."""
     can = ("state", "steps", "slopes")
     one = opened(*can, **ONE, SAYS=1.0)

@@ -47,7 +47,7 @@ def test_a_dae_fmu_is_a_valid_fmu(plant):
     assert causalities["residual"] == "local"
 
 
-def test_what_is_written_is_read_again(plant):
+def test_a_written_description_reads_back_as_it_was(plant):
     """Dependencies are those of the partitioned equations (2)-(3): y of x_a and x_b, not of u."""
     everything = ("u", "delta", "x_a", "x_b")
     dependencies = {
@@ -180,7 +180,7 @@ def test_both_forms_agree_for_several_algebraic_variables(plant):
     assert outputs(plant, FmuOptions(dae="ode")) == pytest.approx(exact, abs=1.3e-11)
 
 
-def test_what_has_no_residual_form_is_refused(tmp_path):
+def test_a_model_without_a_residual_form_is_refused(tmp_path):
     """FMI 2, a system without algebraic states, matrices that do not fit."""
     standard = "the layered standard for it is on top of FMI 3: use FMI 3"
     with pytest.raises(FmuError, match=f"x: FMI 2.0 has no residual form; {standard}"):

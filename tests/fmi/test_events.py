@@ -613,7 +613,7 @@ def integrated(saw, *, native, block):
 
 
 @pytest.mark.parametrize("solver", slow_but(["rk4"], ["rk4", "RK45", "BDF"]))
-def test_what_follows_an_output_that_jumps_takes_its_left_limit(solver, subtests):
+def test_a_follower_of_a_jumping_output_gets_its_left_limit(solver, subtests):
     """The integral of ten teeth of 0.1 s is 10 (0.1^2 / 2), in blocks of any length.
 
     With the right limit at the end of the step before it, each tooth would lose 0.1 h/2, a fifth of

@@ -176,7 +176,7 @@ def test_any_number_of_instances_at_once(exported):
         assert np.array_equal(first, run(first_fmu.component, step=0.1))
 
 
-def test_what_cannot_be_exported_is_refused(tmp_path):
+def test_components_that_cannot_be_exported_are_refused(tmp_path):
     """Numbers that are not finite, names that are no identifiers, missing folders."""
     with pytest.raises(FmuError, match="matrix A holds NaN or infinity"):
         export(with_dynamics(A * np.nan), tmp_path / "x.fmu", name="x")

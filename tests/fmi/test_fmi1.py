@@ -110,7 +110,7 @@ def test_co_simulation(slave1):
         )
 
 
-def test_what_fmi_1_does_not_have(slave1):
+def test_fmi_1_has_neither_saved_states_nor_derivatives(slave1):
     with opened(slave1) as (_, instance):
         y = instance.description.references_of(["y"])
         u = instance.description.references_of(["u"])

@@ -77,7 +77,7 @@ def test_a_model_exchange_fmu_has_the_events_up_to_the_end(tmp_path, solver):
     assert any("single steps" in text for text in warned) == (solver == "CVode")
 
 
-def test_what_a_run_shows_of_an_fmu_behind_its_end_is_not_in_the_log(tmp_path):
+def test_rows_after_the_end_of_a_run_are_not_in_the_log(tmp_path):
     """An inner step of 0.1 s in steps of 10 ms shows at the 10th spell of equal outputs, 1 s."""
     path = lag.able(lag.build(tmp_path, "2"), tmp_path / "able.fmu", "2", "state", "any step")
     options = 'interface_type = "cs", start = { inner = 0.1 }'

@@ -75,7 +75,7 @@ def test_arrays_may_be_flat():
     }
 
 
-def test_what_is_no_start_value(subtests):
+def test_wrong_start_values_are_refused(subtests):
     for name, value, message in [
         ("gian", 1.0, r"model: no variable 'gian'; did you mean 'gain'"),
         ("gain", float("nan"), r"start value of 'gain': expected a finite number, got nan"),

@@ -446,7 +446,7 @@ REFUSED = {
 }
 
 
-def test_what_cannot_be_linearized_is_refused(swinging, subtests):
+def test_models_that_cannot_be_linearized_are_refused(swinging, subtests):
     """One clear error each: see REFUSED."""
     for name, (options, message) in REFUSED.items():
         with subtests.test(name=name), pytest.raises(FmuError, match=message):

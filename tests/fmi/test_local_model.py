@@ -97,7 +97,7 @@ def test_to_be_linearized_leaves_no_trace(exported, interface_type):
     assert np.array(rows[0]).tobytes() == np.array(rows[1]).tobytes()
 
 
-def test_what_changes_at_instants_of_its_own_is_not_linearized(edited):
+def test_a_model_with_events_in_time_is_not_linearized(edited):
     """A real output that is discrete: matrices would say that it never changes."""
     continuous = 'name="y" valueReference="2" causality="output" variability="continuous"'
     path = edited((continuous, continuous.replace("continuous", "discrete")))

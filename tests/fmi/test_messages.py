@@ -61,7 +61,7 @@ def test_long_messages_end_after_1000_bytes(messages, form):
     assert message == Message(None, "warning", "c" * 99, "x" * 1000)
 
 
-def test_what_is_no_text_is_carried_all_the_same(messages):
+def test_messages_that_are_not_utf8_are_kept(messages):
     log(3, b"\xff", b"\xff")
     log(3, b"", None)
     library.cosim_log_text(c_void_p(KEY), c_int(0), None, c_char_p(b"%s %n %d"))  # FMI 3: no format

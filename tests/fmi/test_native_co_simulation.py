@@ -185,7 +185,7 @@ def test_usual_steps_are_compiled(path, monkeypatch, subtests):
             assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
 
 
-def test_what_is_shared_is_put_back_once_for_many_steps(tmp_path):
+def test_the_process_is_restored_once_for_many_steps(tmp_path):
     """The report names all FMUs that ran in the same call; the numbers are right all the same."""
     path = compile_fmu(
         tmp_path / "mover.fmu", STATELESS, "rogue2.c", defines=("ROGUE=MOVES", "WHERE=STEP")

@@ -78,7 +78,7 @@ def test_arrays_of_fmi_3_as_outputs(tmp_path):
     assert sizes["time"] == 1
 
 
-def test_what_cannot_be_an_output(tmp_path, subtests):
+def test_variables_that_cannot_be_outputs_are_refused(tmp_path, subtests):
     for names, text in [
         (["nothing"], "no variable 'nothing'; "),
         (["u"], "outputs: 'u' is an input, and recorded as one"),

@@ -154,7 +154,7 @@ def test_another_rounding_mode_in_the_initialization_ends_the_run(rogue):
         cosim.run(rogue("ROUNDS", "INITIALIZE"), recorder=Memory())
 
 
-def test_what_is_found_is_what_c_sees():
+def test_python_and_c_see_the_same_process():
     """A change that Python itself makes: each is found, put back, and then no longer there."""
     process = Process()
     home = os.getcwd()

@@ -335,7 +335,7 @@ BROKEN = [
 ]
 
 
-def test_what_contradicts_itself(described, subtests):
+def test_contradictory_descriptions_are_refused(described, subtests):
     """One clear error each."""
     for xml, before, after, text in BROKEN:
         with subtests.test(text=text):
@@ -394,7 +394,7 @@ HARMLESS = [
 ]
 
 
-def test_what_does_no_harm_is_a_warning(tmp_path, subtests):
+def test_harmless_deviations_are_warnings(tmp_path, subtests):
     """An FMU against the standard that can run as it is meant is read, with one warning."""
     for xml, before, after, text in HARMLESS:
         with subtests.test(text=text):

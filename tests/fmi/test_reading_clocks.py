@@ -65,7 +65,7 @@ def test_variables_name_their_clocks(tmp_path):
     assert description["decimal"].clocks == ()
 
 
-def test_what_no_clock_can_be(tmp_path, subtests):
+def test_wrong_clocks_are_refused(tmp_path, subtests):
     for old, new, problem in [
         (
             'intervalVariability="tunable"',

@@ -268,7 +268,7 @@ def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form
         load(exported, FmuOptions(interface_type="cs", dae="residual"))
 
 
-def test_what_is_integrated_stands_in_the_log():
+def test_the_log_says_which_form_is_integrated():
     """The solver's name says it."""
     with load(build(), FmuOptions(dae="residual")) as fmu:
         assert fmu.metadata["solver"] == "Radau IIA"

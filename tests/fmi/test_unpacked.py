@@ -134,7 +134,7 @@ def test_unpacked_fmus_have_a_bounded_size(counting, tmp_path, temporary):
             assert len(list(temporary.iterdir())) == 1
 
 
-def test_what_is_no_fmu_leaves_nothing(tmp_path, temporary):
+def test_a_refused_archive_leaves_no_folder(tmp_path, temporary):
     """As where it is opened alone."""
     (tmp_path / "x.fmu").write_bytes(b"no zip")
     with UnpackedFmus() as fmus:

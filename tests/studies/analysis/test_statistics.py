@@ -143,7 +143,7 @@ def test_a_member_without_a_value_does_not_pass():
         ("rms < nan", r"metric 'rms': .*< 'nan'"),
     ],
 )
-def test_what_is_no_condition_is_an_error(condition, message):
+def test_a_text_that_is_no_condition_is_an_error(condition, message):
     """It names what was found."""
     columns = columns_of({"rms": [1.0], "verdict": ["a"]})
     with pytest.raises(UsageError, match=message):
@@ -353,7 +353,7 @@ def test_few_members_have_no_rank_correlation(count):
     assert strongest([found], "m") == []
 
 
-def test_what_rounding_adds_has_no_rank_correlation():
+def test_differences_of_rounding_have_no_rank_correlation():
     """A metric that no parameter changes, summed in another order."""
     noise = 1.0 + 2.0**-52 * np.arange(40.0)
     columns = columns_of({"m": noise}, parameters={"p": np.arange(40)})

@@ -106,7 +106,7 @@ def test_an_fmu_needs_a_binary_for_the_platform_of_the_worker():
     assert list(without_binary(folders, "darwin", "x86_64")) == ["a.fmu", "b.fmu"]
 
 
-def test_what_is_no_fmu_has_no_platforms(tmp_path):
+def test_a_file_that_is_no_fmu_has_no_platforms(tmp_path):
     """Nor has an archive without binaries."""
     path, _ = write(tmp_path / "a.fmu", b"no archive")
     assert binary_folders([path, str(tmp_path / "b.fmu"), "x.toml"]) == {}

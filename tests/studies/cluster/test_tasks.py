@@ -84,7 +84,7 @@ def test_members_that_cost_nothing_do_not_make_a_message_of_any_length():
     assert max(len(task.members) for task in tasks) == MOST_MEMBERS
 
 
-def test_what_comes_back_is_the_next():
+def test_a_returned_task_is_the_next_one():
     """A task whose worker went is not left for the end."""
     remaining = RemainingTasks([range(10)], [])
     task = remaining.take(1)

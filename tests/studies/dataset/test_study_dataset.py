@@ -24,7 +24,7 @@ from tests.studies.dataset.outcomes import (
 )
 
 
-def test_what_is_added_is_read_in_the_order_of_members(tmp_path):
+def test_rows_are_read_in_the_order_of_members(tmp_path):
     """From parts and from the journal alike, whatever the order in which members ended."""
     with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
         add(dataset, [*range(9, -1, -1), 23, 12, 20])

@@ -141,7 +141,7 @@ def test_a_parquet_table_has_the_same(tmp_path):
         ("a.x\n1979-05-27\n", r"column 'a.x': .*datetime.date\(1979, 5, 27\)"),
     ],
 )
-def test_what_is_no_table_of_cases_is_refused(write, text, message):
+def test_a_file_that_is_no_table_of_cases_is_refused(write, text, message):
     """The message names the file, and the line or the column."""
     with pytest.raises(UsageError, match=rf"file '.*cases.csv'.*{message}"):
         read_cases(write(text))

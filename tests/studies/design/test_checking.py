@@ -23,7 +23,7 @@ def check(**options):
     check_design(plan_design(study, SCENARIO), SCENARIO)
 
 
-def test_what_the_scenario_takes_is_right(tmp_path):
+def test_values_that_the_scenario_accepts_pass(tmp_path):
     """Grids, samples, seeds, cases with empty cells."""
     path = tmp_path / "cases.csv"
     path.write_text('observer.filter_rate,plant.x_a0\n,\n100.0,\n,"[0.0, 1.0]"\n')
@@ -98,7 +98,7 @@ def test_what_the_scenario_takes_is_right(tmp_path):
         ({"set": {"observer.x": 1.0}, "vary": {"u.rate": [1.0]}}, r"\Aset\['observer.x'\]: .*unkn"),
     ],
 )
-def test_what_it_does_not_take_is_refused(options, message):
+def test_values_that_the_scenario_refuses_are_refused(options, message):
     """The message has the key, the value and the reason, once."""
     with pytest.raises(UsageError, match=message):
         check(**options)
@@ -200,7 +200,7 @@ def logs(tmp_path_factory):
     return folder
 
 
-def test_what_a_replay_takes_is_right(logs):
+def test_values_that_a_replay_accepts_pass(logs):
     """Of every log, with every value."""
     vary = {"observer.filter_rate": [100.0, 300.0]}
     check(replay=str(logs / "a-*.mcap"), vary=vary, seeds=2, set={"identifier.period": 0.05})
@@ -231,7 +231,7 @@ def test_what_a_replay_takes_is_right(logs):
         ({"replay": "c.mcap", "vary": {"u.rate": [1.0]}}, r"\A/.*c.mcap is not an MCAP file"),
     ],
 )
-def test_what_a_replay_does_not_take_is_refused(logs, monkeypatch, options, message):
+def test_values_that_a_replay_refuses_are_refused(logs, monkeypatch, options, message):
     """Before any of them."""
     monkeypatch.chdir(logs)
     with pytest.raises(UsageError, match=message):

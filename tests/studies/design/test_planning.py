@@ -337,7 +337,7 @@ def test_a_choice_is_drawn(tmp_path):
         ),
     ],
 )
-def test_what_does_not_go_together_is_refused(options, message):
+def test_options_that_exclude_each_other_are_refused(options, message):
     """One sentence each, in the language of the caller."""
     with shell_language(), pytest.raises(UsageError, match=message):
         planned(**options)

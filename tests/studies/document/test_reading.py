@@ -291,7 +291,7 @@ def test_wrong_options_are_named(options, message):
         study.with_options(**options)
 
 
-def test_what_is_no_file_is_refused(tmp_path):
+def test_a_path_that_is_no_file_is_refused(tmp_path):
     """As of a scenario."""
     with pytest.raises(UsageError, match=r"unknown scenario 'acdemic'; .*did you mean 'academi"):
         read_study("acdemic")

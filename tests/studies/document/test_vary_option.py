@@ -58,7 +58,7 @@ def test_an_option_is_what_a_file_has(text, value):
         ("choice:", "empty one in ''"),
     ],
 )
-def test_what_is_none_is_refused(text, message):
+def test_options_that_name_no_variation_are_refused(text, message):
     """The message has the text."""
     with pytest.raises(UsageError, match=message):
         read_vary_option(text)

@@ -26,7 +26,7 @@ def computed(changes):
         return experiment.graph.prepare(experiment.clock.step_ns).designs
 
 
-def test_what_a_member_has_not_in_common_is_stored_with_it():
+def test_designs_of_one_member_are_stored_with_it():
     """Array by array: of another initial state that alone, of another theta nothing."""
     with open_runner(SUBJECT) as runner:
         same = runner.run(StudyMember(0))

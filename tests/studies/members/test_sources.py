@@ -54,7 +54,7 @@ def swapped(folder, number, name):
 
 
 @pytest.mark.parametrize("name", ["x.toml", "u.csv", "a.fmu"])
-def test_what_starts_later_refuses_another_content(subject, tmp_path, name):
+def test_a_worker_that_starts_later_refuses_changed_files(subject, tmp_path, name):
     """Of the scenario, of a table, and of an FMU that all members read."""
     with (tmp_path / name).open("ab") as file:
         file.write(b"\n")
@@ -104,7 +104,7 @@ def test_the_same_content_is_the_same_file(subject, tmp_path):
         assert runner.run(StudyMember(0)).status == COMPLETE
 
 
-def test_what_changes_during_a_run_costs_its_outcome(subject, tmp_path, monkeypatch):
+def test_a_file_that_changes_during_a_member_discards_its_outcome(subject, tmp_path, monkeypatch):
     """Nobody knows which of the two contents it read."""
     from cosim.studies.members import runner as module
 

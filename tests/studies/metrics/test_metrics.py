@@ -188,7 +188,7 @@ def test_components_of_several_rates_have_the_rows_that_all_have():
     assert value("count(t)", rows) == 9.0
 
 
-def test_what_has_no_value_is_none():
+def test_a_reduction_of_no_values_is_none():
     """Also what is not finite; a count is 0."""
     rows = columns(y=[0.0, 2.0], gap=[math.nan, math.nan])
     assert value("last(plant.gap)", rows) is None

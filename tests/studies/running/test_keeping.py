@@ -176,7 +176,7 @@ def test_logs_are_made_here_where_no_worker_reaches_the_dataset(run, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("worker_processes")
-def test_what_is_left_of_failed_members_is_kept_and_the_others_are_named(tmp_path):
+def test_logs_of_failed_members_are_kept_and_missing_ones_named(tmp_path):
     """One hangs after a few steps, one crashes in the first, one fails there and says so."""
     names = ["LIES", "HANGS_LATER", "CRASH", "FAILS_STEP"]
     for name in names:

@@ -370,7 +370,7 @@ def test_replays_may_compute_the_classes_of_users(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "changed", [{"set": {"observer.filter_rate": 200.0}}, {"allow_code": True}]
 )
-def test_what_all_replays_have_belongs_to_the_dataset(tmp_path, changed):
+def test_settings_of_all_replays_belong_to_the_dataset(tmp_path, changed):
     """Their log does not have it."""
     log = tmp_path / "a.mcap"
     cosim.run("academic", set={"scenario.stop": 0.1}, out=log)

@@ -29,7 +29,7 @@ CHOICES = st.lists(VALUES, min_size=1, max_size=5, unique_by=value_name)
 
 @settings(max_examples=25)
 @given(st.lists(CHOICES, min_size=1, max_size=3), st.data())
-def test_what_is_stopped_and_goes_on_is_what_was_not_stopped(lists, data):
+def test_a_resumed_search_equals_an_uninterrupted_one(lists, data):
     """Row for row, and no point is run twice, whatever type a column has."""
     keys = [f"plant.k{number}" for number in range(len(lists))]
     columns = [parameter_column(key, values) for key, values in zip(keys, lists, strict=True)]

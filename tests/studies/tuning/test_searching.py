@@ -149,7 +149,7 @@ def test_a_constant_in_the_objective_does_not_end_a_global_search(offset):
 
 
 @pytest.mark.parametrize("method", EACH_METHOD)
-def test_what_is_varied_without_effect_is_said(method):
+def test_a_key_without_effect_is_reported(method):
     result = search(lambda point: 3.0, method=method, members=50)
     assert (
         "all members have the same objective: the varied keys have no effect on it here"

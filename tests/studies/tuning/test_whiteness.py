@@ -43,7 +43,7 @@ COLORED = {
 
 
 @pytest.mark.parametrize("name", COLORED)
-def test_what_is_not_white_is_seen(name):
+def test_a_correlated_residual_is_recognized(name):
     """In 9 of 10 cases or more."""
     assert verdicts(COLORED[name]) >= 0.9 * SEEDS
 

@@ -87,7 +87,7 @@ def test_a_bit_of_the_objective_that_differs_is_found(lag, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_members_of_a_search_are_made_of_must_not_have_changed(lag, tmp_path):
+def test_a_changed_file_refuses_the_verification_of_a_search(lag, tmp_path):
     """Files that were swapped in, and the scenario's own, are among it."""
     swaps = [str(tmp_path / "low.csv"), str(tmp_path / "high.csv")]
     tune(lag, tmp_path / "d", {"plant": swaps}, method="optuna", members=9)

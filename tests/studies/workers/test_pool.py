@@ -114,7 +114,7 @@ def test_a_process_that_outlives_its_worker_hides_no_loss():
     assert failures(outcomes) == {0: "ends the process with exit code 5"}
 
 
-def test_what_members_print_is_discarded(capfd):
+def test_output_of_members_is_discarded(capfd):
     """It is no reply, and not seen on the terminal."""
     outcomes = outcomes_of([doing(number, "prints") for number in range(4)])
     assert failures(outcomes) == {}
@@ -191,7 +191,7 @@ def test_an_end_that_hangs_is_not_waited_for(monkeypatch):
 
 
 @NEEDS_PROC
-def test_what_members_start_ends_with_their_worker():
+def test_processes_of_members_end_with_their_worker():
     """Also where the worker itself is not lost."""
     members = [doing(number, "starts a process") for number in range(2)]
     with open_pool(1) as workers:
