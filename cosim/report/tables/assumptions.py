@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Final
 
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.assumptions.report import AssumptionReport
 
+_EQUATION: Final = re.compile(r" \(\d+\)$")  # of the paper: a part of the name in JSON alone
 _WORDS: Final = {True: "fulfilled", False: "NOT FULFILLED", None: "not decided"}
 
 
@@ -23,7 +25,7 @@ def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
         word = _WORDS[verdict.fulfilled]
         answer = ": ".join(filter(None, (word, verdict.verdict)))
         text = "; ".join(filter(None, (verdict.evidence, verdict.cure)))
-        table.add_row(name, verdict.name, answer, text)
+        table.add_row(name, _EQUATION.sub("", verdict.name), answer, text)
     print_table(table)
 
 

@@ -25,7 +25,7 @@ from cosim.theory.experiment_design.effect_of_theta import effect_of_theta
 from cosim.theory.experiment_design.minors import Minors
 from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
-START: Final = "identification start time"
+START: Final = "start time (36)"
 STEP: Final = "communication step"
 METHOD: Final = "method"
 EXCITATION: Final = "persistent excitation"

@@ -23,7 +23,7 @@ from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
 CLASS: Final = "disturbance class (Assumption 3)"
 DELAYS: Final = "delays (Assumption 3)"
-ALPHAS: Final = "alphas"
+ALPHAS: Final = "alphas (21)"
 
 
 @dataclass(frozen=True, eq=False)
