@@ -159,6 +159,7 @@ class Unreached:
         return {"tcp://a": False, "tcp://b": OSError()}
 
 
+@pytest.mark.slow
 def test_logs_are_made_here_where_no_worker_reaches_the_dataset(run, tmp_path):
     """They never go through the scheduler; it is said."""
     study, _ = run()

@@ -35,6 +35,7 @@ def lag(tmp_path, monkeypatch):
     return folder / "lag.toml"
 
 
+@pytest.mark.slow
 def test_a_relative_path_means_the_same_file_as_in_a_study(lag, tmp_path):
     """That in the working directory; what the scenario names is in its folder."""
     vary = {"plant": ["a.csv", "b.csv"]}

@@ -85,7 +85,11 @@ def test_the_command_runs_the_best_member_bit_for_bit(tmp_path):
         ({"replay": ["LOG", "COPY"]}, r"replay: expected one log.*got 2 \(.*\)"),
         ({"minimize": "rms(nothing.y)"}, "minimize: the run has no component 'nothing'"),
         ({"vary": {"plant.x_a0[0]": {"linear": [0.0, 1.0]}}}, "plant"),
-        ({"vary": {"plant": ["x.fmu", "y.fmu"]}, "method": "optuna"}, "no such file"),
+        pytest.param(
+            {"vary": {"plant": ["x.fmu", "y.fmu"]}, "method": "optuna"},
+            "no such file",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_wrong_replay_is_refused_before_a_trial_runs(log, tmp_path, options, message):
