@@ -365,12 +365,12 @@ def test_an_interval_is_a_whole_number_of_nanoseconds(opened, interface_type):
     with pytest.raises(FmuError) as error:
         opened(interface_type, "sample", changes={"sample": third})
     assert str(error.value) == (
-        "clocked: interval of clock 'sample': found 0.3333333333333333 s (1/3), needed a whole "
-        "number of nanoseconds"
+        "clocked: interval of clock 'sample': expected a whole number of nanoseconds, "
+        "got 0.3333333333333333 s (1/3)"
     )
     with pytest.raises(
         RunError,
-        match=r"interval of clock 'asked': found 2\.5e-09 s \(1/400000000\), needed a whole number",
+        match=r"interval of clock 'asked': expected .*, got 2\.5e-09 s \(1/400000000\)",
     ):
         Trace(opened(interface_type, "asked", period=2.5e-9))
 
@@ -379,9 +379,9 @@ def test_an_interval_is_a_whole_number_of_nanoseconds(opened, interface_type):
 def test_intervals_that_are_none(opened, interface_type):
     """Not above zero, below zero, not finite."""
     for name, clock, start, text in [
-        ("asked", "asked", {"period": 0.0}, "found 0.0 s, needed more than 0 s"),
-        ("next", "next", {"step": -0.01}, "found -0.01 s, needed 0 s or more"),
-        ("later", "in", {"delay": -0.01}, "found -0.01 s, needed 0 s or more"),
+        ("asked", "asked", {"period": 0.0}, "expected more than 0 s, got 0.0 s"),
+        ("next", "next", {"step": -0.01}, "expected 0 s or more, got -0.01 s"),
+        ("later", "in", {"delay": -0.01}, "expected 0 s or more, got -0.01 s"),
     ]:
         fmu = opened(interface_type, *{clock, name}, **start)
         inputs = {"in": triggers(3)} if clock == "in" else {}
@@ -396,7 +396,7 @@ def test_a_tick_inside_a_step_that_cannot_be_divided(opened):
         Stopped,
         match=r"clocked: a clock ticks at t = 0\.1 s, inside the communication step of 0\.04 s "
         r"from t = 0\.08 s, which the FMU cannot divide \(canHandleVariableCommunicationStepSize "
-        r"is false\); needed a communication step that divides the intervals and shifts",
+        r"is false\); choose a communication step that divides the intervals and shifts",
     ):
         Trace(fmu)
     trace = Trace(opened("cs", "sample", can=("events",)), h=0.05)
@@ -406,7 +406,7 @@ def test_a_tick_inside_a_step_that_cannot_be_divided(opened):
 @TYPES
 def test_a_trigger_is_0_or_1(opened, interface_type):
     with pytest.raises(
-        Stopped, match=r"clocked: clock 'in': found 0\.5, needed 1, where it ticks, or 0"
+        Stopped, match=r"clocked: clock 'in': expected 1 \(the clock ticks\) or 0, got 0\.5"
     ):
         Trace(opened(interface_type, "in"), **{"in": lambda t: 0.5 * (t > 1.0)})
 

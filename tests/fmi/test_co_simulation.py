@@ -441,8 +441,8 @@ def test_returns_without_end_stop_the_run(opened):
 
 def test_a_return_to_before_the_step_stops_the_run(opened):
     message = (
-        r"lag: returned early at t = -0\.25 s from the step from 0\.0 s to 0\.1 s; "
-        "needed a time in it"
+        r"lag: early return: expected a time within the step from 0\.0 s to 0\.1 s, "
+        r"got -0\.25 s"
     )
     with pytest.raises(Stopped, match=message) as stop:
         run(opened("3", returns=-0.25))

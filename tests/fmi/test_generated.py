@@ -180,8 +180,8 @@ def test_events_that_instances_ask_for():
     for time in (-0.5, float("nan")):
         with pytest.raises(
             Stopped,
-            match=f"eventful: at t = 0.0 s it announces a time event at {time} s; "
-            "needed a time that is not",
+            match="eventful: time event: expected a time >= 0.0 s .the current time., "
+            f"got {time} s",
         ):
             run(ModelExchange(Eventful({"next_event_time": time}), "rk4"), step=0.1)
     with pytest.raises(

@@ -37,9 +37,7 @@ def test_numbers_outside_a_type_are_refused(subtests):
     ]:
         with subtests.test(variable_type=variable_type, value=value):
             dtype = np.bool_ if variable_type == "Boolean" else np.dtype(variable_type.lower())
-            with pytest.raises(
-                RunError, match=f"cannot be set: needed numbers of type {variable_type}"
-            ):
+            with pytest.raises(RunError, match=f"expected numbers of type {variable_type}"):
                 to_fmu_type("m", variable_type, dtype, np.array([value]))
 
 

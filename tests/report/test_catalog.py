@@ -62,7 +62,7 @@ def test_kinds_mark_what_may_be_set_in_a_run(capsys):
     print_kind("delay", as_json=False)
     assert "parameter\tdefault\tmeaning" in capsys.readouterr().out.splitlines()
     print_kind("fmu", as_json=False)
-    text = "tunable: parameters that the FMU declares so, of which 'cosim info' of the file has a"
+    text = "tunable: parameters that the FMU declares tunable; 'cosim info'"
     assert text in capsys.readouterr().out
 
 

@@ -323,7 +323,7 @@ def test_an_impossible_export_is_refused(tmp_path, monkeypatch, capsys):
     )
     assert "FMI version '1'" in refused("--component", "plant", "--fmi", "1")
     message = refused("--component", "plant", "--platform", "x86_64-lnux")
-    assert "platform 'x86_64-lnux': did you mean 'x86_64-linux'? Available: x86_64-li" in message
+    assert "platform 'x86_64-lnux'; did you mean 'x86_64-linux'? Available: x86_64-li" in message
     twice = refused("--component", "plant", "--platform", "x86_64-linux, x86_64-linux")
     assert "platform 'x86_64-linux' is given twice" in twice
     assert list(tmp_path.iterdir()) == []

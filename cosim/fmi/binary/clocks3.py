@@ -89,8 +89,8 @@ class Fmi3Clocks:
     def _fraction(self, clock: Variable, what: str, counter: int, resolution: int) -> Fraction:
         if resolution == 0:
             raise RunError(
-                f"{self._library.name}: {what} of clock {clock.name!r}: found the resolution 0, "
-                "needed 1 or more"
+                f"{self._library.name}: {what} of clock {clock.name!r}: expected a resolution "
+                "of at least 1, got 0"
             )
         return Fraction(counter, resolution)
 
@@ -99,8 +99,8 @@ class Fmi3Clocks:
         decimal = Decimal(repr(value))
         if not decimal.is_finite():
             raise RunError(
-                f"{self._library.name}: {what} of clock {clock.name!r}: found {value} s, needed a "
-                "finite time"
+                f"{self._library.name}: {what} of clock {clock.name!r}: expected a finite time, "
+                f"got {value} s"
             )
         return Fraction(decimal)
 

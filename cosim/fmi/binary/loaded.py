@@ -297,7 +297,7 @@ class LoadedInstance:
         """
         label = f"{self._library.name}: {variable.name}"
         if len(values) != variable.size:
-            raise RunError(f"{label}: found {len(values)} strings, needed {variable.size}")
+            raise RunError(f"{label}: expected {variable.size} string(s), got {len(values)}")
         encode = bytes.fromhex if variable.type == "Binary" else _encode_string
         try:
             encoded = [encode(text) for text in values]
@@ -421,9 +421,7 @@ def to_fmu_type(name: str, variable_type: str, dtype: DTypeLike, values: Vector)
     if variable_type == "Boolean":
         fits = fits and bool(np.isin(values, (0.0, 1.0)).all())
     if not fits:
-        raise RunError(
-            f"{name}: {values.tolist()} cannot be set: needed numbers of type {variable_type}"
-        )
+        raise RunError(f"{name}: expected numbers of type {variable_type}, got {values.tolist()}")
     return converted
 
 

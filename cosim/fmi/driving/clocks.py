@@ -172,8 +172,8 @@ class EventClocks:
         whole = round(exact)
         if abs(exact - whole) > ROUNDINGS * abs(exact):
             raise RunError(
-                f"{self._name}: {what} of clock {clock.name!r}: found {float(time)} s ({time}), "
-                "needed a whole number of nanoseconds"
+                f"{self._name}: {what} of clock {clock.name!r}: expected a whole number of "
+                f"nanoseconds, got {float(time)} s ({time})"
             )
         return whole
 
@@ -250,7 +250,7 @@ class EventClocks:
         if interval is None or interval < 0:
             found = "none" if interval is None else f"{float(interval)} s"
             raise RunError(
-                f"{self._name}: interval of clock {clock.name!r}: found {found}, needed 0 s or more"
+                f"{self._name}: interval of clock {clock.name!r}: expected 0 s or more, got {found}"
             )
         return TickSchedule(begin + self._nanoseconds(clock, "interval", interval))
 
@@ -258,8 +258,8 @@ class EventClocks:
         if interval is None or interval <= 0:
             found = "none" if interval is None else f"{float(interval)} s"
             raise RunError(
-                f"{self._name}: interval of clock {clock.name!r}: found {found}, needed more "
-                "than 0 s"
+                f"{self._name}: interval of clock {clock.name!r}: expected more than 0 s, "
+                f"got {found}"
             )
         return interval
 
@@ -293,8 +293,8 @@ class EventClocks:
             value = u[column]
             if value not in (0.0, 1.0):
                 raise RunError(
-                    f"{self._name}: clock {clock.name!r}: found {value}, needed 1, where it "
-                    "ticks, or 0"
+                    f"{self._name}: clock {clock.name!r}: expected 1 (the clock ticks) "
+                    f"or 0, got {value}"
                 )
             handled = t == self.state.handled_at and clock.name in self.state.handled
             if value and not handled:

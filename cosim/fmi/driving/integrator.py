@@ -593,8 +593,8 @@ class Integrator:
     def _event_is_over(self) -> RunError:
         """Return the error of a time event that is announced too late."""
         return RunError(
-            f"{self._name}: at t = {self.state.t} s it announces a time event at "
-            f"{self.state.next_event} s; needed a time that is not over"
+            f"{self._name}: time event: expected a time >= {self.state.t} s (the current time), "
+            f"got {self.state.next_event} s"
         )
 
     def _read_nominals(self) -> Vector:

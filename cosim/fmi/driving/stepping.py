@@ -478,8 +478,8 @@ class Stepper:
         s = ramp.fraction(end.last_successful_time)
         if not s0 <= s <= s1:
             raise RunError(
-                f"{self._name}: returned early at t = {end.last_successful_time} s from the "
-                f"step from {ramp.time(s0)} s to {ramp.time(s1)} s; needed a time in it"
+                f"{self._name}: early return: expected a time within the step from "
+                f"{ramp.time(s0)} s to {ramp.time(s1)} s, got {end.last_successful_time} s"
             )
         return s
 
@@ -538,7 +538,7 @@ class Stepper:
         raise RunError(
             f"{self._name}: a clock ticks at t = {self._clocks.next_time} s, inside the "
             f"communication step of {ramp.h} s from t = {ramp.t} s, which the FMU cannot divide "
-            "(canHandleVariableCommunicationStepSize is false); needed a communication step that "
+            "(canHandleVariableCommunicationStepSize is false); choose a communication step that "
             "divides the intervals and shifts of its clocks"
         )
 

@@ -73,7 +73,7 @@ def check_platforms(platforms: Sequence[str]) -> None:
     """
     for name in platforms:
         if name not in PLATFORMS:
-            raise FmuError(f"platform {name!r}: {nearest(name, PLATFORMS)}")
+            raise FmuError(f"unknown platform {name!r}; {nearest(name, PLATFORMS)}")
         if platforms.count(name) > 1:
             raise FmuError(f"platform {name!r} is given twice")
     if platforms and not build.cross_compiler(""):

@@ -204,7 +204,7 @@ MOST_IDENTIFIER = 200  # characters: with a suffix, the name of a file
 
 def _check_names(path: Path, name: str, fmi: str) -> None:
     if fmi not in VERSIONS:
-        raise FmuError(f"FMI version {fmi!r}: {nearest(fmi, VERSIONS)}")
+        raise FmuError(f"unknown FMI version {fmi!r}; {nearest(fmi, VERSIONS)}")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise FmuError(
             f"name {quoted(name)}: expected a C identifier: letters, digits and _, no digit first"

@@ -32,7 +32,9 @@ def check_target(out: Path, *, force: bool = False) -> None:
     ending = out.suffix.lower()
     if ending not in ENDINGS:
         found = repr(out.suffix) if out.suffix else "none"
-        raise UsageError(f"{out}: expected a file extension of {', '.join(ENDINGS)}, got {found}")
+        raise UsageError(
+            f"{out}: expected a file extension among {', '.join(ENDINGS)}, got {found}"
+        )
     if ending == ".parquet":
         need_pyarrow()
     check_new_log(log_path(out), force=force, numbered=False)

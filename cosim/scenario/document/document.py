@@ -318,8 +318,7 @@ def find(name: str | Path) -> Document:
     if path.is_dir():
         raise ScenarioError(f"{path}: expected a scenario (.toml) or a shipped one, got a folder")
     raise ScenarioError(
-        f"unknown scenario {quoted(text)}; expected a path to a .toml file, or a shipped one: "
-        f"{nearest(text, shipped())}"
+        f"unknown scenario {quoted(text)}; {nearest(text, shipped())}, or a path to a .toml file"
     )
 
 

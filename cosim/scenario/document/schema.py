@@ -224,8 +224,8 @@ class ActionTable(TomlTable):
     at: Number | None = Field(None, description="time [s], a communication point of the run")
     when: str | None = Field(
         None,
-        description="condition, in place of a time: when it is first met, such as "
-        '"plant.y > 2 for 0.5 s"',
+        description='condition in place of a time, such as "plant.y > 2 for 0.5 s"; the '
+        "action is taken when it is first met",
     )
     signal: str | list[str] | None = Field(
         None, description="input, element of an input, or list of them; all get the same action"

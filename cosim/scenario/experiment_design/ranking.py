@@ -188,7 +188,7 @@ class _Ranking:
         self._omit(
             "filter",
             {f"{self.subject.observer}.filter_rate": float(f"{rate:.3g}")},
-            f"neither tried nor slower ones: the run is shorter than {_SLOWEST:g} time constants",
+            f"not tried, nor slower ones: the run is shorter than {_SLOWEST:g} time constants",
         )
         return variants
 

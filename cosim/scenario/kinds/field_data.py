@@ -70,8 +70,8 @@ class FieldDataKind(PlantKind):
     )
     separator: str | None = Field(
         None,
-        description="column separator of a CSV file; default: tab, semicolon, bar or comma, as "
-        "found in its first line",
+        description="column separator of a CSV file; default: tab, semicolon, vertical bar or "
+        "comma, as found in its first line",
     )
     decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
     maximum_gap: Number | None = Field(

@@ -98,18 +98,18 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     forgetting: Number | None = Field(
         None,
         description="output-error, drem: time constant of exponential forgetting [s]; default: "
-        f"none, of drem {defaults.DREM_FORGETTING:g}",
+        f"none; drem: {defaults.DREM_FORGETTING:g}",
     )
     gain: Number | None = Field(
         None,
         description="gradient, drem: adaptation rate of eta [1/s]; default: "
-        f"{defaults.GRADIENT_GAIN:g}, of drem {defaults.DREM_GAIN:g}",
+        f"{defaults.GRADIENT_GAIN:g}; drem: {defaults.DREM_GAIN:g}",
     )
     deviation: Number | NumberRow | None = Field(
         None,
         description="output-error, Kalman filters: standard deviation of the noise of y, one "
-        "number or one per output; default of output-error: that of the residual, of "
-        f"augmented-kalman {defaults.AUGMENTED_DEVIATION:g}, of extended-kalman "
+        "number or one per output; default: output-error: that of the residual; "
+        f"augmented-kalman: {defaults.AUGMENTED_DEVIATION:g}; extended-kalman: "
         f"{defaults.EXTENDED_DEVIATION:g} (includes the linearization error; weaker "
         "components of y are not identified)",
     )

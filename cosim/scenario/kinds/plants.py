@@ -155,7 +155,7 @@ class FmuKind(PlantKind, PeriodicKind):
     ports: ClassVar[str] = "those of the FMU"
     is_rerun: ClassVar[bool] = True
     tunable_elsewhere: ClassVar[str] = (
-        "parameters that the FMU declares so, of which 'cosim info' of the file has a list"
+        "parameters that the FMU declares tunable; 'cosim info' lists them"
     )
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu file")

@@ -152,7 +152,7 @@ def independence_of(layout: StudyLayout) -> Independence:
     """Return what of a study was drawn independently."""
     if layout.kind in ("grid", "cases"):
         if layout.seeds == 1:
-            return Independence(layout, "none: the members were chosen, not drawn", is_drawn=False)
+            return Independence(layout, "none (the members were chosen, not drawn)", is_drawn=False)
         return Independence(layout, f"{layout.seeds} seeds drawn independently")
     basis = _BASIS[layout.kind]
     together = layout.seeds * layout.grid

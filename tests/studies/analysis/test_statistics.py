@@ -56,7 +56,7 @@ def test_a_grid_has_no_interval_and_one_with_seeds_has_that_of_its_seeds():
     chosen = study_statistics(columns_of({"a": values[:6]}), StudyLayout("grid", grid=6))["a"]
     assert chosen.mean_interval.to_list() == [None, None]
     assert chosen.quantiles[1].interval.to_list() == [None, None]
-    assert chosen.basis == "none: the members were chosen, not drawn"
+    assert chosen.basis == "none (the members were chosen, not drawn)"
     layout = StudyLayout("grid", seeds=40, grid=6)
     drawn = study_statistics(columns_of({"a": values}), layout)["a"]
     expected = stats.ttest_1samp(of_seed + of_point.mean(), 0.0).confidence_interval(0.95)
