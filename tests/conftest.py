@@ -25,7 +25,8 @@ settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("search", max_examples=1000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
-# Modules whose tests share costly runs or exports: with -n one worker runs all of a module.
+# Modules whose tests share costly runs, exports or parsed files: with -n one worker runs all of
+# a module.
 OF_ONE_WORKER = frozenset(
     {
         "tests/fmi/test_export.py",
@@ -46,6 +47,7 @@ OF_ONE_WORKER = frozenset(
         "tests/studies/cluster/test_real_studies.py",
         "tests/studies/tables/test_real_study.py",
         "tests/studies/tuning/test_tuning.py",
+        "tests/test_architecture.py",
         "tests/theory/assessment/test_validation.py",
     }
 )

@@ -190,23 +190,20 @@ def part(path: Path) -> str:
     return inside.parts[0] if len(inside.parts) > 1 else inside.stem
 
 
-def parsed(path: Path) -> ast.Module:
-    """Return the syntax tree of a file."""
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 @cache
-def import_statements(path: Path) -> list[ast.Import | ast.ImportFrom]:
-    """Return every statement that imports something, anywhere in a file."""
-    nodes = ast.walk(parsed(path))
-    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+def parsed(path: Path) -> tuple[list[ast.Import | ast.ImportFrom], set[str]]:
+    """Return the imports of a file, anywhere in it, and the names of the types it defines."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = ast.walk(tree)
+    imported = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+    return imported, type_names(tree)
 
 
 @cache
 def imports(path: Path) -> set[str]:
     """Return every module that a file imports, anywhere in it."""
     found = set()
-    for node in import_statements(path):
+    for node in parsed(path)[0]:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         else:
@@ -255,7 +252,7 @@ def modules() -> dict[str, Path]:
 def imported_modules(path: Path, known: Collection[str]) -> set[str]:
     """Return the modules of the package that a file imports, anywhere in it, for types too."""
     found = set()
-    for node in import_statements(path):
+    for node in parsed(path)[0]:
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("cosim"):
             names = [f"{node.module}.{alias.name}" for alias in node.names]
             found |= {name if name in known else str(node.module) for name in names}
@@ -312,7 +309,7 @@ def test_a_type_name_has_one_meaning():
     """No class or type alias is defined twice in the package."""
     homes: dict[str, list[str]] = {}
     for name, path in modules().items():
-        for type_name in type_names(parsed(path)):
+        for type_name in parsed(path)[1]:
             homes.setdefault(type_name, []).append(name)
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
 
