@@ -97,7 +97,7 @@ def test_no_value_is_set_where_one_does_not_fit_its_type(instance, subtests):
                 if status:
                     assert status == DECLINED
                     assert instance.get_float64(references).tolist() == zeros.tolist()
-                    with pytest.raises(RunError, match="cannot be set"):
+                    with pytest.raises(RunError, match="expected numbers of type"):
                         instance.set_float64(references, vector)
                 else:
                     instance.set_float64(references, vector)
