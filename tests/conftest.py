@@ -65,6 +65,11 @@ def pytest_configure(config: pytest.Config) -> None:
         compileall.compile_dir(HERE.parent / "cosim", quiet=2)
 
 
+def pytest_collection_finish() -> None:
+    """Keep the tests out of garbage collections: each looked through half a million objects."""
+    gc.freeze()
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Distribute tests one by one, but modules of ``OF_ONE_WORKER`` as a whole, and these first."""
@@ -76,6 +81,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return module if module in OF_ONE_WORKER else nodeid
 
     return ByCost(config, log)
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark as slow the cases of a test that its mark ``fast`` does not name."""
+    mark = item.get_closest_marker("fast")
+    if mark and isinstance(item, pytest.Function) and item.callspec.id not in mark.args:
+        item.add_marker(pytest.mark.slow)
 
 
 SECONDS_OF_A_FAST_TEST = 1.0
@@ -130,6 +142,26 @@ def cache_of_the_suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COSIM_CACHE", str(folder_of_the_run(tmp_path_factory) / "cache"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def trials_in_this_process() -> Iterator[None]:
+    """Try FMUs where the test runs, unless it asks for ``trials_in_children``."""
+    from tests.fmi.in_process import try_fmus_in_this_process
+
+    with pytest.MonkeyPatch.context() as patch:
+        try_fmus_in_this_process(patch)
+        yield
+
+
+@pytest.fixture
+def trials_in_children() -> Iterator[None]:
+    """Try FMUs in children, as users do: for tests of trials, crashes and hangs."""
+    from tests.fmi.in_process import try_fmus_in_children
+
+    with pytest.MonkeyPatch.context() as patch:
+        try_fmus_in_children(patch)
         yield
 
 

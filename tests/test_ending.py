@@ -93,6 +93,7 @@ def test_runs_at_once_without_a_path_get_one_name_each(start, tmp_path):
     assert sorted(os.listdir(tmp_path / "logs")) == sorted(names)
 
 
+@pytest.mark.slow
 def test_threads_may_share_a_path_too(tmp_path):
     """Each of eight threads gets its own log back, with the value that it set."""
     logs = {}

@@ -114,6 +114,7 @@ def test_members_have_the_rms_of_a_lag_behind_a_sine(capsys):
         assert float(value) == pytest.approx((2.0 * (1.0 + (2.0 * T) ** 2)) ** -0.5, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_content_hash_is_what_the_page_computes(tmp_path, monkeypatch):
     """Also of NaNs of all bits, in more elements than a topic holds."""
     monkeypatch.chdir(tmp_path)

@@ -74,6 +74,7 @@ def advanced(component, u):
     return {name: rows[:, block] for name, block in columns.items()}
 
 
+@pytest.mark.fast("False-False")
 @pytest.mark.parametrize(("internal", "feedforward"), [(True, True), (False, False)])
 def test_it_keeps_the_contract(internal, feedforward):
     """With theta that becomes good enough on the way, and u at its limits now and then."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.signal import lsim
 
 import cosim
@@ -33,6 +34,7 @@ def columns(t, theta):
     return np.stack(found, axis=1), known
 
 
+@pytest.mark.slow
 def test_they_go_with_theta_from_one_pass_to_the_next():
     """Amplitudes beside theta leave the least sum of squares but for a small part of a variance.
 

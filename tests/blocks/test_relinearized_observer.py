@@ -85,6 +85,7 @@ def observer(model, x_a0=None) -> RelinearizedObserver:
     return RelinearizedObserver(model, designed, linear.interface, x_a0)
 
 
+@pytest.mark.slow
 def test_it_keeps_the_contract_of_a_component():
     """K steps are one step K times, outputs change nothing, restore undoes."""
     t = np.arange(7) * H
@@ -146,6 +147,7 @@ def settled_errors(model, h, output):
     return np.abs(rows[settled, :2] - x[1:][settled]).max(axis=0)
 
 
+@pytest.mark.slow
 def test_its_estimate_is_of_second_order_in_the_step():
     """x1 is not in y: its error is that of the local models alone, and a half step quarters it."""
     coarse, fine = (settled_errors(Tank(), h, lambda x2: x2)[0] for h in (0.04, 0.02))

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from cosim.log import McapRecorder
 from tests.log.recordings import blocks, layout, plan, record, table
@@ -47,6 +48,7 @@ def test_a_reader_that_has_enough_ends_cat_without_a_word(tmp_path):
     assert (process.returncode, messages) == (0, b"")
 
 
+@pytest.mark.slow
 def test_a_log_is_followed_until_its_run_ends(tmp_path):
     """Each flush is printed while the run goes on, and the whole is what ``cat`` prints later."""
     path = tmp_path / "a.mcap"

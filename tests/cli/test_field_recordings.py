@@ -18,6 +18,7 @@ def files(tmp_path):
     field_log(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("files")
 def test_a_recording_takes_the_place_of_the_plant(call, tmp_path):
     """As any file does, and says what that means."""

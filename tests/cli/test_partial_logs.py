@@ -41,6 +41,7 @@ def test_info_says_what_is_recorded_of_what(call):
     assert "partial" not in json.loads(call("info", "whole.mcap", "--json")[1])
 
 
+@pytest.mark.fast("words0", "words1")
 @pytest.mark.usefixtures("logs")
 @pytest.mark.parametrize(
     "words",

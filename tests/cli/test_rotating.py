@@ -3,10 +3,13 @@
 import json
 import re
 
+import pytest
+
 RUN = ("run", "academic", "--stop", "1")
 ROTATED = (*RUN, "--rotate", "0.4s", "--out", "run.mcap")
 
 
+@pytest.mark.slow
 def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
     """Of no file alone; together they are the log of the run."""
     code, out, err = call(*ROTATED)

@@ -48,6 +48,7 @@ def test_it_prints_json(lag, capsys):
     assert content["best"]["values"].keys() == {"plant.time_constant"}
 
 
+@pytest.mark.slow
 def test_maximizing_ends_at_a_bound(lag, capsys):
     """The faster the lag, the higher its output."""
     options = ["--maximize=last(plant.y)", "--vary=plant.time_constant=0.5:2", "--workers=1"]
@@ -55,6 +56,7 @@ def test_maximizing_ends_at_a_bound(lag, capsys):
     assert "plant.time_constant is at its lower bound: values beyond it may be better" in out
 
 
+@pytest.mark.slow
 def test_the_stop_is_that_of_all_members(lag, capsys):
     """1 - exp(-1 / T) = 0.5 has T = 1 / log 2."""
     options = [OBJECTIVE, VARY, "--stop=1", "--starts=1", "--workers=1"]
@@ -64,6 +66,7 @@ def test_the_stop_is_that_of_all_members(lag, capsys):
     assert f"again: cosim run {lag} --set scenario.stop=1.0 --set plant.time_constant=" in out
 
 
+@pytest.mark.slow
 def test_a_tuning_that_is_interrupted_says_how_to_go_on(lag, tmp_path, capsys, monkeypatch):
     """Ctrl-C while its sixth member would run."""
     options = [lag, OBJECTIVE, VARY, "--workers=1", f"--out={tmp_path / 'd'}"]

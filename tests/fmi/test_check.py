@@ -175,6 +175,7 @@ def test_an_fmu_that_hangs_is_a_finding(rogue):
     ]
 
 
+@pytest.mark.usefixtures("trials_in_children")
 def test_whether_an_fmu_can_go_back(rogue, exported, monkeypatch):
     """Tried once for each file; inside a trial the result is yes, or it would never end."""
     good = read(exported)

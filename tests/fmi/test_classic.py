@@ -75,6 +75,7 @@ def plain(fmus, initial_outputs, h, algorithm, *, iterations, order):
     return np.array(rows)
 
 
+@pytest.mark.fast("unstable")
 @pytest.mark.parametrize(
     ("values", "h"), [(STABLE, 1e-3), (UNSTABLE, 1e-2)], ids=["stable", "unstable"]
 )

@@ -108,6 +108,7 @@ def test_instants_do_not_accumulate(opened):
     assert trace["when"].tolist() == (ticks * 100_000_000 / 1e9).tolist()
 
 
+@pytest.mark.slow
 def test_parts_of_a_co_simulation_step_end_at_the_ticks(opened):
     """The FMU adds the length of the part to its begin: a rounding of each, and of the sum."""
     trace = Trace(opened("cs", "sample"), h=0.7, steps=1000)
@@ -253,6 +254,7 @@ def test_two_ticks_in_a_step_are_reported(opened, interface_type):
 # --- between components ---
 
 
+@pytest.mark.fast("types0-can0", "types1-can0", "types2-can0")
 @pytest.mark.parametrize("can", [("any step", "events"), ("any step", "events", "state")])
 @pytest.mark.parametrize("types", [("cs", "cs"), ("cs", "me"), ("me", "cs"), ("me", "me")])
 def test_a_clock_triggers_that_of_another_component(opened, types, can):

@@ -212,6 +212,7 @@ def test_outputs_belong_to_the_inputs_that_were_asked_for_last(opened):
     assert fed == pytest.approx(line(times())[:, 0], abs=ROUNDING)
 
 
+@pytest.mark.fast("1", "2")
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_the_contract_is_kept(opened, version):
     """Blocks of any size give equal bits, restore(save()) is the identity.

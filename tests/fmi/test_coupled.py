@@ -81,6 +81,7 @@ def error(memory):
     return abs(np.array([memory["one.x"][-1], memory["two.x"][-1]]) - solution(1.0)).max()
 
 
+@pytest.mark.fast("held")
 @pytest.mark.parametrize(
     ("can", "interpolation", "order"),
     [
@@ -140,6 +141,7 @@ def test_messages_of_a_sweep_that_is_rolled_back_are_dropped(opened, native):
     assert texts == ["to 0.01 s", "to 0.02 s", "to 0.03 s", "to 0.04 s", "to 0.05 s"]
 
 
+@pytest.mark.fast("True")
 @pytest.mark.parametrize("native", [True, False])
 def test_a_nonlinear_loop_is_solved_together(opened, native):
     """a + b + c = 0, 2 a - 3 b + 2 c = 9, a^2 + b^2 + c^2 = 5, for which sweeps alone diverge.

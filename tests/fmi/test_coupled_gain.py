@@ -59,6 +59,9 @@ def rows_of(graph):
     return memory[SIGNALS]
 
 
+@pytest.mark.fast(
+    "can4-newton-zero-order", "can1-jacobi-linear", "can6-newton-linear", "can3-newton-linear"
+)
 @pytest.mark.parametrize(
     ("can", "coupling", "interpolation"),
     [

@@ -107,6 +107,7 @@ def event_ends(memory):
     return [s.end for s in memory.substeps() if s.accepted and s.event]
 
 
+@pytest.mark.fast("lines0-0.0-linear", "lines1-1.0-fmu", "lines1-0.0-linear", "lines0-1.0-fmu")
 @pytest.mark.parametrize("kind", ["fmu", "linear"])
 @pytest.mark.parametrize("announces", [0.0, 1.0])
 @pytest.mark.parametrize("lines", [("lines",), ()])
@@ -152,6 +153,7 @@ def test_an_early_return_without_event_mode_ends_a_substep(lag, jumping, tmp_pat
     assert event_ends(memory)[:4] == [0.03, 0.06, 0.09, 0.12]
 
 
+@pytest.mark.fast("None-True", "1-True", "3-False")
 @pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("block", [None, 1, 3])
 def test_blocks_and_compiled_code_change_no_bit(lag, jumping, tmp_path, native, block):

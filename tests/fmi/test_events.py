@@ -53,6 +53,7 @@ def bounces(n):
     return np.array(times), np.array(speeds)
 
 
+@pytest.mark.fast("RK45", "CVode", "LSODA", "Radau", "BDF", "RK23")
 @pytest.mark.parametrize("solver", ACCURATE)
 def test_a_bouncing_ball_is_the_closed_form(solver, subtests):
     """Bounce times to 1e-9, the flight after the last of them too.
@@ -271,6 +272,7 @@ def test_an_event_iteration_that_never_ends_is_an_error():
         assert (stop.value.failed, stop.value.steps) == (True, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", slow_but(["rk4"], STEPPING))
 def test_a_relay_that_chatters_is_an_error(solver):
     """Without hysteresis the next event is one rounding later.
@@ -372,6 +374,7 @@ def marks_of(pair):
     return SLOW if model == "FRICTION" and solver != "BDF" else pytest.mark.campaign
 
 
+@pytest.mark.fast("COUNTER-rk4")
 @pytest.mark.parametrize(
     ("model", "solver"),
     [pytest.param(*pair, marks=marks_of(pair)) for pair in PAIRS],
@@ -476,6 +479,7 @@ def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
         assert 1.0 < run.value("completed") < run.value("evaluations") / 12
 
 
+@pytest.mark.fast("RK45-1.2", "DOP853-1.1", "CVode-2.0")
 @pytest.mark.parametrize(
     ("solver", "ratio"),
     [("RK45", 1.2), ("DOP853", 1.1), ("Radau", 1.1), ("BDF", 2.0), ("CVode", 2.0)],

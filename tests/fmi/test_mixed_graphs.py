@@ -199,6 +199,7 @@ def check_outcome(lags, seed):
         assert outcome(seed, lags, threads=2, block=7) == expected
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=3)
 @given(st.integers(0, 10**6))
 def test_mixed_graphs_have_one_outcome(lags, seed):

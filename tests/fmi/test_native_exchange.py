@@ -270,6 +270,7 @@ def check_eventful(model, solver, version, saves):
             assert taken >= 5
 
 
+@pytest.mark.fast("BALL", "FRICTION", "SAW", "TWO", "SWITCH")
 @pytest.mark.parametrize("model", sorted(LEVELS.keys() - {"SLIDE"}))
 def test_events_of_fmus_in_compiled_steps(model):
     """State, time, step and input events, ends and failures: equal bits, words and evaluations."""
@@ -318,6 +319,7 @@ def test_states_of_fmus_between_compiled_steps(model, subtests):
             assert driven.taken > 100
 
 
+@pytest.mark.slow
 def test_more_events_than_there_is_room_for():
     """They are listed all the same, as many of each communication step as ever."""
     path = eventful.build("SLIDE")
@@ -376,6 +378,7 @@ def check_connected(model, solver, version, coupling):
     assert all(other == found[0] for other in found[1:])
 
 
+@pytest.mark.fast("SCALED", "FRICTION", "MEMORY")
 @pytest.mark.parametrize("model", CONNECTED)
 def test_fmus_in_loops_and_cascades(model):
     """With Gauss-Seidel."""

@@ -213,6 +213,7 @@ TWICE = (
 IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Residual>'
 
 
+@pytest.mark.slow
 def test_a_form_that_cannot_be_integrated_is_refused(subtests):
     """The message says what is missing; as an ordinary FMU it runs all the same."""
     for extra, message in [

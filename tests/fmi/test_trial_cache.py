@@ -16,6 +16,8 @@ from cosim.fmi.trial_cache import keep_problems, read_problems
 from tests.fmi.compiled import with_description
 from tests.fmi.rogues import XML, compile_rogue
 
+pytestmark = pytest.mark.usefixtures("trials_in_children")
+
 KEY = ("rollback", "0" * 64, "cs")
 
 

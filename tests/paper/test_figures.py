@@ -24,6 +24,7 @@ def academic():
     return cosim.run("academic")
 
 
+@pytest.mark.slow
 def test_linear_interpolation_keeps_the_disturbance_error_near_the_methods_own(academic):
     """The method's own error is 5.0e-4; linear interpolation adds no more than 0.5e-4."""
     assert error_of_delta(academic) <= 5.5e-4
@@ -65,6 +66,7 @@ def test_linear_interpolation_is_not_warned_of(academic):
     assert json.loads(academic.metadata["cosim.run"]["warnings"]) == []
 
 
+@pytest.mark.slow
 def test_the_unique_range_of_a_rate_is_noted():
     """C08: a rate is unique only below pi / spacing of the delays."""
     terms = [{"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "sine"}]
@@ -119,6 +121,7 @@ def test_as_printed_the_identifier_does_not_converge():
     assert abs(run["identifier.theta"][-1] - [-0.10786, 0.12818]).max() <= 1e-3
 
 
+@pytest.mark.slow
 def test_closed_loop_identifies_the_disturbance():
     """The loop changes the plant's input, not the disturbance: as good as in the open loop."""
     run = signals("closed-loop")

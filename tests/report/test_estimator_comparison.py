@@ -120,6 +120,7 @@ def test_a_scenario_needs_one_identifier(tmp_path):
         cosim.compare_estimators(path)
 
 
+@pytest.mark.slow
 def test_the_table_and_json_say_the_same(call, tmp_path):
     """One row a method; no value where a theta has none; logs in the folder."""
     settings = [f"--set={key}={value}" for key, value in EARLY.items()]

@@ -45,6 +45,7 @@ def rows(output):
     return {line[0]: line[1:] for line in lines if len(line) > 1}
 
 
+@pytest.mark.slow
 def test_the_table_shows_what_was_recorded(logs, call):
     """Estimate, standard error, interval, verdict, correlation, noise and tests."""
     code, output, _ = call("identify", logs["first"].path)
@@ -260,6 +261,7 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
     assert f"{logs['second'].path}: residual" in texts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bounds", "verdict"),
     [

@@ -174,6 +174,7 @@ def judged(tmp_path_factory):
     return path
 
 
+@pytest.mark.fast("amplitudes-place1-amplitudes of")
 @pytest.mark.parametrize(
     ("key", "place", "named"),
     [

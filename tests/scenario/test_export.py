@@ -77,6 +77,7 @@ def test_our_own_check_finds_no_problems(name, fmi, folder):
     assert not stopped.value.code
 
 
+@pytest.mark.fast("academic-plant-3")
 @FMI
 @pytest.mark.parametrize(("key", "name"), COMPONENTS)
 def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folder):
@@ -93,6 +94,7 @@ def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folde
         assert np.array_equal(y, original.y, equal_nan=True)
 
 
+@pytest.mark.fast("academic-plant-3")
 @FMI
 @LINEAR
 def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver(

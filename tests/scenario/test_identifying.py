@@ -30,6 +30,7 @@ def logs(tmp_path_factory):
     ]
 
 
+@pytest.mark.slow
 def test_a_log_says_what_the_run_said(logs):
     """Parameters, amplitudes, tests and noise are those recorded at its end."""
     found = identify_records([identifier_record(logs[0])])
@@ -190,6 +191,7 @@ def test_logs_are_identified_by_path_or_opened(logs):
         cosim.identify([])
 
 
+@pytest.mark.slow
 def test_a_weak_parameter_has_its_advice_in_the_run_and_from_the_log(tmp_path):
     """What would supply the missing direction stands in both."""
     settings = {"scenario.step": 0.02, "observer.filter_rate": 50.0, "sensor.noise": 0.15}

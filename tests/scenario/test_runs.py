@@ -56,6 +56,7 @@ def recorded(tmp_path_factory):
     return path
 
 
+@pytest.mark.fast("academic-coarse", "pair-coarse")
 @HORIZONS
 @pytest.mark.parametrize("name", shipped())
 def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
@@ -71,6 +72,7 @@ def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
     assert len({log.content_hash() for log in logs}) == 1
 
 
+@pytest.mark.fast("academic-coarse", "pair-coarse")
 @HORIZONS
 @pytest.mark.parametrize("name", shipped())
 def test_compiled_stages_do_not_change_a_bit(name, changes, tmp_path, monkeypatch):
@@ -135,6 +137,7 @@ upper = 0.4
 """
 
 
+@pytest.mark.fast("gauss-seidel-me", "jacobi-cs")
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(
@@ -466,6 +469,7 @@ def log_of(folder, scenario):
     return path
 
 
+@pytest.mark.slow
 def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
     """A change of a recorded component, or of what drives one, in every spelling."""
     for scenario, key, value, named in [
@@ -499,6 +503,7 @@ def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
                 cosim.replay(path, set={key: value})
 
 
+@pytest.mark.slow
 def test_a_replay_allows_what_is_behind_its_recording(tmp_path, subtests):
     for scenario, key, value in [
         ("academic", "observer.filter_rate", 500.0),

@@ -116,6 +116,7 @@ def identified_radius(parts, connections, clock, way):
     return np.abs(np.linalg.eigvals(reduced)).max()
 
 
+@pytest.mark.fast("gauss-seidel-linear", "newton-linear")
 @pytest.mark.parametrize("way", WAYS, ids=name_of)
 def test_the_gain_is_that_of_runs_and_what_explodes_is_refused(way):
     """Rows of runs grow by rho in a step, for every coupling and interpolation.
@@ -179,6 +180,7 @@ def sampled_loops():
     }
 
 
+@pytest.mark.fast("delay", "two periods")
 @pytest.mark.parametrize("name", sampled_loops())
 def test_the_map_of_loops_with_periods_and_delays_gives_the_rows_of_runs(name):
     """From the initial state every row is the map of the row before, over many periods."""
@@ -320,6 +322,7 @@ def stiff(way, **settings):
     return Graph(parts, {"p.u": "k.y", "k.u": "p.y"}, **way, **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "way",
     [WAYS[0], *(pytest.param(way, marks=pytest.mark.slow) for way in WAYS[1:-1])],

@@ -367,6 +367,7 @@ def again(original, coupling="newton", *, native=True):
     return graph
 
 
+@pytest.mark.fast("newton")
 @pytest.mark.parametrize("coupling", ["newton", "gauss-seidel", "jacobi"])
 def test_a_loop_with_recorded_components_takes_the_recorded_substeps(coupling):
     """The others compute the same bits from what was applied to them then.

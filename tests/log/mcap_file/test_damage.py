@@ -92,6 +92,7 @@ def outcome(path, data, truth):
     return "harmless"
 
 
+@pytest.mark.fast("100-uncompressed", "100-killed")
 @pytest.mark.parametrize("state", ["closed", "killed", "uncompressed"])
 @pytest.mark.parametrize("count", [100, *LONG])
 def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count, subtests):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
 from mcap.reader import make_reader
 
 from tests.log.recordings import many, record
 
 
+@pytest.mark.slow
 def test_many_components_have_no_more_pieces_than_few(tmp_path):
     """A piece is what a chunk has of a component: it costs the same, however few rows it has.
 

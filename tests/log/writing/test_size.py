@@ -13,6 +13,7 @@ from tests.log.recordings import blocks, layout, make_chunks_small, plan, table
 SHAPES = [(0, 0), (0, 1000), (40, 500), (9000, 10)]  # further elements, steps
 
 
+@pytest.mark.fast("True")
 @pytest.mark.parametrize("flushed", [False, True])
 def test_no_log_is_larger_than_its_bound(tmp_path, monkeypatch, flushed, subtests):
     """Also with a flush after every step, as of a run with a second of work a step."""

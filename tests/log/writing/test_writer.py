@@ -127,6 +127,7 @@ def test_the_summary_knows_when_a_late_run_began(tmp_path, monkeypatch):
     assert summary.statistics.message_end_time == 45 * STEP_NS
 
 
+@pytest.mark.slow
 def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monkeypatch):
     """Equal runs have equal hashes and equal data."""
     path = tmp_path / "a.mcap"

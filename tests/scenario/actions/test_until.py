@@ -173,6 +173,7 @@ def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
     assert summarize(log).until_came_true is False
 
 
+@pytest.mark.slow
 def test_a_signal_without_a_value_ends_no_run(tmp_path):
     """theta_hat has none at first: then it is neither below 0 nor not above it."""
     for until in ("identifier.theta[0] < 0", "not identifier.theta[0] >= 0"):
@@ -185,6 +186,7 @@ def test_a_signal_without_a_value_ends_no_run(tmp_path):
         assert theta[-1] < 0.0
 
 
+@pytest.mark.slow
 def test_verdicts_are_those_of_a_run_with_that_stop():
     """A run that its condition ends is complete, and its data are judged.
 

@@ -82,6 +82,7 @@ def test_values_of_a_slice_are_named_as_elements_of_the_signal():
     assert names == ["observer.x_a[0]", "observer.x_a[1]", "observer.x_a[1]"]
 
 
+@pytest.mark.slow
 def test_a_truth_may_be_stacked(tmp_path):
     """Ports in the order of the elements are compared as one signal would be, also in pictures."""
     path = tmp_path / "a.mcap"

@@ -82,6 +82,7 @@ def certified_run(name, stop):
     return log, cosim.certificate(log)
 
 
+@pytest.mark.fast("academic-False")
 @pytest.mark.parametrize(("name", "closed"), [("academic", False), ("closed-loop", True)])
 def test_estimate_is_the_difference_from_the_monolithic_solution(name, closed):
     """The error of the step in delta_hat, and in the states, within 20 % of the true one.
@@ -115,6 +116,7 @@ def test_share_of_the_coupling_in_theta_is_that_of_the_run():
         assert share.error != 0.0
 
 
+@pytest.mark.slow
 def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
     set_ = {**STARTS, "scenario.stop": 2.0}
     plain = cosim.run("academic", set=set_, out=tmp_path / "a.mcap")
@@ -145,6 +147,7 @@ class InRun:
         self.number -= 1
 
 
+@pytest.mark.fast("1-ends0")
 @pytest.mark.parametrize(("number", "ends"), [(1, [2.0]), (2, [2.0])])
 def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number, ends):
     """In the run with half the step, or a quarter: the certificate is missing, nothing else."""
@@ -223,6 +226,7 @@ def test_a_certificate_is_a_mapping():
         certificate["plant.yy"]
 
 
+@pytest.mark.slow
 def test_certificate_does_not_depend_on_blocks():
     set_ = {**STARTS, "scenario.stop": 1.0}
     whole = cosim.certificate(cosim.run("academic", set=set_, certify=True))

@@ -40,6 +40,7 @@ def shuffled(text, seed):
     return "\n".join(lines)
 
 
+@pytest.mark.fast("academic-as-printed")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_content_hash_does_not_depend_on_the_order_of_a_file(name, tmp_path):
     """Components, connections and parameters in other orders give the same bits."""

@@ -82,6 +82,7 @@ def test_predictions_agree_with_many_runs(method, delays, filtered):
     assert np.abs(predicted.standard_error / deviation - 1.0).max() < 4.0 / 120**0.5 + 0.1
 
 
+@pytest.mark.slow
 def test_the_delays_of_the_paper_are_not_the_best(designed):
     """Others have less than half the error; all of them stay far from output error."""
     before = first(designed, "scenario", "rayleigh")
@@ -119,6 +120,7 @@ def test_designs_of_a_choice_are_ranked(designed):
     ]
 
 
+@pytest.mark.slow
 def test_the_input_does_not_change_the_bound_but_leaks_through_the_filter(designed):
     """Tenfold u: the same bound, and ten times the part of delta that is an error."""
     scenario = cosim.load("academic-noisy").set(FAST)

@@ -65,6 +65,7 @@ def test_beyond_the_first_order_linear_programs_decide(monkeypatch):
     assert second["upper"] < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_programs")
 def test_the_interval_holds_where_that_of_noise_does_not():
     """With an irregular part in the data, as large as its bound, there is no other interval."""
@@ -86,6 +87,7 @@ def test_an_interval_without_a_guarantee_is_reported():
     assert found["parameters"][0]["verdict"] == "IDENTIFIABLE"
 
 
+@pytest.mark.slow
 def test_noise_that_is_stated_is_not_taken_from_the_residual():
     """Stated larger than it is it makes wider intervals."""
     plain = verdict(irregular=2e-3)["irregular"]["effects"][0]

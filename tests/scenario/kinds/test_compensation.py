@@ -117,6 +117,7 @@ def runs():
     }
 
 
+@pytest.mark.slow
 def test_the_internal_model_leaves_a_hundredth_of_the_error(runs):
     """Of that of the same loop without it, and of feedforward of delta alone, over two periods."""
     left = {name: rms(run["plant.y"][-400:, 0]) for name, run in runs.items()}
@@ -124,6 +125,7 @@ def test_the_internal_model_leaves_a_hundredth_of_the_error(runs):
     assert 100.0 * left["model"] < left["feedforward"] < left["feedback"]
 
 
+@pytest.mark.slow
 def test_the_report_says_when_the_internal_model_became_active(runs):
     """With which theta, and what that changed; or why it stayed out."""
     (summary,) = summarize(runs["model"]).compensations
@@ -172,6 +174,7 @@ def test_the_report_says_why_the_internal_model_stayed_out():
     assert theta == pytest.approx(1.6, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_blocks_and_a_replay_make_the_same_bits(tmp_path):
     """Of one step and of many; the replay takes gains and certificate from the log."""
     short = {"scenario.step": 0.02, "scenario.stop": 4.0}

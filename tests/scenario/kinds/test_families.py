@@ -273,6 +273,7 @@ def test_the_linear_route_is_refused_from_four_alphas_on(method, tmp_path):
         cosim.run(scenario)
 
 
+@pytest.mark.slow
 def test_five_alphas_are_identified_without_the_expansion(tmp_path):
     """(25) has 720 terms: mu is delta at its delays, the start is searched on y."""
     theta = [-0.05, -0.3, -0.8, -2.0, 0.1]

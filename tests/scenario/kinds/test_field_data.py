@@ -110,6 +110,7 @@ def error_of(log):
     return log["identifier.theta"][-1] - THETA
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_estimates_reach_the_bound_for_the_samples_that_are_there(experiment, tmp_path):
     """Over a few seeds: the errors in units of the bound are as chi-square says, up to 1.15."""
@@ -229,6 +230,7 @@ def test_samples_may_be_held(experiment, tmp_path):
     np.testing.assert_array_equal(samples[np.isfinite(samples)], y)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_a_log_replays_without_the_file(experiment, tmp_path):
     """Bit for bit: the samples are signals, and nothing else of the file is needed."""
@@ -255,6 +257,7 @@ def test_ports_of_other_names_bring_their_samples(experiment, plain, tmp_path):
     np.testing.assert_array_equal(cosim.run(mapped)["identifier.theta"], plain["identifier.theta"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
     """u of the same file, in the place of its source: straight lines between its own samples."""
@@ -269,6 +272,7 @@ def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
     assert (difference < 0.1 * deviations).all()  # u interpolated twice
 
 
+@pytest.mark.slow
 def test_data_that_differ_from_the_model_are_warned_of(experiment, tmp_path):
     """Signals that the file lacks, connections that have no effect, and the units."""
     path = experiment.written(tmp_path, experiment.y, header="t,y [mm]")

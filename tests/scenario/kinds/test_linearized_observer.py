@@ -44,6 +44,7 @@ def test_an_observer_designed_on_the_fmu_is_the_one_of_the_matrices(folder):
         assert np.array_equal(fmu[signal], matrices[signal], equal_nan=True), signal
 
 
+@pytest.mark.slow
 def test_an_observer_designed_by_differences_identifies_the_same(folder, foreign3):
     """Its plant has the states x1, x2; a matrix entry is wrong by at most 1e-12 (its own estimate).
 
@@ -151,6 +152,7 @@ def error(scenario):
     return abs(run["observer.delta"] - run["wind.y"]).max()
 
 
+@pytest.mark.slow
 def test_an_observer_of_a_nonlinear_plant_errs_by_the_square_of_the_swing(folder):
     """Linearized at rest under its torque, and used with the whole of u, y and delta.
 
@@ -243,6 +245,7 @@ def test_a_wrong_table_of_a_design_model_is_refused(name, folder):
         cosim.run(folder / "academic.toml", set={"observer.model": model})
 
 
+@pytest.mark.slow
 def test_a_table_of_a_scenario_is_the_same_model(folder):
     """The printed [models] table, in the place of the shipped one.
 

@@ -163,6 +163,7 @@ def test_a_state_goes_on_in_an_identifier_for_a_longer_run(recorded):
     assert np.array_equal(drive(longer, 1.5 * recorded, 900, 1000), other)
 
 
+@pytest.mark.fast("0.1")
 @pytest.mark.parametrize("period", [H, 0.1])
 def test_replay_is_bit_exact(period, sensed, tmp_path):
     """With the recorded design, at every step as at a period."""
@@ -237,6 +238,7 @@ def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
     np.testing.assert_allclose(log["identifier.amplitude"][-1] > 0.0, True)
 
 
+@pytest.mark.slow
 def test_fewer_samples_mean_larger_standard_errors(sensed):
     """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
     plain = standard_error(run(sensed))[-1]
@@ -262,6 +264,7 @@ def test_bounds_fix_theta_and_keep_it(sensed):
     assert np.isnan(theta(away)[:, 1]).all()
 
 
+@pytest.mark.fast("2")
 @pytest.mark.parametrize("seed", [1, 2, 4, 5])
 def test_an_absent_component_has_no_value(seed, sensed):
     """Of two exponentials of which one has the amplitude 0 the other is estimated.

@@ -218,6 +218,7 @@ def test_the_products_are_those_of_the_disturbance_that_much_earlier(academic):
         assert np.abs(mu - product).max(axis=1).min() < 1e-12
 
 
+@pytest.mark.fast("sg", "consistent")
 @pytest.mark.parametrize("changes", [CONSISTENT, WINDOW, AUTO], ids=["consistent", "sg", "auto"])
 def test_blocks_and_replays_do_not_change_a_bit(changes, academic, tmp_path):
     """K = 1000, K = 1 and K = 7, and the replay of the log."""
@@ -331,6 +332,7 @@ NO_CHOICES = [
 ]
 
 
+@pytest.mark.slow
 def test_a_damaged_recorded_choice_is_refused(academic, tmp_path):
     """A log may come from anywhere."""
 
@@ -432,6 +434,7 @@ def test_an_identifier_waits_for_the_window():
     assert times["T_id"] == pytest.approx(np.log(1e3) / 2.0 + 3.2)
 
 
+@pytest.mark.slow
 def test_delta_is_fitted_where_it_belongs():
     """By projection, which reads its alphas at the lag: a hundredth of the error of (19) is left.
 

@@ -161,6 +161,7 @@ def two_sines():
     return [identifier.estimates(1.0, seed) for seed in range(8)], identifier.estimates(0.1, 0)
 
 
+@pytest.mark.slow
 def test_an_error_reaches_the_optima_that_samples_do_not_rule_out(two_sines):
     """No estimate is wrong by more than three standard errors, before and after T_id."""
     noisy, _ = two_sines
@@ -170,6 +171,7 @@ def test_an_error_reaches_the_optima_that_samples_do_not_rule_out(two_sines):
     assert (found[is_known] <= 3.0).all()
 
 
+@pytest.mark.slow
 def test_a_compensator_takes_no_theta_that_the_data_do_not_support(two_sines):
     """In intervals as wide as the search, an estimate that it takes is within a tenth of theta."""
     activation = Activation(np.array([0.5, 0.5]), np.array([8.0, 8.0]), LARGEST_ERROR)
@@ -181,6 +183,7 @@ def test_a_compensator_takes_no_theta_that_the_data_do_not_support(two_sines):
                 np.testing.assert_allclose(estimate, RATES, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_optima_are_searched_beside_the_one_that_is_found():
     """The fastest of three exponentials, which is over soon, has two rates that explain y as well.
 

@@ -136,6 +136,7 @@ def test_a_wrong_noise_is_refused(two):
     check_refused([(options, text) for options, text in NO_NOISE], refuse, CosimError)
 
 
+@pytest.mark.fast("extended-kalman")
 @pytest.mark.parametrize("method", ["extended-kalman", "augmented-kalman"])
 def test_kalman_filters_take_one_deviation_an_output(method, two):
     """Two equal ones say what one number says, to the rounding of the scales; others do not."""

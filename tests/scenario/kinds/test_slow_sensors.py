@@ -234,6 +234,7 @@ def test_sensors_with_one_period_are_one(tmp_path):
     np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
 
 
+@pytest.mark.fast("period = 0.05-401", "period = 0.03-667")
 @pytest.mark.parametrize(
     ("second", "samples"), [("", 2001), ("period = 0.05", 401), ("period = 0.03", 667)]
 )

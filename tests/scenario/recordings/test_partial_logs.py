@@ -42,6 +42,7 @@ def record(signals=None, every=None):
     return settings if every is None else settings | {"record.every": every}
 
 
+@pytest.mark.fast("signals0-1", "signals2-7", "signals4-1000")
 @pytest.mark.parametrize(
     ("signals", "every"),
     [
@@ -209,6 +210,7 @@ def test_a_partial_log_is_cut_and_merged_again(part, tmp_path):
     assert merged.status == "complete"
 
 
+@pytest.mark.fast("signals0", "signals2")
 @pytest.mark.parametrize("signals", [["plant.y"], ["plant.*"], ["plant.u", "plant.y"]])
 def test_a_partial_log_takes_the_place_of_a_plant(whole, tmp_path, signals):
     """Its inputs stay connected, recorded or not; what follows from its outputs has their bits."""

@@ -66,6 +66,7 @@ def sha256_of(log):
     return component_record(log, "plant").sha256
 
 
+@pytest.mark.fast("pair", "academic", "closed-loop")
 @pytest.mark.parametrize("name", shipped())
 def test_a_rerun_has_the_rows_of_the_run(name, tmp_path):
     """Plants of models need no permission; nothing is copied, and all is verified."""

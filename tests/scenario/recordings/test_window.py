@@ -39,6 +39,7 @@ def check_same_rows(part, whole, begin, end):
         assert part.rows(name).tobytes() == rows.tobytes()
 
 
+@pytest.mark.fast("pair", "academic-noisy")
 @pytest.mark.parametrize("name", sorted(set(shipped()) - {"compensation"}))
 def test_a_window_has_the_rows_of_the_whole_replay(name, tmp_path):
     """Bit for bit, of every signal, in memory and in a log; whatever the states are there."""

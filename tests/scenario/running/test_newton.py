@@ -33,6 +33,7 @@ def test_blocks_do_not_matter(log, block):
         assert again[signal].tobytes() == log[signal].tobytes(), signal
 
 
+@pytest.mark.slow
 def test_the_coupling_error_is_a_hundredth_of_that_of_gauss_seidel(log):
     """At 1 ms; beside a run of Newton's method with a tenth of the step."""
     finest = cosim.run("closed-loop", set={**NEWTON, "scenario.step": 1e-4})["plant.x_a"][::10]

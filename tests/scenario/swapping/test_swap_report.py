@@ -285,6 +285,7 @@ def swap_warnings(folder, **changes):
     return [text for _, text in report(folder, "milli.fmu", **changes).warnings]
 
 
+@pytest.mark.slow
 def test_a_unit_on_one_side_only_is_said_and_its_size_warned_of(milli, capsys):
     """1 m and 1000 mm: without a unit before, only the sizes show that they are not the same.
 

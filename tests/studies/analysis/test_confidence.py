@@ -98,6 +98,7 @@ def test_the_effective_count_is_that_of_independent_values():
     assert effective_count(np.ones(50), np.zeros(50, np.int64)) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", COUNTS)
 def test_95_percent_of_the_intervals_hold(count):
     """Of normal, uniform and Rayleigh values: the mean and the deviation."""
@@ -138,6 +139,7 @@ def test_95_percent_of_the_intervals_of_proportions_hold(count):
     assert low <= hold / count <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", COUNTS)
 def test_95_percent_of_the_intervals_of_units_hold(count):
     """80 samples of 4 seeds each: the sample moves the value as much as the seed does.

@@ -212,6 +212,7 @@ def test_the_same_study_has_the_same_intervals():
     assert np.array_equal(first, again)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [200, pytest.param(2000, marks=pytest.mark.campaign)])
 def test_95_percent_of_the_intervals_of_independent_base_points_hold(count):
     """On the average over the indices of the Ishigami function."""

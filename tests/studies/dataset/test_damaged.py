@@ -115,6 +115,7 @@ def flips(content):
     yield b""
 
 
+@pytest.mark.slow
 def test_a_damaged_part_is_named_and_its_members_run_anew_without_it(folder):
     """Whatever byte is damaged: there is an error, or the content is that which was written."""
     path = folder / "parts" / parts(folder)[1]

@@ -247,6 +247,7 @@ def found(outcome):
     return "complete", outcome.reason, outcome.steps, outcome.metrics["digest"]
 
 
+@pytest.mark.fast("loop")
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
@@ -260,6 +261,7 @@ def test_a_member_has_the_bits_of_its_own_run_in_any_order(name, data):
             assert found(outcome) == alone(name, member), (number, member)
 
 
+@pytest.mark.fast("mixed")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_member_has_the_bits_of_its_own_run(name):
     """One behind the other, and back."""

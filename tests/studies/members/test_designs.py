@@ -64,6 +64,7 @@ def of_another_machine(text):
     return encode_designs(designs)
 
 
+@pytest.mark.slow
 def test_a_machine_takes_the_designs_of_the_one_that_planned_the_study():
     """Those that a member's values do not change; and its metrics follow from them."""
     with open_runner(SUBJECT, sink_of=Digest) as runner:

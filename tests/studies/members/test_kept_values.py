@@ -37,6 +37,7 @@ def connected(monkeypatch):
     return caches
 
 
+@pytest.mark.slow
 def test_members_have_their_own_bits_whatever_was_kept_before(connected):
     subject = StudySubject("academic", set=ACADEMIC)
     with open_runner(subject, sink_of=Digest) as runner:

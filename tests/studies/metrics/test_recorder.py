@@ -136,6 +136,7 @@ def test_of_a_part_of_a_run_they_are_those_of_the_part():
         parse_metrics({"u": "last(plant.u)"}).of(memory)
 
 
+@pytest.mark.slow
 def test_a_shipped_scenario_has_the_metrics_of_its_log(tmp_path):
     """Of a log file and of a window of it, too."""
     texts = {

@@ -535,6 +535,7 @@ def long_names(kind):
     return results_of_study(study, StudyLayout("random", samples=60)), keys
 
 
+@pytest.mark.fast("map-None", "line-size5")
 @pytest.mark.parametrize(
     ("kind", "size"),
     [

@@ -139,6 +139,7 @@ def test_logs_are_kept_where_the_dataset_is(run):
     files.rm("/kept", recursive=True)
 
 
+@pytest.mark.slow
 def test_results_of_members_are_compared_with_those_of_their_logs(tmp_path):
     """Where there are no metrics, a log is known to be made again by them."""
     given = {"vary": {"observer.filter_rate": [100.0, 200.0]}, "set": {"scenario.stop": 0.2}}

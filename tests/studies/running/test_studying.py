@@ -232,6 +232,7 @@ def test_the_command_of_a_member_is_that_of_its_row(tmp_path):
         assert command.endswith(f"--set u.amplitude={recorded!r}")
 
 
+@pytest.mark.slow
 def test_the_log_of_a_study_that_was_killed_is_written_again(tmp_path):
     """Only a member with an outcome has a log under its number."""
     place = tmp_path / "kept"
@@ -367,6 +368,7 @@ def test_replays_may_compute_the_classes_of_users(tmp_path, monkeypatch):
     assert not (tmp_path / "refused").exists()
 
 
+@pytest.mark.fast("changed1")
 @pytest.mark.parametrize(
     "changed", [{"set": {"observer.filter_rate": 200.0}}, {"allow_code": True}]
 )

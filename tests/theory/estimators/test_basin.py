@@ -114,6 +114,7 @@ def lagging(tmp_path_factory):
     return Recorded(tmp_path_factory.mktemp("noisy"), 1e-3, COARSE)
 
 
+@pytest.mark.fast("0.001")
 def test_nearly_all_starts_reach_the_optimum(coarse):
     """48 of 49 at least."""
     assert reached(coarse) >= 48

@@ -201,6 +201,7 @@ FIRST_ORDER = DisturbedPlant(
 )
 
 
+@pytest.mark.fast("0.3", "4.0", "30.0")
 @pytest.mark.parametrize("rate", [0.3, 2.0, 4.0, 8.0, 20.0, 30.0])
 def test_a_sine_is_found_up_to_a_hundred_periods(rate):
     """Of 20 s: its periodogram has lobes as narrow as 1/20 Hz, and the grid has a point in each."""

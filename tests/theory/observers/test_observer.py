@@ -400,6 +400,10 @@ MOVABLE = "M - L C is not Hurwitz: .*; another L moves it"
 FIXED = "M - L C is not Hurwitz: .*NOT_DETECTABLE"
 
 
+@pytest.mark.fast(
+    "made0-M - L C is not Hurwitz: .*; another L moves it",
+    "made3-M - L C is not Hurwitz: .*NOT_DETECTABLE",
+)
 @pytest.mark.parametrize(
     ("made", "verdict"),
     [
