@@ -97,6 +97,7 @@ def test_a_seeded_reset_gives_the_same_episode_again():
     assert other.tobytes() != first.tobytes()
 
 
+@pytest.mark.fast("academic")
 @pytest.mark.parametrize("name", ["academic", "academic-noisy"])
 def test_every_episode_has_a_log_of_its_own(name, tmp_path):
     """Its seeds are in it: a replay verifies it."""

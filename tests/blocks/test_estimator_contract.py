@@ -128,6 +128,7 @@ ESTIMATORS = {
 SLOW = ("augmented-kalman", "output-error")
 
 
+@pytest.mark.fast("extended-kalman", "gradient", "least-squares", "rayleigh", "drem")
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in ESTIMATORS],

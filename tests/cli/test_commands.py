@@ -528,6 +528,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(call, tmp_path
     assert not (tmp_path / "logs").exists()
 
 
+@pytest.mark.slow
 def test_elements_can_be_plotted(call, tmp_path):
     """x_a[1] is one line of two, x_a[0:2] is both; a wrong element is refused."""
     call("run", "academic", *SHORT, "--out", "a.mcap")

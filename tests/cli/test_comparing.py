@@ -35,6 +35,7 @@ def test_a_tolerance_of_a_signal_decides_the_exit_code(call):
     assert shown["within"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pair")
 def test_the_worst_signal_is_drawn(call, tmp_path):
     """Its picture is named on stdout; the exit code is that of the comparison."""

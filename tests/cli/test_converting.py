@@ -36,6 +36,7 @@ def test_cat_prints_json_lines(call, tmp_path):
     assert len(out.splitlines()) == 6
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_enough_ends_cat_without_a_word(tmp_path):
     """As behind ``| head -1``; the rows do not fit into the pipe."""
     record(tmp_path / "a.mcap", steps=20_000)
@@ -68,6 +69,7 @@ def test_a_log_is_followed_until_its_run_ends(tmp_path):
     assert b"".join(lines) == later
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_following_without_a_word(tmp_path):
     """With the exit code of Ctrl-C."""
     path = tmp_path / "a.mcap"
@@ -82,6 +84,7 @@ def test_an_interrupt_ends_following_without_a_word(tmp_path):
     assert (process.returncode, err) == (130, b"")
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_ends_following_without_a_word(tmp_path):
     """At the next row."""
     path = tmp_path / "a.mcap"

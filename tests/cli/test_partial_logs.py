@@ -41,6 +41,7 @@ def test_info_says_what_is_recorded_of_what(call):
     assert "partial" not in json.loads(call("info", "whole.mcap", "--json")[1])
 
 
+@pytest.mark.fast("words1")
 @pytest.mark.fast("words0", "words1")
 @pytest.mark.usefixtures("logs")
 @pytest.mark.parametrize(
@@ -97,6 +98,7 @@ def test_the_keys_are_listed(call):
     assert "every" in call("list")[1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("logs")
 def test_diff_says_where_it_compares(call):
     """Rows that one log has not are not equal: they are not there."""

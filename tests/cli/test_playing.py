@@ -141,6 +141,7 @@ def test_a_port_in_use_is_one_clear_error(call, log, command):
     )
 
 
+@pytest.mark.fast("command0")
 @pytest.mark.parametrize(
     "command", [("play", "a.mcap"), ("run", "academic", "--stop", "0.01", "--live")]
 )

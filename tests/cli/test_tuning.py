@@ -28,6 +28,7 @@ def call(capsys, *arguments):
     return ended.value.code or 0, out, err
 
 
+@pytest.mark.slow
 def test_it_says_the_best_values_and_how_to_run_them(lag, capsys):
     code, out, _ = call(capsys, lag, OBJECTIVE, VARY, "--members=60", "--starts=1", "--workers=1")
     lines = out.splitlines()

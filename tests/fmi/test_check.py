@@ -90,6 +90,7 @@ def test_output_of_a_checked_fmu_is_discarded(rogue, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_files_that_an_fmu_writes_are_removed(rogue, tmp_path):
     """A trial has a working directory of its own, which goes with it."""
     assert check(rogue("LITTERS")) == ()
@@ -151,11 +152,13 @@ def test_a_state_that_is_not_saved_is_a_warning(rogue, what, text):
         assert text in " ".join(fmu.notes)
 
 
+@pytest.mark.slow
 def test_a_failure_at_exit_is_not_blamed_on_the_fmu(rogue):
     """It leaves a handler for the end of the process, which aborts: the trial is over by then."""
     assert check(rogue("ABORTS_LATER")) == ()
 
 
+@pytest.mark.fast("me")
 def test_functions_that_nobody_calls(probe1):
     """An FMU of FMI 1 that runs all the same."""
     interface_type = next(iter(read(probe1).description.capabilities))

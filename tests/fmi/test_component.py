@@ -193,6 +193,7 @@ def test_an_interpolating_fmu_without_D_warns_of_held_inputs_at_any_time(edited)
     )
 
 
+@pytest.mark.fast("mask0-cs", "mask1-cs", "mask0-me")
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 @pytest.mark.parametrize("mask", [(True, False), (True, True)])
 def test_held_inputs_keep_their_value_and_reach_the_outputs_at_the_end(

@@ -293,6 +293,7 @@ def test_the_check_finds_all_that_is_wrong_with_a_manifest(tmp_path):
     assert second.text.startswith("Formulation:")
 
 
+@pytest.mark.slow
 def test_a_manifest_without_a_structure_is_a_warning(tmp_path):
     """As the draft's own sample is."""
     sample = manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"')

@@ -77,6 +77,7 @@ def test_a_bouncing_ball_is_the_closed_form(solver, subtests):
             assert rows[-1, 1] == pytest.approx(speed, abs=2e-8)
 
 
+@pytest.mark.slow
 def test_a_ball_that_does_not_come_to_rest_is_an_error():
     """The bounces accumulate at t = sqrt(2/g) (1 + 0.7)/(1 - 0.7) = 2.5587.
 
@@ -210,6 +211,7 @@ def test_a_continuous_input_that_jumps_between_two_steps_is_seen():
 # --- time events ---
 
 
+@pytest.mark.fast("rk4", "RK45", "CVode", "LSODA", "euler")
 @pytest.mark.parametrize("solver", STEPPING)
 def test_a_sawtooth_on_and_between_communication_points(solver, subtests):
     """x' = 1, back to zero at k p: on the points of a step of 20 ms, and between them.
@@ -390,6 +392,7 @@ def test_fmus_with_events_keep_the_contract(model, solver):
         check_rollback(make, inputs=pieces(16, 0.03), h=0.03)
 
 
+@pytest.mark.slow
 def test_events_do_not_depend_on_blocks(subtests):
     """K = 1 equals K = 100, bit for bit, and the events are the same."""
 

@@ -57,6 +57,7 @@ def test_info_reads_descriptions_only(call, marked):
     assert not marked.exists()
 
 
+@pytest.mark.slow
 def test_a_dry_run_loads_fmus_in_another_process(call, marked):
     """The library is loaded, and not into this process."""
     code, out, _ = call("run", "marked.toml", "--dry-run", "--set", "plant.start.k=3")

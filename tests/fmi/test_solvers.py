@@ -129,6 +129,7 @@ def test_running_on_needs_fewer_evaluations_than_starting_anew(method, spared):
     assert count(anew=True) >= count(anew=False) + spared * 100
 
 
+@pytest.mark.slow
 def test_a_solver_that_fails_says_so_in_its_own_words():
     """x' = x^2 from 1 has no value at t = 1.
 

@@ -176,6 +176,7 @@ def test_an_event_that_fails_at_the_start_is_named(opened, version, interface_ty
         record({"fmu": component}, {})
 
 
+@pytest.mark.fast("3")
 @pytest.mark.parametrize("version", ["2", "3"])
 def test_they_keep_the_contract(opened, version):
     """Runs of blocks of all sizes begin with the same row."""

@@ -45,6 +45,7 @@ class EnoughError(Exception):
 WIDE = ("/wide", "/wide.2")
 
 
+@pytest.mark.slow
 def test_rows_are_sent_bit_for_bit(log, collector):
     """Of every component at its own instants, decoded with the schemas that are advertised.
 

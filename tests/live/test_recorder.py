@@ -42,6 +42,7 @@ class Subscribing:
         return Watched(beside, lambda *_: None, began=subscribe)
 
 
+@pytest.mark.slow
 def test_the_rows_of_the_log_of_a_run_are_sent(collector, tmp_path):
     """Every row of every component bit for bit, also of slower ones, and the messages."""
     scenario = cosim.load("closed-loop").set({"scenario.stop": 0.2})

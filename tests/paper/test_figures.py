@@ -61,6 +61,7 @@ def test_a_zero_order_hold_is_warned_of(scenario, changes, which):
     assert "58% too high" in text
 
 
+@pytest.mark.slow
 def test_linear_interpolation_is_not_warned_of(academic):
     """No warning without a reason."""
     assert json.loads(academic.metadata["cosim.run"]["warnings"]) == []

@@ -70,6 +70,7 @@ def test_summaries_and_differences_are_computed_once(four):
     assert four.differences is four.differences
 
 
+@pytest.mark.slow
 def test_files_are_looked_into_for_a_map_alone(folder, monkeypatch):
     """Without one their ports do not matter; each run reads its own."""
     looked = []

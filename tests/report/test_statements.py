@@ -138,6 +138,7 @@ def test_no_metadata_can_be_changed_that_a_replay_computes(valid, tmp_path):
     assert len(list(records(valid))) > 30
 
 
+@pytest.mark.fast("content_hash", "last")
 @pytest.mark.parametrize("key", ["status", "reason", "end_ns", "content_hash", "last"])
 def test_no_result_can_be_changed(valid, tmp_path, key):
     """The attachment with the results says what the log and the last row say."""
@@ -254,6 +255,7 @@ def test_declared_signals_are_compared(valid, tmp_path):
     assert "kind of 'regressor': 'identifier' in the log, 'regressor' in the replay" in problems[1]
 
 
+@pytest.mark.slow
 def test_warnings_of_computed_components_are_compared(tmp_path):
     """A warning cannot be taken out, neither of the metadata nor of the messages."""
     valid = tmp_path / "a.mcap"
@@ -287,6 +289,7 @@ def test_eigenvalues_are_compared_but_for_what_depends_on_the_processor(
     assert verified(path).passed is passes
 
 
+@pytest.mark.fast("pair", "academic", "academic-noisy")
 @pytest.mark.parametrize(
     "name",
     [

@@ -64,6 +64,7 @@ def test_each_row_is_a_replay_of_its_own(log):
     assert not list(log.path.parent.glob("*[0-9].mcap"))
 
 
+@pytest.mark.slow
 def test_results_are_estimates_errors_verdicts_and_noise(log):
     """By the names of the table; a column that no row has is empty."""
     sweep = cosim.replay_sweep(log, vary={"identifier.P0": [1e9]})
@@ -88,6 +89,7 @@ def test_without_a_truth_the_results_are_the_last_values(failing):
     assert second == pytest.approx(3.0 * first)
 
 
+@pytest.mark.slow
 def test_the_log_is_opened_and_read_once(log, monkeypatch):
     """All replays have the same log in memory."""
     sources = []

@@ -69,6 +69,7 @@ def test_changed_rows_that_nothing_follows_from_are_found(valid, tmp_path, colum
     assert "were changed after recording" in verification.problems[0]
 
 
+@pytest.mark.slow
 def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     """What cannot be proven is listed as copied, and not claimed."""
     path = scaled(valid, tmp_path / "b.mcap", slice(5, 6), -7.0, forged=True)
@@ -236,6 +237,7 @@ def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     assert line.endswith("as far as they concern u, delta")
 
 
+@pytest.mark.slow
 def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_path):
     """All components of a whole log are computed or copied."""
     line = statements_line(verify(open_log(identified), cosim.replay(identified)))

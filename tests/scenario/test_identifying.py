@@ -40,6 +40,7 @@ def test_a_log_says_what_the_run_said(logs):
     assert found.assessment.to_dict() == recorded
 
 
+@pytest.mark.slow
 def test_the_data_are_what_the_observer_took_in(logs):
     """At every communication point, with the known factors there."""
     record = identifier_record(logs[0])
@@ -179,6 +180,7 @@ def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
             identify_records([memory, other])
 
 
+@pytest.mark.slow
 def test_logs_are_identified_by_path_or_opened(logs):
     """One or several, as their records; no log at all is refused."""
     expected = identify_records([identifier_record(log) for log in logs[:2]]).assessment.fit.theta

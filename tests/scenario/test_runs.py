@@ -157,6 +157,7 @@ def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(
     assert cosim.diff(logs[0], cosim.replay(tmp_path / "1000.mcap")).equal
 
 
+@pytest.mark.fast("pair", "academic", "closed-loop")
 def test_two_runs_have_one_content_hash(logged, tmp_path):
     """The same scenario gives the same log content."""
     name, _, log = logged

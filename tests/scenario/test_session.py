@@ -56,6 +56,7 @@ def overridden(name, path, *, swap=None, overrides=("plant.u",), size=7):
 # --- a run by hand ---
 
 
+@pytest.mark.fast("academic")
 @pytest.mark.parametrize("name", ["academic", "closed-loop", "academic-noisy", "compensation"])
 def test_a_session_a_run_and_its_blocks_have_one_content_hash(name, tmp_path):
     """With a log, whatever the size of the steps."""
@@ -122,6 +123,7 @@ def test_a_signal_that_does_not_exist_is_neither_read_nor_overridden(tmp_path):
 # --- logs ---
 
 
+@pytest.mark.fast("academic-noisy-overrides3")
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [

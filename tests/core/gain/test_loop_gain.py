@@ -180,6 +180,7 @@ def sampled_loops():
     }
 
 
+@pytest.mark.fast("two periods")
 @pytest.mark.fast("delay", "two periods")
 @pytest.mark.parametrize("name", sampled_loops())
 def test_the_map_of_loops_with_periods_and_delays_gives_the_rows_of_runs(name):

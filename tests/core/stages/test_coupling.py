@@ -542,6 +542,7 @@ def graph_of(seed, names, **options):
     return Graph(components, connections, coupling="jacobi", **options)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(
     st.integers(0, 10**6),

@@ -191,6 +191,7 @@ def random_graph(seed: int, coupling: str, *, native: bool, python_parts: bool) 
     return Graph(components, connections, coupling=coupling, native=native)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(st.integers(0, 2**32), st.sampled_from(["gauss-seidel", "jacobi", "newton"]), st.booleans())
 def test_bits_and_events_depend_on_nothing_but_the_graph(seed, coupling, python_parts):

@@ -37,6 +37,7 @@ def run(recorded, tmp_path):
     return tmp_path / "run.mcap"
 
 
+@pytest.mark.slow
 def test_the_merged_parts_have_the_hash_of_the_run_in_one_file(run, recorded, tmp_path):
     """The result is that of the run, too, and so is the replay."""
     check_merged(tmp_path, recorded[1])
@@ -88,6 +89,7 @@ def test_a_part_between_replays_what_is_before_its_end(run):
     assert verify(first, cosim.replay(run)).passed
 
 
+@pytest.mark.slow
 def test_a_part_that_is_missing_is_named(run):
     """So is one of another run."""
     second = run.with_name("run.part2.mcap")

@@ -195,6 +195,7 @@ def test_without_any_channel_no_row_is_recovered(tmp_path, written):
     assert [path.name for path in tmp_path.iterdir()] == ["broken.mcap"]
 
 
+@pytest.mark.slow
 def test_rows_of_a_component_of_many_channels_are_whole_or_lost(tmp_path, monkeypatch):
     """A row that one of its channels has lost cannot be told from none.
 

@@ -19,6 +19,7 @@ def final_counts(recording):
     return set(count_rows(bytes(recording.stream.content)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seeds", "sizes"),
     [

@@ -116,6 +116,7 @@ def test_room_is_made_for_rows_that_can_be_there(short_log, tmp_path):
             read()
 
 
+@pytest.mark.slow
 def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monkeypatch):
     """The file is read chunk by chunk, and the rows go to their place at once.
 

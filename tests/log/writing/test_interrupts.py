@@ -84,6 +84,7 @@ def assert_whole(path, rows, instant):
     assert texts == [f"block {number}" for number in range(len(texts))], instant
 
 
+@pytest.mark.fast("None-71-15")
 @pytest.mark.parametrize(
     ("functions", "stride", "least"),
     [

@@ -34,6 +34,7 @@ MESSAGES = [(k * 100 * STEP_NS, "info", "run", f"message {k}") for k in range(11
 SMALL = Rotation(40_000, None, "40kB")
 
 
+@pytest.mark.slow
 def test_merged_parts_are_the_log_of_the_run(tmp_path, monkeypatch, subtests):
     """The content hash is that of the same run in one file, whatever the blocks are."""
     for number, (rotation, period, size) in enumerate(

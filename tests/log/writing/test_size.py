@@ -35,6 +35,7 @@ def test_no_log_is_larger_than_its_bound(tmp_path, monkeypatch, flushed, subtest
             assert path.stat().st_size <= bound
 
 
+@pytest.mark.fast("0-2000")
 @pytest.mark.parametrize(("wide", "steps"), [(0, 2000), (9000, 10)])
 def test_the_bound_of_a_large_log_is_less_than_twice_its_size(tmp_path, wide, steps):
     """Of an uncompressed one over 1 GB; its size grows as between two short ones."""

@@ -155,6 +155,7 @@ def test_a_double_integrator_is_discretized_exactly():
     np.testing.assert_allclose(computed.B1, [[h**2 / 6], [h / 2]], rtol=4 * EPS)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(squares, st.data())
 def test_first_order_hold_agrees_with_quadrature(A, data):

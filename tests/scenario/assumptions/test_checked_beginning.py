@@ -80,6 +80,7 @@ CASES = {
 RUNS_ALL_THE_SAME = ("much noise", "theta elsewhere", "narrow limits")
 
 
+@pytest.mark.slow
 def test_a_compensator_is_refused_by_the_check_as_by_the_run(compensation, subtests):
     """The row says what the error of the run says, with its name and its cure."""
     for case, (settings, assumption, verdict) in CASES.items():

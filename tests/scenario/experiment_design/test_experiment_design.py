@@ -95,6 +95,7 @@ def test_the_delays_of_the_paper_are_not_the_best(designed):
     assert any("the delays (1, 2, 3) are not the best" in note for note in designed.notes)
 
 
+@pytest.mark.slow
 def test_the_best_design_can_be_set_and_is_predicted_the_same(designed):
     """The settings of a design, given to the scenario, make it the scenario as it is."""
     best = first(designed, "together", "rayleigh")

@@ -142,6 +142,7 @@ def test_the_report_says_when_the_internal_model_became_active(runs):
     assert summary.before[0] == pytest.approx(rms(runs["feedback"]["compensator.y"][:, 0]))
 
 
+@pytest.mark.slow
 def test_the_check_says_what_standard_error_the_run_reaches(runs):
     """Output error reaches the Cramer-Rao bound, in this loop too.
 
@@ -153,6 +154,7 @@ def test_the_check_says_what_standard_error_the_run_reaches(runs):
     assert found == pytest.approx(bound, rel=4.0 * 0.014)
 
 
+@pytest.mark.slow
 def test_the_table_of_a_run_shows_it(runs, capsys):
     """A row for the internal model, one for the error; where it is not active, why."""
     for run in (runs["model"], runs["feedback"]):

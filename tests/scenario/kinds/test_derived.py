@@ -89,6 +89,7 @@ def test_it_closes_a_loop(tmp_path):
     assert 1.7 < errors[0] / errors[1] < 4.6
 
 
+@pytest.mark.slow
 def test_optional_allows_signals_without_a_value(tmp_path):
     """Of theta_hat before T_id; else its connection is refused."""
     text = cosim.load("academic").document.text

@@ -349,6 +349,7 @@ def test_too_many_samples_in_a_step_are_refused(experiment, tmp_path):
         experiment.run(path, {"plant.maximum_gap": 3.0})
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_parts_between_the_file_and_the_identifier_are_refused(experiment, plain, tmp_path):
     """A gain of the observer's y has no samples; one of the connection has."""

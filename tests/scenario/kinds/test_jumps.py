@@ -314,6 +314,7 @@ def test_a_jump_of_u_does_not_throw_the_reconstruction(jumping_log):
     assert limits["plant.y"][0] - y == pytest.approx(1.0, abs=16 * 2.0**-52)
 
 
+@pytest.mark.slow
 def test_a_run_with_jumps_has_one_hash_and_is_replayed(jumping_log, tmp_path):
     """In blocks of any length; also where the plant is taken from the log."""
     for block in (1, 7):

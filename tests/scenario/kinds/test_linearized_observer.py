@@ -165,6 +165,7 @@ def test_an_observer_of_a_nonlinear_plant_errs_by_the_square_of_the_swing(folder
     assert 3.5 < coarse / fine < 4.5
 
 
+@pytest.mark.slow
 def test_an_observer_may_be_linearized_where_the_plant_is_not_at_rest(folder):
     """The constants of the linearization are part of the observer.
 

@@ -282,6 +282,7 @@ def test_an_absent_component_has_no_value(seed, sensed):
     assert abs(error) < 4.0 * standard_error(log)[-1, 0]
 
 
+@pytest.mark.slow
 def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
     """Held inputs are taken as held; what the plant held of the disturbance is half a step late."""
     errors = []

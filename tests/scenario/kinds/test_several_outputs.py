@@ -58,6 +58,7 @@ def test_errors_online_are_those_of_the_weights(log):
     assert np.abs(relative).max() > 0.1
 
 
+@pytest.mark.fast("options1")
 @pytest.mark.parametrize(
     "options",
     [
@@ -76,6 +77,7 @@ def test_stated_noise_weighs_the_outputs(options, two, log):
     assert [one.verdict for one in verdicts(stated).parameters] == 2 * ["IDENTIFIABLE"]
 
 
+@pytest.mark.slow
 def test_noise_that_is_stated_wrong_is_said(two):
     """Ten times smaller than it is, of the exact output."""
     log = cosim.run(two, set={"identifier.deviation": [0.1, 1e-4]})
@@ -104,6 +106,7 @@ def test_the_contract_is_kept(options, two, log):
     check_component(make, inputs=np.ascontiguousarray(inputs[:301]), h=1e-2)
 
 
+@pytest.mark.slow
 def test_a_replay_has_the_same_bits(two, tmp_path):
     """The weights are estimated without linear algebra of the processor."""
     log = cosim.run(two, out=tmp_path / "two.mcap")

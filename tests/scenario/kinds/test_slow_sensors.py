@@ -117,6 +117,7 @@ def test_a_delay_that_no_sensor_tells_is_inconsistent():
     assert [one.verdict for one in found.parameters] == 2 * ["INCONSISTENT"]
 
 
+@pytest.mark.fast("delay", "slow with jitter")
 @pytest.mark.parametrize(
     "changes",
     [
@@ -142,6 +143,7 @@ def test_samples_with_time_stamps_count_at_their_instants(changes):
     assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
 
 
+@pytest.mark.slow
 def test_a_log_of_time_stamps_is_fitted_as_its_run(tmp_path):
     """The same samples, and a replay with the same bits."""
     settings = {"sensor.period": PERIOD, "sensor.delay": 0.05, "sensor.time_stamps": True}
@@ -253,6 +255,7 @@ def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     np.testing.assert_array_equal(later.fit.theta, offline)
 
 
+@pytest.mark.fast("sensor0")
 @pytest.mark.parametrize("sensor", [{"dropout": 0.2}, {"period": 0.05}])
 def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(sensor, tmp_path):
     """Online as after the run, with the truth in the interval; and a replay has the same bits."""

@@ -116,7 +116,7 @@ def output_of(capsys, *arguments):
     return content
 
 
-@pytest.mark.fast("arguments1")
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [[], ["--verify"]])
 def test_a_replay_in_parts_prints_what_one_in_memory_does(log, capsys, request, arguments):
     """Root mean squares are sums in another order."""
@@ -148,7 +148,7 @@ def test_the_memory_of_a_replay_does_not_grow_with_its_log(log, long_log, tmp_pa
     assert peaks[2] - peaks[1] < added_bytes / 10
 
 
-@pytest.mark.fast("first-order")
+@pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["first-order", "savitzky-golay"])
 def test_errors_of_a_long_run_are_those_of_all_its_parts(tmp_path, monkeypatch, filter_name):
     """Largest and last ones bit for bit, also of an estimate that lags."""

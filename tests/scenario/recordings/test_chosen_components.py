@@ -66,6 +66,7 @@ def test_each_component_of_a_loop_follows_from_the_others(coupling, tmp_path):
     check_each(cosim.run(tmp_path / "loop.toml", out=tmp_path / "a.mcap"))
 
 
+@pytest.mark.slow
 def test_a_log_that_ends_between_the_rows_of_a_component_is_replayed(tmp_path):
     """What is taken from the log keeps its value up to the end of the log, not of its rows."""
     changes = {"scenario.stop": 0.057, "identifier.period": 0.01}
@@ -76,6 +77,7 @@ def test_a_log_that_ends_between_the_rows_of_a_component_is_replayed(tmp_path):
     check_each(log)
 
 
+@pytest.mark.slow
 def test_overrides_reach_a_component_whichever_are_chosen(tmp_path):
     """Of a component from the log its rows know; one that is computed gets them again."""
     scenario = cosim.load("academic").set({"scenario.stop": 0.2})

@@ -42,6 +42,7 @@ def record(signals=None, every=None):
     return settings if every is None else settings | {"record.every": every}
 
 
+@pytest.mark.fast("signals2-7")
 @pytest.mark.fast("signals0-1", "signals2-7", "signals4-1000")
 @pytest.mark.parametrize(
     ("signals", "every"),

@@ -80,6 +80,12 @@ def loop(tmp_path):
     return record
 
 
+@pytest.mark.fast(
+    "signals4-copied4-computed4",
+    "signals5-copied5-computed5",
+    "signals3-copied3-computed3",
+    "signals6-copied6-computed6",
+)
 @pytest.mark.parametrize(
     ("signals", "copied", "computed"),
     [
@@ -146,6 +152,7 @@ def test_a_chosen_component_that_cannot_be_computed_is_refused_by_name(part):
         cosim.replay(part(["observer.delta"]), components=["identifier"])
 
 
+@pytest.mark.slow
 def test_a_change_reaches_only_what_is_computed(whole, part):
     """What is not in the replay cannot be changed; what is follows as in a whole one."""
     changed = {"observer.filter_rate": 500.0}

@@ -48,6 +48,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.fast("filtered.toml-f.mcap-swap3", "filtered.toml-f.mcap-swap4")
 @pytest.mark.parametrize(
     ("scenario", "log", "swap"),
     [

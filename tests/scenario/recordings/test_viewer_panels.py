@@ -45,6 +45,7 @@ def panels(layout):
     return found
 
 
+@pytest.mark.fast("pair", "academic")
 @pytest.mark.parametrize("name", shipped())
 def test_every_path_of_the_layout_leads_to_values_of_its_log(name, tmp_path):
     """Topic and field are in the decoded messages, as many values as the topic has messages."""

@@ -56,6 +56,7 @@ def test_a_window_has_the_rows_of_the_whole_replay(name, tmp_path):
     assert written.recorded_hash == written.content_hash()
 
 
+@pytest.mark.slow
 def test_blocks_do_not_change_a_window(log):
     """Where a block ends, and how long it is, makes no difference."""
     hashes = set()

@@ -166,6 +166,7 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
     assert "note: plant: solver BDF computes with LAPACK: on another processor" in message
 
 
+@pytest.mark.slow
 def test_a_log_says_nothing_of_bits_where_they_depend_on_nothing(tmp_path, subtests):
     for solver in ["exact", *EXPLICIT]:
         with subtests.test(solver=solver):

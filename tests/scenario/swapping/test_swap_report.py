@@ -175,6 +175,7 @@ def test_the_replaced_component_need_not_work(folder):
     assert (found.reports, found.problems) == ({}, ())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("with_other")
 def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     """Exit 2 where the run would stop, 0 where it would not."""

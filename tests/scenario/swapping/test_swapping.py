@@ -163,6 +163,7 @@ def test_a_port_has_one_name(other):
     assert run["observer.y"].tolist() == run["plant.y"].tolist()
 
 
+@pytest.mark.slow
 def test_a_vector_may_be_made_of_elements(by_hand, other, tmp_path, subtests):
     """A list in Python and in the file, or text on the command line, give the same bits."""
     for names in [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""]:

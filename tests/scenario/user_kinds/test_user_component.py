@@ -120,6 +120,7 @@ def test_load_imports_nothing(folder, no_import):
     assert cosim.load("thermostat.toml").specs["relay"].code == "relay:Relay"
 
 
+@pytest.mark.slow
 def test_a_dry_run_says_what_it_imports(folder, call):
     with (folder / "relay.py").open("a") as file:
         file.write("\nprint('relay is imported')\n")
@@ -132,6 +133,7 @@ def test_a_dry_run_says_what_it_imports(folder, call):
     assert "Python classes are loaded and initialized" in help_text
 
 
+@pytest.mark.slow
 def test_prints_of_a_class_are_not_data(folder, call):
     """At its import and in its steps; stdout is for data."""
     (folder / "relay.py").write_text(

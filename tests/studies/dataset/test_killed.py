@@ -53,6 +53,7 @@ def test_a_study_that_was_killed_twenty_times_has_the_rows_of_an_undisturbed_one
         assert names == files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.campaign)])
 def test_a_kill_at_a_call_of_the_system_leaves_a_dataset(tmp_path, stride):
     """Before it, after it, in the middle of a write: at every call that changes a file."""

@@ -104,6 +104,7 @@ def test_values_that_the_scenario_refuses_are_refused(options, message):
         check(**options)
 
 
+@pytest.mark.slow
 def test_members_with_refused_draws_will_fail():
     """They are counted, and named with a way out; the first one may be one of them.
 
@@ -207,6 +208,13 @@ def test_values_that_a_replay_accepts_pass(logs):
     check(replay=str(logs / "a-*.mcap"))
 
 
+@pytest.mark.fast(
+    "options0-\\\\Aplant.x_a0\\\\[0\\\\] = 2.0: 'plant' is taken from the recording",
+    "options1-scenario.step = 0.01: .*expected the recorded",
+    "options3-\\\\A/.*b.mcap: the log is of 'closed-loop', and the study is of 'academic-noisy'",
+    "options4-\\\\A/.*c.mcap is not an MCAP file",
+    "options5-\\\\A/.*c.mcap is not an MCAP file",
+)
 @pytest.mark.parametrize(
     ("options", "message"),
     [

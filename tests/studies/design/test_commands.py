@@ -79,6 +79,7 @@ def test_the_edits_of_a_command_are_those_of_the_member(changes, number):
     assert names == {"u.y": ["out 1"], "plant.x": ["s1", "s2"]}
 
 
+@pytest.mark.slow
 def test_a_member_runs_alone_to_the_same_bits(call, tmp_path):
     """Of every kind of variation; its command begins with the name of the program."""
     study = EMPTY.with_options(

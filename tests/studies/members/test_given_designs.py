@@ -238,6 +238,7 @@ def _settings(log):
     return {name: decode_design(text) for name, text in texts.items()}
 
 
+@pytest.mark.slow
 def test_outcomes_do_not_depend_on_how_many_builds_are_kept(write, monkeypatch):
     """Nor on what ran before; a build is made again where others were used since."""
     path = write(FILTERED)

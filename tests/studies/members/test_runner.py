@@ -144,6 +144,7 @@ def test_a_regular_end_before_the_stop_is_complete_with_its_reason(lag):
     assert outcome.steps == memory.steps < 50
 
 
+@pytest.mark.slow
 def test_the_result_of_a_run_is_kept_beside_its_metrics():
     """With the names and values that a sweep has."""
     changes = {"scenario.stop": 1.0, "plant.x_a0": [0.5, -1.0]}
@@ -154,6 +155,7 @@ def test_the_result_of_a_run_is_kept_beside_its_metrics():
     assert "observer.delta rms error" in outcome.metrics
 
 
+@pytest.mark.slow
 def test_members_replay_recordings(tmp_path):
     """Each its own log, with the values of the member; the log is opened once."""
     logs = []

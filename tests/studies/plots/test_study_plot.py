@@ -174,6 +174,7 @@ def test_a_map_has_the_mean_of_each_cell(figures, tmp_path):
         assert 1 <= len(named(panel)["members that failed"].get_xdata()) <= 3
 
 
+@pytest.mark.slow
 def test_a_scatter_matrix_has_points_below_and_histograms_on_the_diagonal(figures, tmp_path):
     """Above it rank correlations, those of scipy; failed members where both are parameters."""
     study, results = tolerances(61)
@@ -221,6 +222,7 @@ def test_the_picture_of_many_members_takes_little_room(kind, tmp_path):
     assert (tmp_path / "a.svg").stat().st_size < 3e6
 
 
+@pytest.mark.fast("histogram", "distribution")
 @pytest.mark.parametrize("kind", DRAWN[:-1])
 def test_every_picture_names_metrics_units_and_what_it_does_not_show(kind, tmp_path):
     """Failed members, and those without a value, are counted in the picture."""
@@ -236,6 +238,7 @@ def test_every_picture_names_metrics_units_and_what_it_does_not_show(kind, tmp_p
         assert "members that failed" in shown
 
 
+@pytest.mark.slow
 def test_a_picture_follows_from_the_design(figures, tmp_path):
     """A line of one key, a map of two, bars of Sobol indices, else histograms."""
     studies = {

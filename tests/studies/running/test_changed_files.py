@@ -49,6 +49,7 @@ def write_table(path, value):
     path.write_text(f"t,y\n0,{value}\n1,{value}\n")
 
 
+@pytest.mark.slow
 def test_a_study_stops_where_a_file_changes(scenario, tmp_path):
     """What is recorded is of the file as it was; put back, the study goes on."""
     table = tmp_path / "u.csv"
@@ -70,6 +71,7 @@ def test_a_study_stops_where_a_file_changes(scenario, tmp_path):
     assert set(done.table().column("y").to_pylist()) == {1.0}
 
 
+@pytest.mark.slow
 def test_every_varied_file_belongs_to_the_study(scenario, tmp_path):
     """Also the 101st, which no member is built with when the study is planned."""
     tables = [tmp_path / f"{number}.csv" for number in range(101)]

@@ -43,6 +43,7 @@ def grid(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_every_member_has_the_metrics_of_its_run_alone(grid):
     """The parameters of a row are those of a run with the same metrics, bit for bit."""
     for row in grid.table().to_pylist():
@@ -149,6 +150,7 @@ def test_wrong_input_is_refused_before_anything_runs(tmp_path, given, text):
     assert not place.exists()
 
 
+@pytest.mark.slow
 def test_the_logs_of_the_worst_members_are_kept(tmp_path):
     """They are the runs of these members: their metrics are those of the rows."""
     place = tmp_path / "kept"

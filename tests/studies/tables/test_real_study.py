@@ -87,6 +87,7 @@ def test_sobol_indices_of_a_study_are_those_of_the_closed_form(tmp_path, capsys)
     assert content["base_points"] == 1024
 
 
+@pytest.mark.slow
 def test_a_study_and_its_members_are_shown(ishigami, capsys):
     """The command of a member is the one that runs it."""
     study, file, design = ishigami

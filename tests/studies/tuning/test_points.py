@@ -53,6 +53,7 @@ def test_a_resumed_search_equals_an_uninterrupted_one(lists, data):
     assert again == rows
 
 
+@pytest.mark.fast("global", "nelder-mead")
 @pytest.mark.parametrize("method", EACH_METHOD)
 def test_a_search_that_is_stopped_anywhere_or_grows_is_one_that_was_not(method, tmp_path):
     """Nor does it run anything twice; a batch that was begun is completed first."""

@@ -31,7 +31,7 @@ def metric_of_command(command, expression, folder):
     return parse_metrics({"x": expression}).of(cosim.open_log(out))["x"]
 
 
-@pytest.mark.fast("False")
+@pytest.mark.slow
 @pytest.mark.parametrize("is_scenario", [True, False])
 def test_a_log_is_replayed_with_every_point(log, tmp_path, is_scenario):
     """It is tried first with the values of its run, which are those of the log, bit for bit."""

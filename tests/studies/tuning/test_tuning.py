@@ -307,6 +307,7 @@ def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, m
     assert [path.name for path in place.iterdir()] == ["study.json"]
 
 
+@pytest.mark.slow
 def test_a_trial_at_a_bound_may_fail():
     """At 0 the algebraic state is not determined, and below a half the observer is not stable."""
     key = "models.academic.A[2][2]"

@@ -177,7 +177,7 @@ def check_containment(h, cells, signals, seed):
 
 def test_the_interval_contains_the_truth_for_random_signals():
     """White, bang-bang and smooth ones."""
-    check_containment(8e-2, Cells(16, 1), signals=2, seed=0)
+    check_containment(16e-2, Cells(8, 1), signals=2, seed=0)
 
 
 @pytest.mark.campaign
