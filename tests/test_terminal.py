@@ -58,7 +58,7 @@ def printed(tmp_path, monkeypatch, capsys):
     return run
 
 
-@pytest.mark.parametrize("attack", [ATTACK, IN_JSON])
+@pytest.mark.parametrize("attack", [ATTACK, pytest.param(IN_JSON, marks=pytest.mark.slow)])
 def test_texts_of_logs_are_shown_and_not_obeyed(printed, tmp_path, attack):
     """In every metadata record and channel, raw and as JSON writes it."""
     log = cosim.run("academic", set={"scenario.stop": 0.02}, out=tmp_path / "a.mcap")

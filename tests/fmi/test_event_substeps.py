@@ -217,7 +217,10 @@ def run_switched(lag, tmp_path, *, version, solver, tolerance, native=True):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("version", "solver"), [(2, "rk4"), (3, "RK45"), (2, "BDF")])
+@pytest.mark.parametrize(
+    ("version", "solver"),
+    [(2, "rk4"), (3, "RK45"), pytest.param(2, "BDF", marks=pytest.mark.campaign)],
+)
 def test_a_state_event_ends_a_substep(lag, tmp_path, version, solver):
     """Where it is with the inputs of the loop is found by and by, in compiled code as in Python."""
     expected, event = switched(1.0)

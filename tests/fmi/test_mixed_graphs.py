@@ -200,13 +200,13 @@ def check_outcome(lags, seed):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=3)
+@settings(deadline=None, max_examples=5)
 @given(st.integers(0, 10**6))
 def test_mixed_graphs_have_one_outcome(lags, seed):
     check_outcome(lags, seed)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 10**6))
 def test_many_mixed_graphs_have_one_outcome(lags, seed):

@@ -35,7 +35,7 @@ def test_compiled_stages_give_the_same_bits(seed, coupling):
     check_bits(seed, coupling)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @settings(max_examples=150)
 @GRAPHS
 def test_compiled_stages_give_the_same_bits_in_many_graphs(seed, coupling):

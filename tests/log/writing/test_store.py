@@ -38,8 +38,7 @@ def write(failing):
     return stream, written + 5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stride", [23, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [46, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_failed_write_leaves_all_flushed_rows_and_their_hash(
     tmp_path, monkeypatch, stride, subtests
 ):

@@ -311,7 +311,7 @@ def test_a_set_that_the_search_from_the_estimate_misses_is_there_around_it(two_p
     assert least_bound(problem, recorded, starts[2]).factor < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_interval_from_around_the_estimate_contains_the_truth(two_pieces):
     """The interval of all that the starts reach."""
     problem, recorded, starts = two_pieces
