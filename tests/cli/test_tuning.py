@@ -6,7 +6,7 @@ import re
 import pytest
 
 from cosim.cli.stopping import stopped_text
-from tests.studies.tuning.test_tuning import LAG
+from tests.studies.tuning.lags import LAG
 
 VARY = "--vary=plant.time_constant=log:0.1:10"
 OBJECTIVE = "--minimize=abs(last(plant.y) - 0.5)"

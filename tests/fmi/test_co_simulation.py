@@ -118,8 +118,7 @@ def test_feedthrough_without_D_is_first_order_and_reported(opened, version):
         difference = error[:, Y] - error[:, X]
         assert difference == pytest.approx(-SLOPE * h / 2, abs=ROUNDING)
     assert opened(version).component.notes == (
-        "lag: y depends directly on inputs; what is read belongs to the inputs inside the step, "
-        "not at its end (first order in the step), as the FMU has no directional derivatives",
+        "lag: y lags the inputs by up to one step (the FMU has no directional derivatives)",
     )
 
 

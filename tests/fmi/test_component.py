@@ -172,8 +172,8 @@ def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_fe
     assert ((ratio[1:3] > 3.8) & (ratio[1:3] < 4.2)).all()
     assert coarse[0] == pytest.approx(SLOPE[0] * 0.01, rel=0.1)
     assert notes == (
-        "academic: y, x_b depend directly on inputs; what is read belongs to the inputs inside the "
-        "step, not at its end (first order in the step), as the FMU has no directional derivatives",
+        "academic: y, x_b lag the inputs by up to one step "
+        "(the FMU has no directional derivatives)",
     )
 
 
@@ -187,9 +187,8 @@ def test_an_interpolating_fmu_without_D_warns_of_held_inputs_at_any_time(edited)
         fmu.component.prepare(1e-3, np.array([True, False]), {})
         assert fmu.component.notes == before
     assert before == (
-        "academic: y, x_b depend directly on inputs; where inputs have a zero-order hold, what "
-        "is read belongs to their value inside the step, not at its end (first order in the step), "
-        "as the FMU has no directional derivatives",
+        "academic: y, x_b lag inputs with a zero-order hold by up to one step "
+        "(the FMU has no directional derivatives)",
     )
 
 
@@ -305,7 +304,7 @@ def test_the_interface_of_a_pythonfmu_fmu(foreign2):
     """Vectors are put together, feedthrough is unknown."""
     with load(foreign2) as fmu:
         interface = fmu.component.interface
-        assert "may depend directly on inputs" in fmu.component.notes[0]
+        assert "may lag the inputs" in fmu.component.notes[0]
     outputs = interface.outputs
     assert not any(interface.knows(output.name) for output in outputs)
     assert [(s.name, s.size, s.type, s.variability) for s in outputs] == [

@@ -129,19 +129,16 @@ class CoSimulation:
         names = self._uncorrected_outputs()
         if not names:
             return ()
-        verb = "depend" if len(names) > 1 else "depends"
+        verb = "lag" if len(names) > 1 else "lags"
         if not all(self.interface.knows(name) for name in names):
-            verb = "may depend"
-        where = "what is read belongs to the inputs"
+            verb = "may lag"
+        inputs = "the inputs"
         if self._stepper.interpolates:
-            where = "where inputs have a zero-order hold, what is read belongs to their value"
+            inputs = "inputs with a zero-order hold"
         why = "the FMU has no directional derivatives"
         if self._feedthrough:
             why = "directional derivatives are for real variables"
-        return (
-            f"{self._name}: {', '.join(names)} {verb} directly on inputs; {where} inside the step, "
-            f"not at its end (first order in the step), as {why}",
-        )
+        return (f"{self._name}: {', '.join(names)} {verb} {inputs} by up to one step ({why})",)
 
     def _uncorrected_outputs(self) -> list[str]:
         """Return the outputs that depend on inputs directly, and do not follow all of them."""

@@ -227,7 +227,7 @@ def _excess(gain: LoopGain) -> str:
     own = _own(gain)
     return (
         f"{_loop(gain)}: coupling '{gain.coupling}' amplifies an error by "
-        f"{_number(gain.rho)} per {_step(gain)} of {gain.h:g} s (the exact loop: {own}), by "
+        f"{_number(gain.rho)} per {_step(gain)} of {gain.h:g} s (exact solution: {own}), by "
         f"{_growth(gain.exponent)} over {_span(gain)}"
     )
 
@@ -295,9 +295,10 @@ def gain_text(gain: LoopGain) -> str:
     if gain.rho is None:
         return f"unknown: {gain.reason}"
     own = _own(gain)
-    text = f"{_number(gain.rho)} per step (exact loop: {own})"
+    text = f"{_number(gain.rho)} per step (exact solution: {own})"
     if gain.parts > 1:
-        text = f"{_number(gain.rho)} per shortest substep of {gain.h:g} s (exact loop: {own})"
+        step = f"smallest substep allowed, {gain.h:g} s"
+        text = f"{_number(gain.rho)} per {step} (exact solution: {own})"
     if gain.exponent > math.log(NOTED):
         text += f"; errors grow by an extra {_growth(gain.exponent)} over {_span(gain)}"
     return text

@@ -15,8 +15,8 @@ from cosim.errors import ScenarioError
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.exporting import export_component
 from cosim.units import base_unit
+from tests.scenario.fmu_edits import rewritten
 from tests.scenario.refusals import check_refused
-from tests.scenario.swapping.test_swap import rewritten
 
 UNITS = """
 [scenario]
@@ -208,7 +208,7 @@ def test_an_unknown_unit_is_refused_where_it_is_written(units):
         ({"sensor.unit": "parsec"}, r"set\['sensor\.unit'\]: .*'parsec'"),
         ({"room.unit": "degK"}, r"set\['room\.unit'\]: .*'degK'"),
         ({"sensor.unit": {"u": "degF", "y": "furlong"}}, r"sensor\.unit\.y: .*'furlong'"),
-        ({"connections.readout.u": scaled}, r"connections\.readout\.u: .*'NM'"),
+        ({"connections.readout.u": scaled}, r"connections\.readout\.u'\]: .*'NM'"),
     ]
     check_refused(cases, lambda changes: cosim.run(units, set=changes), ScenarioError)
 

@@ -59,7 +59,7 @@ def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run
         cosim.run(pair, out=out)
     text = str(caught.value)
     assert text.startswith(f"{pair}:5: scenario.step: {REFUSED}")
-    assert "per step of 0.01 s (the exact loop: 0.9762), by " in text
+    assert "per step of 0.01 s (exact solution: 0.9762), by " in text
     assert 'coupling = "gauss-seidel" or coupling = "newton"; coupling_check = "warn"' in text
     assert not out.exists()
 
@@ -134,7 +134,7 @@ def test_a_slow_growth_is_warned_of(pair):
     memory = cosim.run(pair, set=changes)
     (text,) = [text for source, text in recorded_warnings(memory) if source == "coupling"]
     assert text == (
-        f"{REFUSED}1.0000500 per step of 0.01 s (the exact loop: 1), by 1.051 over the run"
+        f"{REFUSED}1.0000500 per step of 0.01 s (exact solution: 1), by 1.051 over the run"
     )
 
 
@@ -161,7 +161,7 @@ def test_the_summary_of_a_run_has_a_line_on_the_gain(pair, call):
     """In words in the table, and in numbers as JSON."""
     code, text, _ = call("run", str(pair), "--set", "scenario.coupling=newton", "--out", "a.mcap")
     assert code == 0
-    assert "one, two: 0.9762 per step (exact loop: 0.9762)" in text
+    assert "one, two: 0.9762 per step (exact solution: 0.9762)" in text
     arguments = ("--set", "scenario.coupling=newton", "--out", "b.mcap", "--json")
     _, text, _ = call("run", str(pair), *arguments)
     (gain,) = json.loads(text)["gains"]

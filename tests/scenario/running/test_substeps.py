@@ -217,7 +217,7 @@ def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
     assert abs(stable["one.x"]).max() < 2.0
     (gain,) = recorded_loop_gains(stable)
     assert (gain.parts, gain.steps) == (64, 640)
-    assert re.fullmatch(r"0\.\d+ per shortest substep of 0.00015625 s .*", gain_text(gain))
+    assert re.fullmatch(r"0\.\d+ per smallest substep allowed, 0.00015625 s .*", gain_text(gain))
     with pytest.raises(
         ScenarioError, match=r"'jacobi' amplifies .* 1\.202 per substep of 0\.0025 s"
     ):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.studies.tables.tuning import tuning_lines
-from tests.studies.tuning.test_standard_errors import LINE, T, fitted, line
+from tests.studies.tuning.curves import LINE, T, fitted, line
 
 
 def test_a_value_has_the_digits_that_its_error_leaves():

@@ -5,7 +5,7 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.studies.cluster import connection
-from tests.studies.tuning.test_tuning import LAG, rows_of
+from tests.studies.tuning.lags import LAG, rows_of
 
 pytestmark = pytest.mark.slow
 

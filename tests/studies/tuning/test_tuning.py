@@ -28,6 +28,7 @@ from tests.studies.tuning.fitted_fmu import (
     task_of,
     write_fit,
 )
+from tests.studies.tuning.lags import LAG, rows_of
 
 KILLED = """
 import os, signal, sys
@@ -49,15 +50,6 @@ def killed(self, member, outcome):
 StudyDataset.add = killed
 main(sys.argv[2:])
 """
-VARYING = ("wall_time", "worker", "log")  # columns that differ from run to run
-LAG = """
-scenario = { name = "lag", stop = 2.0, step = 0.01 }
-[components]
-one = { kind = "constant", value = 1.0 }
-plant = { kind = "lag", time_constant = 0.7, initial = 0.0 }
-[connections]
-"plant.u" = "one.y"
-"""
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +62,6 @@ def lag(tmp_path):
     path = tmp_path / "lag.toml"
     path.write_text(LAG)
     return path
-
-
-def rows_of(place):
-    table = StudyDataset.open(place).read()
-    return table.drop_columns(list(VARYING)).to_pylist()
 
 
 def lag_task(path, expression="abs(last(plant.y) - 0.5)", **options):

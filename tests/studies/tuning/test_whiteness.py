@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from cosim.studies.tuning.result import NOT_WHITE, statements
 from cosim.studies.tuning.whiteness import check_rows
-from tests.studies.tuning.test_standard_errors import DECAY, T, decay, errors_at_solution, fitted
+from tests.studies.tuning.curves import DECAY, T, decay, errors_at_solution, fitted
 
 ROWS = 500
 SEEDS = 300
