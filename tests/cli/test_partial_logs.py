@@ -77,6 +77,7 @@ def test_commands_work_on_what_is_recorded(call):
     assert "u.y\tnot recorded in a" in out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("logs")
 def test_a_replay_refuses_by_name_what_the_log_does_not_allow(call):
     """Nothing of this one but its sources can be computed, and they were not recorded."""

@@ -405,6 +405,7 @@ DOCUMENT_TYPES = {
 }
 
 
+@pytest.mark.slow
 def test_document_types(place, subtests):
     """Whatever its encoding, a document with a type is refused before its entities are used."""
     first, *others = DOCUMENT_TYPES.values()

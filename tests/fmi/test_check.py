@@ -125,6 +125,7 @@ def test_rogues(rogue, what):
     assert problems[0].startswith(ROGUES[what])
 
 
+@pytest.mark.slow
 def test_a_trial_of_saved_states_moves_the_inputs(rogue):
     """At rest an FMU that repeats its last step shows nothing: x' = u - x from x = u = 1."""
     at_rest = XML.replace('<Real start="0" unit="m"/>', '<Real start="1" unit="m"/>')

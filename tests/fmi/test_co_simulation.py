@@ -520,6 +520,7 @@ def test_outputs_show_a_discrete_input_at_the_instant_it_changes(opened, can, bl
     assert np.array_equal(y, run(opened("3", *shown), u=switched))
 
 
+@pytest.mark.slow
 def test_an_fmu_that_can_go_back_only_shows_what_a_discrete_input_would_do(opened):
     """Outputs for an input that a loop may still correct change nothing.
 

@@ -24,7 +24,7 @@ def path(inputs, tmp_path_factory):
     return export(model(inputs), folder / "model.fmu", name="model").path
 
 
-@pytest.mark.fast("discrete-rk4", "continuous-exact", "both-exact")
+@pytest.mark.fast("discrete-rk4", "continuous-exact")
 @pytest.mark.parametrize("solver", ["exact", "rk4"])
 def test_generated_models_keep_the_contract(inputs, solver):
     """With discrete inputs, continuous ones and both."""
@@ -36,7 +36,7 @@ def test_generated_models_keep_the_contract(inputs, solver):
     check_rollback(make)
 
 
-@pytest.mark.fast("discrete-me", "both-cs")
+@pytest.mark.fast("both-cs")
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_loaded_fmus_keep_the_contract(path, interface_type):
     """With both interface types: in co-simulation D corrects the outputs, so that they follow."""

@@ -283,6 +283,7 @@ def test_a_broken_manifest_is_reported_and_no_obstacle(what, tmp_path):
     load(path).close()
 
 
+@pytest.mark.slow
 def test_the_check_finds_all_that_is_wrong_with_a_manifest(tmp_path):
     """Each problem is an error of the manifest."""
     path = with_manifest(tmp_path / "x.fmu", edited('"4"', '"98"').replace("0.0.1", "2.0"))

@@ -303,7 +303,7 @@ def typed(folder, call, status):
     return compile_fmu(folder / f"{call}{status}.fmu", xml, "typed2.c", defines=defines)
 
 
-@pytest.mark.fast("SET_REAL", "DO_STEP", "DERIVE")
+@pytest.mark.fast("SET_REAL")
 @pytest.mark.parametrize("call", CALLS)
 def test_a_call_that_warns_or_fails_in_compiled_code_is_reported_alike(tmp_path, call, subtests):
     """In every call of a step: the same rows, the same error, the same messages and times."""

@@ -109,6 +109,7 @@ def test_coupling_error_is_of_second_order():
         assert 3.5 < coarse_error / fine_error < 4.5, signal
 
 
+@pytest.mark.slow
 def test_without_a_prior_the_identifier_converges(academic):
     """theta at t = 40 s within 5e-4 and 2.5e-3 of the truth."""
     error = abs(academic["identifier.theta"][-1] - [-0.1, -0.3])

@@ -77,6 +77,7 @@ def test_reconstructed_disturbance_follows_the_exact_filter(fine, case):
     )
 
 
+@pytest.mark.slow
 def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
     """C02: the rms of delta_hat - delta over [9, 40] s is 2.78e-4 in three digits.
 

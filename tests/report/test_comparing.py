@@ -132,6 +132,7 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     assert re.match(r"cosim: --swap plant: .*'#xs'", second)
 
 
+@pytest.mark.slow
 def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch):
     """A key that one of them has is set there, and the outcome of the others."""
     plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
@@ -168,6 +169,7 @@ def test_a_map_is_for_those_that_have_its_names(folder):
         )
 
 
+@pytest.mark.slow
 def test_a_map_may_list_ports(folder):
     """As texts on the command line, as lists in Python; each listed name is checked."""
     plants = {"plant": [folder / "plant.fmu", folder / "other.fmu"]}

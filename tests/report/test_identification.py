@@ -116,6 +116,7 @@ def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     assert found["amplitude[1]"]["standard_error"] is None
 
 
+@pytest.mark.slow
 def test_several_logs_and_one_to_validate(logs, call):
     """Each log has its own amplitudes, x(0) and tests; the JSON has the numbers of the table."""
     first, second = logs["first"].path, logs["second"].path

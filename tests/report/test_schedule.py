@@ -268,6 +268,7 @@ def schedules(draw):
     return GraphSchedule("random", 0.1, tuple(stages), (), tuple(connections))
 
 
+@pytest.mark.slow
 @given(schedules())
 def test_no_two_components_and_lanes_overlap(schedule):
     """All stand in their layers, one below the other; what is driven stands right of its source."""

@@ -119,6 +119,7 @@ def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
     assert [row.results for row in parts.rows] == [row.results for row in whole.rows]
 
 
+@pytest.mark.slow
 def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
     """The message names the one that is wrong, and nothing was written."""
     folder = tmp_path / "out"

@@ -52,6 +52,7 @@ def test_the_data_are_what_the_observer_took_in(logs):
     assert not record.data.held.any()
 
 
+@pytest.mark.slow
 def test_several_logs_are_one_fit(logs):
     """Two of equal information halve the variance; amplitudes and x(0) are their own."""
     one = identify_records([identifier_record(logs[0])])
@@ -165,6 +166,7 @@ def test_an_identifier_is_chosen_by_its_name(logs):
         identifier_record(logs[0], "identifer")
 
 
+@pytest.mark.slow
 def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
     """The same numbers, to the last bit; and its samples do not count twice either."""
     settings = {"scenario.step": 0.02, "observer.filter_rate": 50.0, "scenario.stop": 20.0}

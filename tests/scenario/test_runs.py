@@ -318,6 +318,7 @@ def test_a_run_that_failed_replays_up_to_its_end(tmp_path):
     assert cosim.diff(log, cosim.replay(path)).equal
 
 
+@pytest.mark.slow
 def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
     """A recorded discretization is for inputs that are linearly interpolated.
 

@@ -116,7 +116,7 @@ def identified_radius(parts, connections, clock, way):
     return np.abs(np.linalg.eigvals(reduced)).max()
 
 
-@pytest.mark.fast("gauss-seidel-linear", "newton-linear")
+@pytest.mark.fast("gauss-seidel-linear")
 @pytest.mark.parametrize("way", WAYS, ids=name_of)
 def test_the_gain_is_that_of_runs_and_what_explodes_is_refused(way):
     """Rows of runs grow by rho in a step, for every coupling and interpolation.

@@ -157,6 +157,7 @@ def network():
     return components, connections
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.permutations(["one", "s", "x", "z", "behind", "last"]))
 def test_the_order_of_the_components_does_not_matter(names):

@@ -67,6 +67,7 @@ def check_merged(folder, whole):
     assert verify(merged, cosim.replay(merged)).passed
 
 
+@pytest.mark.slow
 def test_the_last_part_replays_the_run(run, recorded):
     """Bit for bit, and the log says nothing false; it is called by its own path."""
     last = run.with_name("run.part3.mcap")

@@ -43,6 +43,7 @@ def in_python(text, row, t):
     return eval(text, {"__builtins__": {}}, {"t": t})
 
 
+@pytest.mark.slow
 @given(conditions, st.tuples(values, values, values), values)
 def test_a_condition_of_numbers_is_what_python_makes_of_it(text, row, t):
     """Also chains, and negations of all that."""

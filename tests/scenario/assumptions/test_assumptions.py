@@ -72,6 +72,7 @@ MANY = {
 }
 
 
+@pytest.mark.slow
 def test_output_error_needs_a_disturbance_that_determines_theta_and_no_regression():
     """Six functions under three alphas have 630 terms of (25), which output error is without."""
     report = check_assumptions("academic", set=MANY)

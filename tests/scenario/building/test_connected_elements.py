@@ -118,6 +118,7 @@ def test_a_replay_takes_the_designs_and_other_connections(path, tmp_path):
     assert again["plant.y"].tobytes() == new["plant.y"].tobytes()
 
 
+@pytest.mark.slow
 def test_a_dry_run_and_info_show_every_connection(path, call):
     """In the file's order, with gain and offset."""
     change = 'connections.plant.u[1]={ from = "b.y", gain = 2.0, offset = 1.0 }'

@@ -113,6 +113,7 @@ def test_a_file_is_read_as_scipy_reads_it(tmp_path, compressed):
         assert isinstance(found[name], OtherVariable), name
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_refused_or_read(tmp_path):
     """Whatever a byte becomes: no other error, no crash."""
     path = tmp_path / "good.mat"

@@ -132,6 +132,7 @@ FILES = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(FILES)
 def test_a_crafted_file_is_read_right_or_refused(tmp_path_factory, file):

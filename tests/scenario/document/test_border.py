@@ -358,6 +358,7 @@ WORDS = st.sampled_from(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @bounded
 @given(st.lists(WORDS | st.text(st.characters(exclude_characters="\0"), max_size=8), max_size=6))
 def test_any_command_line_ends_with_an_exit_code(tmp_path, monkeypatch, arguments):

@@ -59,6 +59,7 @@ def test_the_later_edit_wins(academic):
     assert again.set({"plant.x_a0": [5.0, 6.0]}).specs["plant"].x_a0 == (5.0, 6.0)
 
 
+@pytest.mark.slow
 def test_a_run_with_an_element_set_is_that_of_the_file_with_it(tmp_path, academic):
     """Bit for bit, and so is its replay, with an element of its own."""
     end = {"scenario.stop": 0.05}

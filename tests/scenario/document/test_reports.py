@@ -174,6 +174,7 @@ def _many_problems(count):
     return "\n".join(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("frozen_heap")
 def test_the_time_of_a_report_grows_with_the_number_of_its_problems():
     """800 problems take about four times as long as 200; with the square it would be sixteen."""

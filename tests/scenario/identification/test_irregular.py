@@ -108,6 +108,7 @@ def test_a_bound_is_positive(subtests):
             cosim.run("academic-noisy", set={"identifier.irregular": bound})
 
 
+@pytest.mark.slow
 def test_the_table_of_the_run_shows_the_intervals(call):
     """Beside bound, confidence and reach to first order; or why there are none."""
     options = ["--step", "0.02", "--set", "observer.filter_rate=50.0"]

@@ -132,6 +132,7 @@ CONNECTIONS = {
 }
 
 
+@pytest.mark.slow
 def test_a_table_a_recorded_channel_and_a_computed_signal_identify_theta(tmp_path):
     """Any source will do, and a replay takes a file and a recording from the log."""
     changes = {**RUN, "scenario.stop": 8.0}
@@ -262,6 +263,7 @@ def test_an_alpha_that_lags_is_for_least_squares_alone(tmp_path):
     assert np.isfinite(signals(path, set=changes)["regressor.mu"][-1]).all()
 
 
+@pytest.mark.slow
 def test_a_log_identifies_theta_from_the_recorded_alphas(tmp_path):
     """Alphas of a log are those that the run computed, to the last bit."""
     changes = {**RUN, "scenario.stop": 8.0, "identifier.method": "least-squares"}

@@ -175,6 +175,7 @@ def test_an_observer_may_be_linearized_where_the_plant_is_not_at_rest(folder):
     assert error(swing(folder, 0.0, start={"theta": 0.42, "omega": 0.1})) <= 1e-7
 
 
+@pytest.mark.slow
 def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
     """What drives them is then compared and converted; where elements differ, none is declared."""
     run = cosim.run(swing(folder, 0.1), set={"scenario.stop": 0.01})
@@ -359,6 +360,7 @@ def test_linearized_anew_the_estimates_converge_where_those_of_one_model_stay_wr
     assert fixed[1] > 10.0 * anew[1]
 
 
+@pytest.mark.slow
 def test_differences_do_where_the_fmu_has_no_derivatives(folder):
     """Both ways lead to the same estimates."""
     pendulum(folder / "plain.fmu", derivatives=False, level=False)

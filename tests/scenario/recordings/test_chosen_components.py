@@ -49,7 +49,7 @@ def check_each(log):
 LARGE = {"closed-loop", "compensation"}  # more components, each replayed alone
 
 
-@pytest.mark.fast("pair", "academic-noisy")
+@pytest.mark.fast("pair")
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name for name in shipped()],

@@ -116,6 +116,7 @@ def test_a_partial_log_knows_all_that_there_was(whole, part):
     assert part.designs.keys() == whole.designs.keys()
 
 
+@pytest.mark.slow
 def test_a_partial_log_says_so(part):
     """In its text, in what info shows, and where something else is asked for."""
     assert "partial: 6 of 24 signals, of 2 of 6 components, at every 10 steps" in repr(part)
@@ -211,7 +212,7 @@ def test_a_partial_log_is_cut_and_merged_again(part, tmp_path):
     assert merged.status == "complete"
 
 
-@pytest.mark.fast("signals0", "signals2")
+@pytest.mark.fast("signals0")
 @pytest.mark.parametrize("signals", [["plant.y"], ["plant.*"], ["plant.u", "plant.y"]])
 def test_a_partial_log_takes_the_place_of_a_plant(whole, tmp_path, signals):
     """Its inputs stay connected, recorded or not; what follows from its outputs has their bits."""

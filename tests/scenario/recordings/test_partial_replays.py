@@ -259,7 +259,7 @@ def test_a_log_of_nothing_that_a_replay_has_cannot_be_verified(part):
         cosim.replay(log)
 
 
-@pytest.mark.fast("pair", "academic-noisy")
+@pytest.mark.fast("pair")
 @pytest.mark.parametrize("name", sorted(set(shipped()) - {"compensation"}))
 def test_whatever_is_recorded_a_replay_has_the_bits_of_the_run(name, tmp_path):
     """Of any signals of any scenario; and its verification passes."""

@@ -39,7 +39,7 @@ def check_same_rows(part, whole, begin, end):
         assert part.rows(name).tobytes() == rows.tobytes()
 
 
-@pytest.mark.fast("pair", "academic-noisy")
+@pytest.mark.fast("pair")
 @pytest.mark.parametrize("name", sorted(set(shipped()) - {"compensation"}))
 def test_a_window_has_the_rows_of_the_whole_replay(name, tmp_path):
     """Bit for bit, of every signal, in memory and in a log; whatever the states are there."""
@@ -99,6 +99,7 @@ def test_a_stop_beside_a_window_is_refused(log):
         cosim.replay(log, window=(0.1, None), set={"scenario.stop": 0.15})
 
 
+@pytest.mark.slow
 def test_a_window_cannot_be_replayed(log, tmp_path):
     """What was before it is missing; the message names the log that has it."""
     part = cosim.replay(log, window=(0.1, 0.15), out=tmp_path / "b.mcap")
@@ -166,6 +167,7 @@ def test_the_table_says_that_a_window_was_computed_from_the_start(log, call):
     assert "0.05 s to 0.1 s in 50 steps" in out
 
 
+@pytest.mark.slow
 def test_messages_before_a_window_are_left_out(tmp_path):
     """Those in it are there."""
     changes = {"scenario.input_interpolation": "zero-order", **RATES}

@@ -112,6 +112,7 @@ def test_estimates_by_output_error_have_the_same_bits_whatever_blas_computes_wit
 IMPLICIT = {"Radau": "LAPACK", "BDF": "LAPACK", "LSODA": "ODEPACK", "CVode": "SUNDIALS"}
 
 
+@pytest.mark.slow
 def test_a_log_says_what_the_bits_of_implicit_solvers_depend_on(tmp_path, subtests):
     """Of a generated plant; ``info`` shows it."""
     for solver, library in IMPLICIT.items():

@@ -91,6 +91,7 @@ def test_an_fmu_starts_there(tmp_path, logs):
         np.testing.assert_allclose(swapped["plant.y"], logs[START]["plant.y"], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_report_names_both_ends(tmp_path, logs):
     summary = summarize(logs[START])
     assert (summary.start, summary.end) == (16.0, 17.0)

@@ -71,6 +71,7 @@ def test_a_run_with_substeps_is_replayed_bit_for_bit(pair, tmp_path):
     assert Log(tmp_path / "y.mcap").substeps() == log.substeps() != []
 
 
+@pytest.mark.slow
 def test_a_replay_takes_the_substeps_of_recorded_components(tmp_path):
     """The plant of the closed loop is taken from the log; the others are computed again."""
     changes = {

@@ -66,6 +66,7 @@ def text_with(swap):
     return replace(find("academic"), text=f"{find('academic').text}\n[swap]\n{swap}\n")
 
 
+@pytest.mark.slow
 def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypatch):
     """Python, command line and file give the same bits, under the scenario's names, truth too."""
     monkeypatch.chdir(tmp_path)
@@ -489,6 +490,7 @@ def test_elements_of_an_input_may_be_turned_round(tmp_path):
         cosim.run(scenario, swap={"k": path}, map=wrong)
 
 
+@pytest.mark.slow
 def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
     """The replaced component has it; an output there is no input here.
 

@@ -201,6 +201,7 @@ def logs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_values_that_a_replay_accepts_pass(logs):
     """Of every log, with every value."""
     vary = {"observer.filter_rate": [100.0, 300.0]}

@@ -90,6 +90,7 @@ def test_metrics_that_cannot_be_computed_are_refused(lag):
     assert "plant.z" in outcome.reason
 
 
+@pytest.mark.slow
 def test_a_member_has_the_bits_of_a_fresh_process(lag):
     """By the command that runs it alone."""
     [outcome] = outcomes(StudySubject(lag), StudyMember(0, {"plant.time_constant": 0.1}))

@@ -671,6 +671,7 @@ def test_a_scatter_matrix_of_very_many_members_takes_little_room(tmp_path):
     assert "300 of the 50002 members that failed" in " ".join(texts(tmp_path / "a.svg"))
 
 
+@pytest.mark.slow
 def test_parameters_without_a_number_have_no_place(figures, tmp_path):
     """Cases have empty cells, lists of any length, and infinity."""
     count = 12

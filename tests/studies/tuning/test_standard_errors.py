@@ -57,6 +57,7 @@ def test_a_decay_has_the_errors_of_curve_fit(deviation):
     assert list(result.best.point.values()) == pytest.approx(solution, abs=0.1 * expected.min())
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_logarithm_is_of_the_logarithm():
     """Its bounds stand symmetrically around the value on that scale."""
     measured = decay(T, 2.0, 3.0) + 0.2 * np.random.default_rng(1).standard_normal(T.size)
