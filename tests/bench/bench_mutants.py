@@ -177,7 +177,10 @@ def copied(folder: Path) -> Path:
 
 
 def executed(folder: Path) -> tuple[dict[str, dict[int, list[str]]], dict[str, float]]:
-    """Run the fast tests; return the tests that execute each line, and what each takes [s]."""
+    """Run the fast tests; return the tests that execute each line, and what each takes [s].
+
+    What fails without a mutant has no time.
+    """
     report = folder / "durations.xml"
     arguments = ["-n", "2", "-q", "--cov=cosim", "--cov-context=test", "--cov-report="]
     arguments += ["-o", "junit_family=xunit1", f"--junit-xml={report}"]
@@ -188,7 +191,8 @@ def executed(folder: Path) -> tuple[dict[str, dict[int, list[str]]], dict[str, f
     subprocess.run([sys.executable, "-m", "coverage", *arguments], cwd=folder, check=True)
     durations = {}
     for case in ElementTree.parse(report).iter("testcase"):
-        durations[f"{case.get('file')}::{case.get('name')}"] = float(case.get("time", "0"))
+        if not case.findall("failure") and not case.findall("error"):
+            durations[f"{case.get('file')}::{case.get('name')}"] = float(case.get("time", "0"))
     files = json.loads((folder / "lines.json").read_text())["files"]
     lines: dict[str, dict[int, list[str]]] = {}
     for name, content in files.items():
@@ -204,11 +208,12 @@ def tests_of(mutant: Mutant, lines: dict[int, list[str]], durations: dict[str, f
     layer = f"tests/{mutant.path.parts[1]}/"
     mirror = f"/test_{mutant.path.stem}.py::"
     found = {test for test in lines.get(mutant.line, []) if test.startswith(layer)}
-    ordered = sorted(found, key=lambda test: (mirror not in test, durations.get(test, 1.0), test))
+    found &= durations.keys()
+    ordered = sorted(found, key=lambda test: (mirror not in test, durations[test], test))
     selected = []
     seconds = 0.0
     for test in ordered:
-        seconds += durations.get(test, 1.0)
+        seconds += durations[test]
         if seconds > MOST_SECONDS and selected:
             break
         selected.append(test)

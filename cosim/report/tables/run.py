@@ -352,7 +352,7 @@ def _add_compensation(table: Table, compensation: CompensationSummary, *, single
 def _add_wall_time(table: Table, wall: Mapping[str, float], *, simulated: float) -> None:
     total = sum(wall.values())
     parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
-    speed = f"{simulated / (total - wall['imports']):.3g} x real time"
+    speed = f"{simulated / (total - wall.get('imports', 0.0)):.3g} x real time"
     table.add_row("wall time", f"{total:.2f} s ({parts}), {speed}")
 
 

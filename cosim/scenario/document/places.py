@@ -76,9 +76,7 @@ class Places:
                 return self._swap_edit(key)
         place = self._place(key)
         dotted = shortened(".".join(map(str, key)))
-        if not dotted or place == option("set", dotted):
-            return place
-        return f"{place}: {dotted}"
+        return f"{place}: {dotted}" if dotted else place
 
     def _place(self, key: Key) -> str:
         """Return where a key stands: file and line, or the edit that set it."""

@@ -387,11 +387,11 @@ CHANGES = [
     ),
     (
         {"scenario.threads": True},
-        r"set\['scenario\.threads'\]: expected a whole number, got True",
+        r"set\['scenario\.threads'\]: scenario\.threads: expected a whole number, got True",
     ),
     (
         {"scenario.threads": 3},
-        r"set\['scenario\.threads'\]: expected a number <= 2, got 3",
+        r"set\['scenario\.threads'\]: scenario\.threads: expected a number <= 2, got 3",
     ),
     (
         {"filter_rate": 1.0},
@@ -403,7 +403,7 @@ CHANGES = [
     ),
     (
         {"scenario.stop": -1.0},
-        r"set\['scenario\.stop'\]: stop: .*-1\.0 s",
+        r"set\['scenario\.stop'\]: scenario\.stop: stop: .*-1\.0 s",
     ),
 ]
 SWAPS = [
@@ -502,11 +502,11 @@ TOO_FINE_OR_LARGE = [
     ),
     (
         {"connections.plant.u": {"from": "u.y", "gain": [[1.0, 2.0], [3.0]]}},
-        r"connections\.plant\.u'\]: 'u\.y': .*gain, got .*lengths: .*1\.0, 2\.0.*3\.0",
+        r"connections\.plant\.u: 'u\.y': .*gain, got .*lengths: .*1\.0, 2\.0.*3\.0",
     ),
     (
         {"scenario.stop": 1e12},
-        r"set\['scenario\.stop'\]: 1000000000000\.0 s",
+        r"set\['scenario\.stop'\]: scenario\.stop: 1000000000000\.0 s",
     ),
 ]
 
