@@ -83,11 +83,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return ByCost(config, log)
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makeitem() -> Generator[None, Any, Any]:
     """Mark as slow the cases of a test that its mark ``fast`` does not name."""
-    mark = item.get_closest_marker("fast")
-    if mark and isinstance(item, pytest.Function) and item.callspec.id not in mark.args:
-        item.add_marker(pytest.mark.slow)
+    made = yield
+    if not isinstance(made, list):
+        return made
+    cases = {case.callspec.id: case for case in made if case.get_closest_marker("fast")}
+    for name, case in cases.items():
+        named = case.get_closest_marker("fast").args
+        if not cases.keys() >= set(named):
+            raise pytest.UsageError(f"{case.nodeid}: fast: expected among {list(cases)}")
+        if name not in named:
+            case.add_marker(pytest.mark.slow)
+    return made
 
 
 SECONDS_OF_A_FAST_TEST = 1.0
@@ -148,21 +157,21 @@ def cache_of_the_suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
 @pytest.fixture(scope="session", autouse=True)
 def trials_in_this_process() -> Iterator[None]:
     """Try FMUs where the test runs, unless it asks for ``trials_in_children``."""
-    from tests.fmi.in_process import try_fmus_in_this_process
+    from cosim.fmi import child_process
+    from tests.fmi.in_process import attempt
 
     with pytest.MonkeyPatch.context() as patch:
-        try_fmus_in_this_process(patch)
+        patch.setattr(child_process, "attempt", attempt)
         yield
 
 
 @pytest.fixture
-def trials_in_children() -> Iterator[None]:
+def trials_in_children(monkeypatch: pytest.MonkeyPatch) -> None:
     """Try FMUs in children, as users do: for tests of trials, crashes and hangs."""
-    from tests.fmi.in_process import try_fmus_in_children
+    from cosim.fmi import child_process
+    from tests.fmi.in_process import IN_A_CHILD
 
-    with pytest.MonkeyPatch.context() as patch:
-        try_fmus_in_children(patch)
-        yield
+    monkeypatch.setattr(child_process, "attempt", IN_A_CHILD)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -125,14 +125,8 @@ ESTIMATORS = {
 }
 
 
-SLOW = ("augmented-kalman", "output-error")
-
-
 @pytest.mark.fast("extended-kalman", "gradient", "least-squares", "rayleigh", "drem")
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in ESTIMATORS],
-)
+@pytest.mark.parametrize("name", ESTIMATORS)
 def test_a_method_keeps_the_contract_of_an_estimator(name):
     """With the error that it is known to leave."""
     make, accuracy = ESTIMATORS[name]

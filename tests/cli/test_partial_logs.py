@@ -42,7 +42,6 @@ def test_info_says_what_is_recorded_of_what(call):
 
 
 @pytest.mark.fast("words1")
-@pytest.mark.fast("words0", "words1")
 @pytest.mark.usefixtures("logs")
 @pytest.mark.parametrize(
     "words",

@@ -11,27 +11,16 @@ from cosim.fmi import child_process
 from cosim.fmi.checking.trial import TrialLog, roll_back
 from cosim.fmi.child_process import CHILD_VARIABLE, TIMEOUT, TrialProblem, TrialTask
 
-ATTEMPT = child_process.attempt
+IN_A_CHILD = child_process.attempt
 
 
-def try_fmus_in_this_process(patch: pytest.MonkeyPatch) -> None:
-    """Let FMUs that are loaded be tried here: a crash is one of the tests', nothing ends a hang.
+def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple[TrialProblem, ...]:
+    """Try here what a loaded FMU is tried for: a crash is one of the tests', nothing ends a hang.
 
-    ``cosim check`` still starts its children.
+    What ``cosim check`` asks for is done in a child.
     """
-    patch.setattr(child_process, "attempt", _attempt)
-
-
-def try_fmus_in_children(patch: pytest.MonkeyPatch) -> None:
-    """Let children be started again."""
-    patch.setattr(child_process, "attempt", ATTEMPT)
-
-
-def _attempt(
-    task: TrialTask, *arguments: str, timeout: float = TIMEOUT
-) -> tuple[TrialProblem, ...]:
     if task != "rollback" or len(arguments) > 2:  # a check gives what it has read
-        return ATTEMPT(task, *arguments, timeout=timeout)
+        return IN_A_CHILD(task, *arguments, timeout=timeout)
     path, interface_type = arguments
     text = io.StringIO()
     log = TrialLog(text)

@@ -282,10 +282,11 @@ def test_events_of_fmus_in_compiled_steps(model):
 @pytest.mark.parametrize("solver", EXPLICIT)
 @pytest.mark.parametrize("version", [2, 3])
 def test_events_of_fmus_in_compiled_steps_of_every_solver(solver, version, subtests):
-    """All models; those of FMI 2 with a way back, those of FMI 3 without."""
+    """All models; with a way back every second pair of solver and version."""
+    saves = (EXPLICIT.index(solver) + version) % 2 == 0
     for name in LEVELS:
         with subtests.test(name=name):
-            check_eventful(name, solver, version, version == 2)
+            check_eventful(name, solver, version, saves)
 
 
 @pytest.mark.parametrize("model", ["BALL", "SAW", "TWO", "SWITCH", "SCALED"])

@@ -267,7 +267,7 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
     ("bounds", "verdict"),
     [
         (None, "IDENTIFIABLE"),
-        pytest.param({1: (-0.5, -0.5)}, "INCONSISTENT", marks=pytest.mark.slow),
+        ({1: (-0.5, -0.5)}, "INCONSISTENT"),
     ],
 )
 def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict):

@@ -290,13 +290,7 @@ def test_eigenvalues_are_compared_but_for_what_depends_on_the_processor(
 
 
 @pytest.mark.fast("pair", "academic", "academic-noisy")
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] if name == "compensation" else [])
-        for name in shipped()
-    ],
-)
+@pytest.mark.parametrize("name", shipped())
 def test_a_log_and_the_log_of_its_replay_pass(name, tmp_path):
     """Of every shipped scenario: a replay says nothing else of a run than the run did."""
     path = tmp_path / "a.mcap"

@@ -295,10 +295,10 @@ def gain_text(gain: LoopGain) -> str:
     if gain.rho is None:
         return f"unknown: {gain.reason}"
     own = _own(gain)
-    text = f"{_number(gain.rho)} per step (exact solution: {own})"
+    step = "step"
     if gain.parts > 1:
         step = f"smallest substep allowed, {gain.h:g} s"
-        text = f"{_number(gain.rho)} per {step} (exact solution: {own})"
+    text = f"{_number(gain.rho)} per {step} (exact solution: {own})"
     if gain.exponent > math.log(NOTED):
         text += f"; errors grow by an extra {_growth(gain.exponent)} over {_span(gain)}"
     return text

@@ -181,7 +181,6 @@ def sampled_loops():
 
 
 @pytest.mark.fast("two periods")
-@pytest.mark.fast("delay", "two periods")
 @pytest.mark.parametrize("name", sampled_loops())
 def test_the_map_of_loops_with_periods_and_delays_gives_the_rows_of_runs(name):
     """From the initial state every row is the map of the row before, over many periods."""
@@ -324,11 +323,7 @@ def stiff(way, **settings):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "way",
-    [WAYS[0], *(pytest.param(way, marks=pytest.mark.slow) for way in WAYS[1:-1])],
-    ids=name_of,
-)
+@pytest.mark.parametrize("way", WAYS[:-1], ids=name_of)
 def test_the_step_that_is_offered_is_right_and_the_next_larger_one_is_not(way):
     """It divides the step of the run; what is refused there becomes infinite, what is fine ends."""
     clock = Clock(100.0, 0.02)

@@ -19,7 +19,6 @@ def final_counts(recording):
     return set(count_rows(bytes(recording.stream.content)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seeds", "sizes"),
     [
@@ -72,7 +71,10 @@ def run_failing(failing, *, seed=1, largest=200, longest=None):
     return recording, True
 
 
-@pytest.mark.parametrize("stride", [44, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "stride",
+    [44, pytest.param(3, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.campaign)],
+)
 def test_a_write_that_fails_leaves_a_whole_file(stride, subtests):
     """Whichever it is; the calls behind it, which do or do not fail too, leave a whole file."""
     begun = Recording(random.Random(1)).stream.writes

@@ -90,8 +90,8 @@ def assert_whole(path, rows, instant):
     [
         (SWITCH, 17, 15),
         (None, 71, 15),
-        pytest.param(SWITCH, 3, 50, marks=pytest.mark.slow),
-        pytest.param(None, 17, 50, marks=pytest.mark.slow),
+        (SWITCH, 3, 50),
+        (None, 17, 50),
         pytest.param(SWITCH, 1, 50, marks=pytest.mark.campaign),
     ],
 )

@@ -103,7 +103,7 @@ def test_the_contract_is_kept(options, two, log):
     columns = [log[name] for name in ("regressor.mu", "observer.delta", "sensor.y", "u.y")]
     inputs = np.hstack([np.reshape(rows, (len(rows), -1)) for rows in columns])
     make = identifiers(str(two), settings)
-    check_component(make, inputs=np.ascontiguousarray(inputs[:151]), h=1e-2)
+    check_component(make, inputs=np.ascontiguousarray(inputs[:301]), h=1e-2)
 
 
 @pytest.mark.slow

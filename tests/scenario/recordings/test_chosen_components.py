@@ -46,14 +46,8 @@ def check_each(log):
         assert set(statuses.values()) == {"copied"}
 
 
-LARGE = {"closed-loop", "compensation"}  # more components, each replayed alone
-
-
 @pytest.mark.fast("pair")
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name for name in shipped()],
-)
+@pytest.mark.parametrize("name", shipped())
 def test_each_component_alone_follows_from_the_others(name, tmp_path):
     """Whatever the period of the component, and of those that it takes from the log."""
     check_each(cosim.run(name, out=tmp_path / "a.mcap", set={"scenario.stop": 0.2}))

@@ -43,7 +43,6 @@ def record(signals=None, every=None):
 
 
 @pytest.mark.fast("signals2-7")
-@pytest.mark.fast("signals0-1", "signals2-7", "signals4-1000")
 @pytest.mark.parametrize(
     ("signals", "every"),
     [

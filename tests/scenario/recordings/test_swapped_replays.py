@@ -52,8 +52,8 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize(
     ("scenario", "log", "swap"),
     [
-        pytest.param("academic", "a.mcap", {"plant": "plant.fmu"}, marks=pytest.mark.slow),
-        pytest.param("academic", "a.mcap", {"plant": "plant.fmu#cs"}, marks=pytest.mark.slow),
+        ("academic", "a.mcap", {"plant": "plant.fmu"}),
+        ("academic", "a.mcap", {"plant": "plant.fmu#cs"}),
         ("academic", "a.mcap", {"plant": "a.mcap"}),
         ("filtered.toml", "f.mcap", {"filter": "filter.fmu#me"}),
         ("filtered.toml", "f.mcap", {"filter": "filter.fmu#cs"}),

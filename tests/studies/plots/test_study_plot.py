@@ -538,13 +538,12 @@ def long_names(kind):
     return results_of_study(study, StudyLayout("random", samples=60)), keys
 
 
-@pytest.mark.fast("map-None", "line-size5")
+@pytest.mark.fast("map-None", "line-size6")
 @pytest.mark.parametrize(
     ("kind", "size"),
     [
-        *((kind, None) for kind in DRAWN[:-1]),
+        *((kind, None) for kind in DRAWN),
         ("line", (9.0, 11.0)),
-        pytest.param("scatter", None, marks=pytest.mark.slow),
     ],
 )
 def test_no_text_is_cut_off(kind, size, figures, tmp_path):
