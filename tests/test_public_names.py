@@ -26,7 +26,7 @@ TESTING = {
     "cosim.testing": ["check_component", "check_estimator", "check_rollback"],
     "cosim.gym": ["Env"],
 }  # modules of their own
-README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
+SHOWN = r" *from (cosim[\w.]*) import ([\w, ]+)"
 
 
 def imported_names(package):
@@ -37,24 +37,6 @@ def imported_names(package):
         if isinstance(node, ast.ImportFrom) and node.module.startswith(f"{package}."):
             names |= {alias.asname or alias.name for alias in node.names}
     return names - {"__version__", "lazy_names"}
-
-
-def shown_imports(text):
-    """Return (module, name) of every import from this package in Python shown to a reader."""
-    shown = []
-    for module, names in re.findall(r"from (cosim[\w.]*) import ([\w, ]+)", text):
-        shown += [(module, name.strip()) for name in names.split(",")]
-    return shown
-
-
-def docstrings():
-    """Yield every docstring of the package that shows Python."""
-    for path in sorted(ROOT.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            kinds = ast.Module | ast.ClassDef | ast.FunctionDef
-            text = ast.get_docstring(node) if isinstance(node, kinds) else None
-            if text and ">>>" in text:
-                yield text
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -89,12 +71,15 @@ def test_importing_the_packages_loads_no_library():
     assert result.stdout.strip() == ""
 
 
-@pytest.mark.parametrize("text", [README, *docstrings()])
-def test_shown_imports_are_public(text):
-    """README and docstrings import public names from their packages only."""
-    for module, name in shown_imports(text):
-        if module in TESTING:
-            assert name in TESTING[module], f"from {module} import {name}"
-        else:
-            assert module in PACKAGES, f"from {module} import {name}"
-            assert name in import_module(module).__all__, f"from {module} import {name}"
+def test_shown_imports_are_public():
+    """README, pages and docstrings import public names from their packages only."""
+    shown = []
+    for path in [ROOT.parent / "README.md", *ROOT.parent.glob(".readme/*.md")]:
+        shown += re.findall(f"(?m)^{SHOWN}", path.read_text(encoding="utf-8"))
+    for path in ROOT.rglob("*.py"):
+        shown += re.findall(f">>>{SHOWN}", path.read_text(encoding="utf-8"))
+    assert len(shown) > 5
+    for module, names in shown:
+        assert module in {*PACKAGES, *TESTING}, f"from {module} import {names}"
+        expected = TESTING.get(module) or import_module(module).__all__
+        assert {name.strip() for name in names.split(",")} <= set(expected), module

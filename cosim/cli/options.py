@@ -29,11 +29,13 @@ LogArgument = Annotated[
     Path, typer.Argument(metavar="LOG", help="A log written by 'cosim run' (.mcap).")
 ]
 
+PAIRS = {"set": "COMPONENT.PARAMETER=VALUE", "swap": "COMPONENT=PATH", "map": "PORT=NAME"}
+
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        metavar="COMPONENT.PARAMETER=VALUE",
+        metavar=PAIRS["set"],
         autocompletion=completion.complete_setting,
         help="Set a value, such as observer.filter_rate=500 or, in a list, "
         "delta.terms[0].theta=-0.2. Repeatable.",
@@ -44,7 +46,7 @@ SwapOption = Annotated[
     list[str] | None,
     typer.Option(
         "--swap",
-        metavar="COMPONENT=PATH",
+        metavar=PAIRS["swap"],
         autocompletion=completion.complete_swap,
         help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded "
         "component (.mcap) or time-stamped samples (.csv, .parquet, .mcap of other "
@@ -56,7 +58,7 @@ MapOption = Annotated[
     list[str] | None,
     typer.Option(
         "--map",
-        metavar="PORT=NAME",
+        metavar=PAIRS["map"],
         autocompletion=completion.complete_map,
         help="Map ports to those of the replacing component: observer.y=out1, "
         "plant.x=[s1,s2]. Repeatable.",
@@ -105,7 +107,8 @@ def read_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
             missing = "no name" if equals else "no '='"
-            raise UsageError(f"{option(name)} {quoted(text)}: expected NAME=VALUE, got {missing}")
+            expected = PAIRS.get(name, "NAME=VALUE")
+            raise UsageError(f"{option(name)} {quoted(text)}: expected {expected}, got {missing}")
         pairs[key.strip()] = value.strip()
     return pairs
 

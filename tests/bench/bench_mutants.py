@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
-import json
 import os
 import random
 import shutil
@@ -28,6 +27,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
+
+from coverage import CoverageData
 
 ROOT = Path(__file__).parents[2]
 MOST_SECONDS = 60.0  # of tests that run for a mutant
@@ -176,8 +177,8 @@ def copied(folder: Path) -> Path:
     return Path(shutil.copytree(ROOT, folder, ignore=ignored))
 
 
-def executed(folder: Path) -> tuple[dict[str, dict[int, list[str]]], dict[str, float]]:
-    """Run the fast tests; return the tests that execute each line, and what each takes [s].
+def executed(folder: Path) -> tuple[CoverageData, dict[str, float]]:
+    """Run the fast tests; return which execute each line, and what each takes [s].
 
     What fails without a mutant has no time.
     """
@@ -187,27 +188,24 @@ def executed(folder: Path) -> tuple[dict[str, dict[int, list[str]]], dict[str, f
     environment = {**os.environ, "PYTHONPATH": str(folder)}
     command = [sys.executable, "-m", "pytest", *arguments]
     subprocess.run(command, cwd=folder, env=environment, check=False)
-    arguments = ["json", "--show-contexts", "-o", "lines.json", "-q"]
-    subprocess.run([sys.executable, "-m", "coverage", *arguments], cwd=folder, check=True)
     durations = {}
     for case in ElementTree.parse(report).iter("testcase"):
         if not case.findall("failure") and not case.findall("error"):
             durations[f"{case.get('file')}::{case.get('name')}"] = float(case.get("time", "0"))
-    files = json.loads((folder / "lines.json").read_text())["files"]
-    lines: dict[str, dict[int, list[str]]] = {}
-    for name, content in files.items():
-        lines[name] = {
-            int(line): [context.partition("|")[0] for context in contexts if context]
-            for line, contexts in content["contexts"].items()
-        }
-    return lines, durations
+    data = CoverageData(str(folder / ".coverage"))
+    data.read()
+    return data, durations
 
 
-def tests_of(mutant: Mutant, lines: dict[int, list[str]], durations: dict[str, float]) -> list[str]:
+def tests_of(
+    mutant: Mutant, data: CoverageData, folder: Path, durations: dict[str, float]
+) -> list[str]:
     """Return the tests of a mutant's layer that execute it: its mirror first, then by duration."""
     layer = f"tests/{mutant.path.parts[1]}/"
     mirror = f"/test_{mutant.path.stem}.py::"
-    found = {test for test in lines.get(mutant.line, []) if test.startswith(layer)}
+    contexts = data.contexts_by_lineno(str(folder / mutant.path)).get(mutant.line, [])
+    executing = {context.partition("|")[0] for context in contexts}
+    found = {test for test in executing if test.startswith(layer)}
     found &= durations.keys()
     ordered = sorted(found, key=lambda test: (mirror not in test, durations[test], test))
     selected = []
@@ -257,11 +255,11 @@ def main() -> None:
         for number in range(options.jobs):
             copies.put(copied(Path(temporary) / str(number)))
         first = copies.get()
-        lines, durations = executed(first)
+        data, durations = executed(first)
+        selected = [tests_of(mutant, data, first, durations) for mutant in mutants]
         copies.put(first)
 
-        def judged(mutant: Mutant) -> tuple[Mutant, int, bool]:
-            tests = tests_of(mutant, lines.get(str(mutant.path), {}), durations)
+        def judged(mutant: Mutant, tests: list[str]) -> tuple[Mutant, int, bool]:
             folder = copies.get()
             try:
                 return mutant, len(tests), not tests or survives(mutant, tests, folder)
@@ -271,7 +269,7 @@ def main() -> None:
         killed = 0
         unseen = 0
         with ThreadPoolExecutor(options.jobs) as pool:
-            for mutant, count, alive in pool.map(judged, mutants):
+            for mutant, count, alive in pool.map(judged, mutants, selected):
                 killed += not alive
                 unseen += count == 0
                 if alive:

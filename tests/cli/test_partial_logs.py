@@ -110,3 +110,7 @@ def test_diff_says_where_it_compares(call):
     text = "note: compared only where both logs have rows: u.y at 29 instants (201 in a, 29 in b)"
     assert text in out.splitlines()
     assert "note: compared" not in call("diff", "all.mcap", "all.mcap")[1]
+    call("run", "academic", "--stop", "0.3", "--out", "longer.mcap")
+    code, out, _ = call("diff", "all.mcap", "longer.mcap")
+    assert code == 1
+    assert "u.y at 201 instants (201 in a, 301 in b)" in out

@@ -535,6 +535,16 @@ def test_an_fmu_that_can_go_back_only_shows_what_a_discrete_input_would_do(opene
     assert make().notes == ()
 
 
+@pytest.mark.parametrize("events", [(), ("events",)])
+@pytest.mark.parametrize("state", [(), ("state",)])
+def test_an_fmu_that_cannot_go_back_keeps_its_events(opened, events, state):
+    """Elsewhere a step to an event is undone, or there is none."""
+    interface = opened("3", "D", *events, *state).component.interface
+    assert interface.rollback == bool(state)
+    assert interface.locates_events == bool(events)
+    assert interface.keeps_events == (bool(events) and not state)
+
+
 def test_no_event_happens_where_an_input_has_no_value(opened):
     """NaN as before is no change."""
     fmu = opened("3", "events", "d is shown", iterations=3.0)

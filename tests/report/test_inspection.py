@@ -4,8 +4,10 @@ from time import process_time
 
 import pytest
 
-from cosim.report.inspection import describe_scenario
+from cosim.report import inspection
+from cosim.report.inspection import describe_log, describe_scenario
 from cosim.scenario.exporting import export_component
+from tests.log.recordings import STEP_NS, record
 
 SCENARIO = """
 [scenario]
@@ -73,6 +75,20 @@ plant = {{ kind = "fmu", path = "{fmu}", interface_type = "{interface_type}" }}
         )
         signals = [row["signal"] for row in describe_scenario(str(path))["signals"]]
         assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
+
+
+def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkeypatch):
+    """How many are left out is said."""
+    path = tmp_path / "x.mcap"
+    texts = [f"message {i}" for i in range(4)]
+    record(path, messages=[(i * STEP_NS, "info", "plant", text) for i, text in enumerate(texts)])
+    shown = describe_log(str(path))
+    assert [row["text"] for row in shown["messages"]] == texts
+    assert "more messages" not in shown
+    monkeypatch.setattr(inspection, "MOST_MESSAGES", 3)
+    shown = describe_log(str(path))
+    assert [row["text"] for row in shown["messages"]] == texts[:3]
+    assert shown["more messages"] == {"not shown": 1}
 
 
 def describing_cost(folder, size):

@@ -65,8 +65,8 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
 
 
 def _has_fewer_rows(row: SignalDifference) -> bool:
-    """Return whether a signal that passes has rows in one log which the other does not have."""
-    return row.status in ("equal", "within") and row.rows[2] < max(row.rows[:2])
+    """Return whether a signal, equal at common instants, has rows that the other log has not."""
+    return row.status in ("equal", "within", "other times") and row.rows[2] < max(row.rows[:2])
 
 
 def _events_text(difference: EventsDifference) -> str:

@@ -197,7 +197,7 @@ def _add_estimation(table: Table, summary: Summary, start: float) -> None:
         table.add_row(label, text)
     for identification in summary.identifications:
         single = len(summary.identifications) == 1
-        _add_identification(table, identification, start, single=single)
+        _add_identification(table, identification, start, summary.end, single=single)
     for reconstruction in summary.reconstructions:
         single = len(summary.reconstructions) == 1
         _add_reconstruction(table, reconstruction, single=single)
@@ -249,7 +249,7 @@ def _add_conditions(table: Table, summary: Summary) -> None:
 
 
 def _add_identification(
-    table: Table, identification: Identification, start: float, *, single: bool
+    table: Table, identification: Identification, start: float, end: float, *, single: bool
 ) -> None:
     """Add when an identification starts and why, what its data determine, and their noise."""
     of_component = "" if single else f" of {identification.component}"
@@ -261,7 +261,8 @@ def _add_identification(
             f"{since}observer {times['T_obs']:.4f} s + filter {times['T_f']:.4f} s + longest delay "
             f"{times['D_max']:g} s"
         )
-    text = f"from {identification.start_time:g} s ({origin})"
+    late = ", after the end of the run" if identification.start_time > end else ""
+    text = f"from {identification.start_time:g} s{late} ({origin})"
     table.add_row(f"identification{of_component}", text)
     if identification.eigenvalues:
         eigenvalues = ", ".join(f"{value:.3g}" for value in identification.eigenvalues)

@@ -56,11 +56,7 @@ def common_texts(scenario: Scenario, subject: StudySubject) -> set[str]:
 
 def member_texts(member: StudyMember) -> set[str]:
     """Return the texts of a member that may name what it reads."""
-    texts = {value for value in member.set.values() if isinstance(value, str)}
-    for value in member.set.values():
-        if isinstance(value, list | tuple | dict):
-            texts |= texts_in(value)
-    texts.update(member.swap.values())
+    texts = texts_in([dict(member.set), dict(member.swap)])
     if member.recording is not None:
         texts.add(member.recording)
     return texts

@@ -30,6 +30,10 @@ def test_a_cut_has_the_rows_and_messages_of_its_time(whole, tmp_path):
     assert [message.text for message in log.messages()] == ["message 2", "message 3", "message 4"]
     assert log.recorded_hash == log.content_hash()
     source = open_log(path)
+    assert log.results["whole"] == source.results
+    assert log.results["content_hash"] == log.recorded_hash
+    again = cut(tmp_path / "b.mcap", 0.25, 0.3, tmp_path / "c.mcap")
+    assert again.results["whole"] == source.results
     assert dict(log.channels) == dict(source.channels)
     for name in ("cosim.schedule", "cosim.component.plant"):
         assert log.metadata[name] == source.metadata[name]

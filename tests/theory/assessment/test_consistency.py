@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.accuracy import step_error
 from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.model_errors import model_errors
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
+from cosim.theory.assessment.verdicts import Verdict, is_settled
 from cosim.theory.disturbances.families import generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
@@ -135,6 +137,16 @@ def test_a_fit_that_has_not_converged_is_no_statement_about_the_data(monkeypatch
     ]
     assert parameter.verdict is Verdict.NO_ESTIMATE
     assert parameter.value is None
+
+
+def test_a_fit_is_settled_where_it_converged_and_leaves_noise():
+    """Neither alone is enough, and every component has to be there."""
+    estimated = ParameterState.ESTIMATED
+    for converged, passed in product([False, True], repeat=2):
+        for last in (estimated, ParameterState.ABSENT):
+            fit = SimpleNamespace(converged=converged, states=[estimated, last])
+            settled = is_settled(fit, SimpleNamespace(passed=passed))
+            assert settled == (converged and passed and last is estimated)
 
 
 UNEQUAL = np.concatenate([np.arange(0.0, 5.0, 0.005), np.arange(5.0, 20.0, 0.02)])
