@@ -48,6 +48,10 @@ def test_run_shows_errors_estimates_and_start_time(call):
         "wall time",
     ):
         assert text in out
+    rows = re.findall(r"theta\[\d\]\t\S+\t± (\S+)\t(\S+)\t(\S+)", out)
+    assert len(rows) == 2
+    for half_width, truth, error in rows:
+        assert abs(float(error)) < float(half_width) < 1e-5 * abs(float(truth))
 
 
 @pytest.mark.slow
