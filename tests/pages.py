@@ -113,13 +113,15 @@ def run_command(command: str, *, alone: bool = False) -> tuple[int, str]:
     """
     words = shlex.split(EXIT_CODE.sub("", command))
     if words[0] == "python":
-        return run_process(words[1:])
+        code, printed, errors = run_process(words[1:])
+        return code, printed + errors if code else printed  # libraries log to stderr
     assert words[0] == "cosim", command
     target = words[-1] if ">" in words else None
     if target is not None:
         words = words[:-2]
     if alone:
-        code, printed = run_process(["-m", "cosim", *words[1:]])
+        code, *texts = run_process(["-m", "cosim", *words[1:]])
+        printed = "".join(texts)
     else:
         code, printed = run_here(words[1:])
     if target is None:
@@ -146,13 +148,13 @@ def run_here(words: list[str]) -> tuple[int, str]:
     return code, printed.buffer.getvalue().decode() + errors.getvalue()
 
 
-def run_process(words: list[str]) -> tuple[int, str]:
-    """Run Python in a process of its own; return its exit code and what it prints."""
+def run_process(words: list[str]) -> tuple[int, str, str]:
+    """Run Python in a process of its own; return its exit code, stdout and stderr."""
     environment = {**os.environ, console.COMMAND_VARIABLE: str(WIDTH)}
     result = subprocess.run(
         [sys.executable, *words], capture_output=True, text=True, check=False, env=environment
     )
-    return result.returncode, result.stdout + result.stderr
+    return result.returncode, result.stdout, result.stderr
 
 
 def run_python(text: str) -> str:
