@@ -122,7 +122,9 @@ def _change_text(row: ComparedAspect) -> str:
     before = _aspect_text(row.aspect, row.before)
     after = _aspect_text(row.aspect, row.after)
     subject = f"{row.label} {row.aspect}".strip()
-    return f"{subject} {after} (was {before})"
+    recorded = row.aspect == "kind" and row.after in ("recording", "field-data")
+    reaction = ", which does not react to inputs" if recorded else ""
+    return f"{subject} {after} (was {before}){reaction}"
 
 
 def _size_text(row: ComparedAspect) -> str:

@@ -160,6 +160,8 @@ def test_a_recording_says_what_it_does_not_know(folder):
     """Ports and first values are there; start values, capabilities and poles are not."""
     found = report(folder, "log.mcap")
     assert not found.problems
+    (warning,) = found.reports["plant"].warnings
+    assert warning.endswith("kind recording (was model exchange), which does not react to inputs")
     assert set(verdicts(found, "differs", "error")) == {("", "kind")}
     unknown = {aspect for _, aspect in verdicts(found, "unknown")}
     assert {"start value", "static gain", "poles", "rollback"} <= unknown
