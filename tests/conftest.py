@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import compileall
 import gc
 import json
 import os
@@ -18,6 +17,8 @@ from hypothesis import settings
 
 # As on the command line, and before numpy is imported: the suite has a process for each core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Or each process that tests start would compile what it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # The same examples every time, and no deadline: machines are slow now and then.
 # HYPOTHESIS_PROFILE=search looks for new ones.
@@ -54,15 +55,6 @@ OF_ONE_WORKER = frozenset(
 
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference" / "cases.json"
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Compile the package for the processes that tests start.
-
-    Where ``PYTHONDONTWRITEBYTECODE`` is set, each of them would compile what it imports anew.
-    """
-    if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
-        compileall.compile_dir(HERE.parent / "cosim", quiet=2)
 
 
 def pytest_collection_finish() -> None:
@@ -191,15 +183,13 @@ def signals_of_a_terminal() -> Iterator[None]:
 
 
 @pytest.fixture
-def frozen_heap() -> Iterator[None]:
+def frozen_heap() -> None:
     """Keep what other tests left out of garbage collections: for tests that compare costs.
 
     A collection takes as long as there are objects, and who makes many objects causes many. Nothing
     is collected before: what is garbage already is kept as well, which takes no time.
     """
     gc.freeze()
-    yield
-    gc.unfreeze()
 
 
 @pytest.fixture

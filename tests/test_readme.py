@@ -23,10 +23,8 @@ def python_block(page, text):
     return block
 
 
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=() if page == "README" else pytest.mark.slow) for page in TEXTS],
-)
+@pytest.mark.fast("README")
+@pytest.mark.parametrize("page", TEXTS)
 def test_a_page_shows_what_its_commands_print(page, tmp_path, monkeypatch):
     """From top to bottom, in one fresh folder; the numbers of several lines are laws below."""
     monkeypatch.chdir(tmp_path)

@@ -3,8 +3,9 @@
 Run with ``python tests/bench/bench_mutants.py``; needs pytest-cov. One run of the fast tests notes
 which tests execute which lines, and what each takes. Then, in a copy of the package, one statement
 of each of many modules is changed: a comparison or an operator is another one, a whole number is
-larger by one, a condition is negated, a statement is removed. The tests of the mutant's layer that
-execute the line run, those of its mirror first, until one fails; one that hangs has found it, too.
+larger by one, a boolean is flipped, a condition is negated, a statement is removed. The tests of
+the mutant's layer that execute the line run, those of its mirror first, at most for a minute, until
+one fails; one that hangs has found it, too.
 
 What survives is printed as ``file:line``, before and after. Mutants of lines that no fast test of
 their layer executes are counted apart.
@@ -82,11 +83,10 @@ class Mutant:
 def changed_nodes(statement: ast.stmt) -> Iterator[ast.stmt]:
     """Yield copies of a simple statement, or of the head of a compound one, each changed once."""
     for number in range(sum(1 for _ in expressions(statement))):
-        for variant in range(2):
-            changed = copy.deepcopy(statement)
-            node = list(expressions(changed))[number]
-            if change(node, variant):
-                yield ast.fix_missing_locations(changed)
+        changed = copy.deepcopy(statement)
+        node = list(expressions(changed))[number]
+        if change(node):
+            yield ast.fix_missing_locations(changed)
     if isinstance(statement, ast.If | ast.While):
         changed = copy.deepcopy(statement)
         changed.test = ast.UnaryOp(ast.Not(), changed.test)
@@ -100,30 +100,21 @@ def expressions(statement: ast.stmt) -> Iterator[ast.expr]:
     """Yield the expressions of a statement, without bodies, annotations, texts of messages."""
     if isinstance(statement, ast.Raise | ast.AnnAssign):
         return
-    for name, value in ast.iter_fields(statement):
-        if name not in (
-            "body",
-            "orelse",
-            "finalbody",
-            "handlers",
-            "decorator_list",
-            "args",
-            "returns",
-        ):
-            for part in value if isinstance(value, list) else [value]:
-                if isinstance(part, ast.expr):
-                    yield from (node for node in ast.walk(part) if isinstance(node, ast.expr))
+    for _, value in ast.iter_fields(statement):
+        for part in value if isinstance(value, list) else [value]:
+            if isinstance(part, ast.expr):
+                yield from (node for node in ast.walk(part) if isinstance(node, ast.expr))
 
 
-def change(node: ast.expr, variant: int) -> bool:
+def change(node: ast.expr) -> bool:
     """Change a node in place; return whether there is such a change."""
-    if isinstance(node, ast.Compare) and variant == 0:
+    if isinstance(node, ast.Compare):
         node.ops[0] = COMPARISONS[type(node.ops[0])]()
-    elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in OPERATORS and variant == 0:
+    elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in OPERATORS:
         node.op = OPERATORS[type(node.op)]()
-    elif isinstance(node, ast.Constant) and type(node.value) is int and variant == 0:
+    elif isinstance(node, ast.Constant) and type(node.value) is int:
         node.value += 1
-    elif isinstance(node, ast.Constant) and type(node.value) is bool and variant == 0:
+    elif isinstance(node, ast.Constant) and type(node.value) is bool:
         node.value = not node.value
     else:
         return False
@@ -142,7 +133,8 @@ def mutants_of(path: Path) -> list[Mutant]:
                 continue
             if isinstance(statement, ast.Assert | ast.Import | ast.ImportFrom | ast.ClassDef):
                 continue
-            end = statement.end_lineno or statement.lineno
+            end = statement.end_lineno
+            assert end is not None
             for changed in changed_nodes(statement):
                 indent = " " * statement.col_offset
                 body = ast.unparse(changed).splitlines(keepends=True)
@@ -272,7 +264,7 @@ def main() -> None:
             for mutant, count, alive in pool.map(judged, mutants, selected):
                 killed += not alive
                 unseen += count == 0
-                if alive:
+                if alive and count:
                     place = f"{mutant.path}:{mutant.line}"
                     print(
                         f"{place}: {count} tests: {mutant.before}  ->  {mutant.after}", flush=True

@@ -23,7 +23,6 @@ from tests.fmi.archives import Entry, write
 from tests.fmi.compiled import HERE
 from tests.fmi.descriptions import FMI1, FMI3
 from tests.fmi.rogues import XML, compile_rogue
-from tests.fmi.slow import slow_but
 
 
 @pytest.fixture
@@ -117,7 +116,8 @@ ROGUES = {
 }
 
 
-@pytest.mark.parametrize("what", slow_but(["LIES", "EXITS"], ROGUES))
+@pytest.mark.fast("LIES", "EXITS")
+@pytest.mark.parametrize("what", ROGUES)
 def test_rogues(rogue, what):
     """What crashes, ends the process, refuses or lies is named, and this process lives on."""
     problems = problems_of(rogue(what))

@@ -26,7 +26,6 @@ from cosim.log import open_log
 from cosim.report.verification import verify
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run, build
-from tests.fmi.slow import SLOW, slow_but
 
 # Each start is of order 1, so that they need a closer tolerance for the same error.
 MULTISTEP = ("BDF", "LSODA", "CVode")
@@ -275,7 +274,7 @@ def test_an_event_iteration_that_never_ends_is_an_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", slow_but(["rk4"], STEPPING))
+@pytest.mark.parametrize("solver", STEPPING)
 def test_a_relay_that_chatters_is_an_error(solver):
     """Without hysteresis the next event is one rounding later.
 
@@ -372,8 +371,8 @@ def marks_of(pair):
     """Every model with rk4, every solver with the most eventful one; the rest is a campaign."""
     model, solver = pair
     if solver == "rk4":
-        return () if model in ("BALL", "COUNTER", "SWITCH") else SLOW
-    return SLOW if model == "FRICTION" and solver != "BDF" else pytest.mark.campaign
+        return () if model in ("BALL", "COUNTER", "SWITCH") else pytest.mark.slow
+    return pytest.mark.slow if model == "FRICTION" and solver != "BDF" else pytest.mark.campaign
 
 
 @pytest.mark.fast("COUNTER-rk4")
@@ -619,7 +618,8 @@ def integrated(saw, *, native, block):
     return memory
 
 
-@pytest.mark.parametrize("solver", slow_but(["rk4"], ["rk4", "RK45", "BDF"]))
+@pytest.mark.fast("rk4")
+@pytest.mark.parametrize("solver", ["rk4", "RK45", "BDF"])
 def test_a_follower_of_a_jumping_output_gets_its_left_limit(solver, subtests):
     """The integral of ten teeth of 0.1 s is 10 (0.1^2 / 2), in blocks of any length.
 

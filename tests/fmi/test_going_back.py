@@ -7,7 +7,6 @@ from cosim.log import open_log
 from tests.fmi import eventful, lag
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import xml2
-from tests.fmi.slow import slow_but
 
 SCENARIO = """
 [scenario]
@@ -65,7 +64,8 @@ def test_a_co_simulation_fmu_logs_no_step_behind_the_end(tmp_path):
     assert begins == [10**7 * k for k in range(steps)]
 
 
-@pytest.mark.parametrize("solver", slow_but(["rk4"], ["rk4", "RK45", "BDF", "CVode"]))
+@pytest.mark.fast("rk4")
+@pytest.mark.parametrize("solver", ["rk4", "RK45", "BDF", "CVode"])
 def test_a_model_exchange_fmu_has_the_events_up_to_the_end(tmp_path, solver):
     """Those of the last row among them, and each once; CVode, which cannot be copied, as well."""
     options = f'solver = "{solver}", start = {{ p = 0.05 }}'
