@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 from cosim.cli import main
@@ -157,12 +158,13 @@ def run_process(words: list[str]) -> tuple[int, str, str]:
     return result.returncode, result.stdout, result.stderr
 
 
-def run_python(text: str) -> str:
-    """Run a block of Python; return what it prints."""
+def run_python(text: str) -> tuple[str, dict[str, Any]]:
+    """Run a block of Python; return what it prints and the names that it defines."""
     printed = io.StringIO()
+    names = {"__name__": "page"}
     with contextlib.redirect_stdout(printed):
-        exec(compile(text, "page", "exec"), {"__name__": "page"})
-    return printed.getvalue()
+        exec(compile(text, "page", "exec"), names)
+    return printed.getvalue(), names
 
 
 def run_page(text: str, *, alone: bool = False) -> Iterator[tuple[Shown, Block]]:
@@ -172,7 +174,7 @@ def run_page(text: str, *, alone: bool = False) -> Iterator[tuple[Shown, Block]]
         if block.file is not None:
             Path(block.file).write_text(block.text, encoding="utf-8")
         elif block.language == "python":
-            printed = run_python(block.text)
+            printed, _ = run_python(block.text)
             first = block.text.partition("\n")[0]
             adjacent = (
                 following is not None and not text[block.end + 4 : following.start - 8].strip()

@@ -1,6 +1,5 @@
 """README and its pages are true: their commands print what is shown, their Python runs."""
 
-import contextlib
 import json
 import re
 from pathlib import Path
@@ -96,19 +95,18 @@ def test_a_component_of_ones_own_is_short():
     assert len([line for line in shown.splitlines() if line.strip()]) < 25
 
 
-def test_the_thermostat_switches_one_step_late(capsys):
+def test_the_thermostat_switches_one_step_late():
     """At 19.5 and 20.5 degrees; a step of 0.1 s later, where the slope is at most 0.1 / s."""
-    exec(compile(python_block("component", "class Relay"), "relay", "exec"), {"__name__": "page"})
-    lowest, highest = map(float, capsys.readouterr().out.split())
+    printed, _ = pages.run_python(python_block("component", "class Relay"))
+    lowest, highest = map(float, printed.split())
     assert 19.48 <= lowest <= 19.5
     assert 20.5 <= highest <= 20.52
 
 
-def test_members_have_the_rms_of_a_lag_behind_a_sine(capsys):
+def test_members_have_the_rms_of_a_lag_behind_a_sine():
     """1/sqrt(2 (1 + (rate T)^2)), but for the transient."""
-    exec(compile(python_block("sessions", "run_members"), "members", "exec"), {"__name__": "page"})
-    printed = capsys.readouterr().out.strip("[]\n").split()
-    for value, T in zip(printed, (0.1, 0.5, 2.5), strict=True):
+    printed, _ = pages.run_python(python_block("sessions", "run_members"))
+    for value, T in zip(printed.strip("[]\n").split(), (0.1, 0.5, 2.5), strict=True):
         assert float(value) == pytest.approx((2.0 * (1.0 + (2.0 * T) ** 2)) ** -0.5, rel=0.05)
 
 
@@ -117,9 +115,7 @@ def test_the_content_hash_is_what_the_page_computes(tmp_path, monkeypatch):
     """Also of NaNs of all bits, in more elements than a topic holds."""
     monkeypatch.chdir(tmp_path)
     cosim.run("pair", out="logs/academic.mcap")
-    names = {}
-    with contextlib.redirect_stdout(None):
-        exec(compile(python_block("logs", "def content_hash"), "logs", "exec"), names)
+    _, names = pages.run_python(python_block("logs", "def content_hash"))
     assert (
         names["content_hash"]("logs/academic.mcap")
         == cosim.open_log("logs/academic.mcap").recorded_hash
@@ -138,9 +134,7 @@ def test_identification_of_the_page_finds_theta(tmp_path, monkeypatch):
     ]
     command, _ = next(pages.commands(first))
     pages.run_command(command)
-    names = {}
-    with contextlib.redirect_stdout(None):
-        exec(compile(python_block("identification", "cosim.identify"), "page", "exec"), names)
+    _, names = pages.run_python(python_block("identification", "cosim.identify"))
     for true, parameter in zip((-0.1, -0.3), names["found"].assessment.parameters, strict=True):
         assert parameter.lower <= true <= parameter.upper
         assert parameter.verdict == "IDENTIFIABLE"

@@ -314,7 +314,7 @@ def algebraic(components, connections):
     return name, cycle.split(" -> "), rest
 
 
-def test_an_algebraic_loop_is_told_with_every_port():
+def test_an_algebraic_loop_is_reported_with_every_port():
     """The ports stand in the order of the signal flow, and the last is the first again.
 
     A connection of a component to itself is an algebraic loop too.
@@ -379,7 +379,7 @@ def test_a_loop_through_feedthrough_that_is_unknown_is_a_warning():
     assert [name for name, _ in twice.warnings] in (["a"], ["b"])
 
 
-def test_a_known_cycle_beside_an_unknown_one_is_told():
+def test_a_known_cycle_beside_an_unknown_one_is_reported():
     """What is unknown elsewhere excuses nothing."""
     connections = {"s.u1": "k.y", "s.u2": "a.y", "k.u": "s.y", "a.u": "s.y"}
     components = {"a": unknown(0.0), "s": sum_of([1.0, 1.0]), "k": times(0.5)}
@@ -494,7 +494,7 @@ def test_a_constant_does_not_make_a_held_sum_continuous():
     np.testing.assert_allclose(memory["lag.y"], exact, rtol=1e-14)
 
 
-def test_jumps_that_are_interpolated_with_what_is_continuous_are_said():
+def test_jumps_that_are_interpolated_with_continuous_inputs_are_warned_of():
     """Between two points one value cannot hold and be interpolated."""
     components, connections = jumping()
     del components["one"]
@@ -540,7 +540,7 @@ def test_a_jump_that_feeds_through_what_is_continuous_is_no_ramp():
     assert held.warnings == []
 
 
-def test_a_delay_that_begins_with_a_value_of_its_own_is_said():
+def test_a_delay_with_an_initial_value_of_its_own_is_reported():
     """It jumps once to what arrives; of a constant that is held, of a continuous signal said."""
     components = {
         "source": constant([3.0]),

@@ -39,7 +39,7 @@ def test_rows_are_kept_by_the_number_of_their_step(offset):
     assert memory(first=5)["c.n"].tolist() == [6.0, 9.0, 12.0]
 
 
-def test_the_end_of_a_run_is_known():
+def test_the_end_of_a_run_is_its_last_step_kept_or_not():
     """The end is the last step, kept or not; a block that stopped at once adds nothing.
 
     Without rows it is 0.

@@ -267,7 +267,7 @@ def test_direct_feedthrough_follows_an_override_at_once():
     assert simulation["x.u"].tolist() == [30.0]
 
 
-def test_a_jump_is_none_of_a_ramp():
+def test_a_step_after_an_override_starts_from_the_right_limit():
     """The step starts from the right limit: with the left one, the input would be a ramp."""
     driven = {"u": Table(np.array([0.0, 9.0]), np.array([[2.0], [2.0]])), "x": integrator()}
     reference = recorded(Graph(driven, {"x.u": "u.y"}), 5)

@@ -67,12 +67,12 @@ def test_a_defective_eigenvalue_hides_no_other():
 @pytest.mark.parametrize(
     "M", [[[3.0, -2.0], [2.0, -1.0]], [[3.0, -4.0], [1.0, -1.0]], [[2.75, -3.0625], [1.0, -0.75]]]
 )
-def test_an_eigenvalue_with_one_eigenvector_to_the_last_bit(M):
+def test_a_defective_double_eigenvalue_is_found_to_rounding(M):
     """1, twice, also where a change by less than half a bit shows no second eigenvector."""
     assert spectral_radius(np.array(M)) == pytest.approx(1.0, abs=1e-14)
 
 
-def test_units_do_not_matter():
+def test_the_radius_does_not_depend_on_units():
     """A state in other units scales a row and a column."""
     M = np.array([[0.9, 1e12], [1e-13, 0.8]])
     scale = np.diag([1.0, 1e12])
@@ -80,7 +80,7 @@ def test_units_do_not_matter():
     assert spectral_radius(M) == pytest.approx(expected, rel=1e-15)
 
 
-def test_maps_without_a_radius():
+def test_the_radius_of_an_empty_map_is_0_and_of_nan_infinite():
     """Nothing to hand on: 0. What is not finite: infinite."""
     assert spectral_radius(np.zeros((0, 0))) == 0.0
     assert spectral_radius(np.full((2, 2), np.nan)) == np.inf

@@ -37,7 +37,7 @@ def test_signals_of_several_rates_are_joined_on_time(two_rates):
 
 
 @pytest.mark.slow
-def test_polars_tells_no_row_from_nan(two_rates):
+def test_polars_distinguishes_no_row_from_nan(two_rates):
     """Null is where there is no row, NaN is what was recorded."""
     log, rows = two_rates
     assert same_bits(log.to_polars("plant.*").drop("t").to_numpy(), rows[:, :5])

@@ -44,7 +44,7 @@ def test_only_names_of_signals_are_taken(recorded, key):
         recorded[key]
 
 
-def test_a_run_says_what_it_is(recorded, in_memory):
+def test_the_repr_of_a_run_describes_it(recorded, in_memory):
     """Where it is, how it ended, how long it is."""
     text = "complete, 100 steps to 0.1 s, 24 signals of 6 components>"
     assert repr(recorded).endswith(text)

@@ -193,7 +193,7 @@ def test_jacobi_extrapolates_every_input_from_inside():
     assert order.extrapolated == {"gain": {"u"}, "sum": {"u"}, "lag": {"u"}}
 
 
-def test_the_unknown_feedthrough_of_a_component_are_one_sentence():
+def test_all_unknown_feedthrough_of_a_component_is_one_warning():
     """However many ports close cycles; those that close none are not named."""
     names = [f"u{i}" for i in range(8)]
     interfaces = {

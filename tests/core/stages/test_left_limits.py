@@ -42,7 +42,7 @@ def content(memory: Memory) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("native", [True, False])
-def test_a_filter_does_not_see_a_jump_that_is_none(native):
+def test_a_jump_that_cancels_leaves_the_filter_at_zero(native):
     """Of y = 2 - u the derivative of y + u is 0, also where u jumps.
 
     With a ramp of y over the step before, d would be a (1 - (1 - e^(-a h))/(a h)) = 368 there. What
@@ -71,7 +71,7 @@ def test_a_lag_behind_a_jump_is_exact():
     assert signals == [("plant.y", (2.0,)), ("gain.y", (6.0,))]
 
 
-def test_jumps_at_every_point_are_none_of_them_a_ramp():
+def test_jumps_at_every_point_are_integrated_exactly():
     """The integral of y = 2 - u, u a table of seven values that hold for 1/8 s each."""
     u = np.array([3.0, -1.0, 0.5, 4.0, 0.25, -2.0, 1.0, 1.0])
     t = 0.125 * np.arange(8)
@@ -134,7 +134,7 @@ def test_a_loop_is_solved_for_what_does_not_jump(names):
     assert 3.5 < errors[0] / errors[1] < 4.5
 
 
-def test_a_loop_in_which_all_outputs_jump_says_where_it_is_of_first_order():
+def test_a_loop_in_which_all_outputs_jump_warns_of_first_order():
     """x1' = -x1 - 0.5 y2, y1 = x1 - u, x2' = -x2 + y1, y2 = x2 + u, with u a step at 0.5 s."""
 
     def part(feedthrough: float, start: float) -> Linear:
@@ -252,7 +252,7 @@ class Sawtooth:
 
 @pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("in_loop", [True, False])
-def test_a_component_tells_its_own_jumps(native, in_loop):
+def test_a_component_reports_its_own_jumps(native, in_loop):
     """The integral of a saw tooth over two teeth is 2 (0.5^2 / 2), exactly; a constant more."""
     saw = Sawtooth()
     connections = {"b.u": "a.y"}
@@ -294,7 +294,7 @@ def test_left_limits_that_are_none_are_refused(limits, text):
         recorded(graph, Clock(1.0, 0.125))
 
 
-def test_a_jump_that_arrives_later_is_said():
+def test_a_jump_that_arrives_later_is_reported():
     """A delay keeps rows, and no left limits."""
     components = {
         "u": step(time=0.5),

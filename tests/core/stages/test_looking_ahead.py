@@ -200,7 +200,7 @@ def test_components_without_rollback_do_not_pass_the_row(block, options):
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_an_error_behind_the_row_is_none(block):
+def test_an_error_after_the_row_where_a_run_ends_is_not_raised(block):
     """No run comes there, so that blocks of one step would not see it either."""
     counter, memory = count("c.y >= 5", block, fails_at=6)
     assert (memory.status, memory.steps, counter.k) == ("complete", 5, 5)

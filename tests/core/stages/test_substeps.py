@@ -498,7 +498,7 @@ def test_a_sampled_controller_keeps_to_communication_steps(coupling):
         np.testing.assert_allclose(divided[signal], finer[signal][::2], rtol=rtol, atol=1e-12)
 
 
-def test_the_description_tells_what_advances_inside_a_step():
+def test_the_description_shows_which_components_advance_inside_a_step():
     """The two systems do; the controller advances behind them."""
     graph = sampled_loop(2, tolerance(1e-6))
     (loop,) = graph.stages

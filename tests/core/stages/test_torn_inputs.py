@@ -358,7 +358,7 @@ def test_iterations_that_change_nothing_are_refused(options, text):
     assert str(caught.value).startswith(text)
 
 
-def test_the_order_of_a_loop_is_told_as_it_is():
+def test_the_order_of_a_loop_is_reported_as_measured():
     """Second order is said of lines that are solved for alone."""
 
     def order(**options):
@@ -389,7 +389,7 @@ def test_a_jump_in_an_algebraic_loop_is_solved_together(coupling):
     simulation.step(1)
 
 
-def test_a_jump_that_leaves_no_solution_is_told():
+def test_a_jump_that_leaves_no_solution_is_reported():
     """y = u + 1 and u = y have none; an override held them apart until then."""
     parts = {"a": Function(lambda t, u: u if t < 0.05 else u + 1.0), "b": Function(lambda t, u: u)}
     parts["b"].function = lambda t, u: 0.5 * u if t < 0.05 else u
@@ -403,7 +403,7 @@ def test_a_jump_that_leaves_no_solution_is_told():
         simulation.step(1)
 
 
-def test_the_schedule_tells_iterations_and_what_is_solved_for():
+def test_the_schedule_names_iterations_and_unknowns():
     """A log keeps it, and a saved state is known by it."""
     schedules = []
     for options in ({}, {"coupling": "gauss-seidel", "iterations": 3}):

@@ -93,7 +93,7 @@ def test_a_loop_with_a_delay_is_second_order(names):
         (lambda: Delay(1), "jacobi", False),
     ],
 )
-def test_a_loop_says_whether_it_is_second_order(first, coupling, is_second):
+def test_the_schedule_names_the_order_of_a_loop(first, coupling, is_second):
     """The log and the summary of a run rest on it."""
     components = {"a": first(), "b": integrator()}
     graph = Graph(components, {"a.u": "b.y", "b.u": "a.y"}, coupling=coupling)

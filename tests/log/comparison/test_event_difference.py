@@ -68,7 +68,7 @@ def test_another_event_is_a_difference_that_is_named(subtests):
             assert as_json["events"]["first"]["signal"] == signal
 
 
-def test_an_element_is_the_same_in_an_event_of_its_signal_and_of_its_own():
+def test_events_of_all_elements_equal_the_event_of_the_signal():
     """An override by elements is one of the whole."""
     parts = [override((0.5,), signal="c.u[0]"), override((0.25,), signal="c.u[1]")]
     assert events_of([override((0.5, 0.25))], parts).equal

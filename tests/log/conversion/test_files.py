@@ -87,7 +87,7 @@ def test_files_of_other_formats_are_refused(recorded, tmp_path):
     assert (tmp_path / "missing" / "a.csv" / "c.csv").is_file()
 
 
-def test_a_full_disk_is_said(recorded, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported(recorded, tmp_path, monkeypatch):
     """And nothing is left."""
     log, _ = recorded
 
@@ -100,7 +100,7 @@ def test_a_full_disk_is_said(recorded, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_input_is_one_to_a_reader(tmp_path):
+def test_a_connected_input_has_the_role_input_in_every_format(tmp_path):
     """Also of a component that declares no roles; files, tables and the log say so."""
     file = tmp_path / "lag.toml"
     file.write_text(

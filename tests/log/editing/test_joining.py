@@ -175,7 +175,7 @@ def test_a_replay_does_not_replace_a_file_of_its_log(run):
 
 
 @pytest.mark.slow
-def test_a_last_part_without_a_hash_is_not_said_to_have_one(tmp_path):
+def test_a_last_part_without_a_hash_is_not_reported_to_have_one(tmp_path):
     """Its run was killed; the hash of what is joined was recorded by no run."""
     code = (
         "import os, signal, sys, cosim\n"

@@ -7,7 +7,7 @@ import numpy as np
 from cosim.log.editing.lost import Interval, missing_rows
 
 
-def test_missing_rows_are_told_by_their_instants():
+def test_missing_rows_are_named_by_their_instants():
     """The closed form of a few cases."""
     times = np.array([0, 10, 40, 50])
     assert missing_rows(times, 10, 0, 50).lost == (Interval(20, 30, 2),)

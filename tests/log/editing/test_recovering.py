@@ -255,7 +255,7 @@ def test_of_a_replay_of_a_span_only_its_own_rows_are_lost(tmp_path, monkeypatch)
     assert recovery.log.steps == span.steps == 200
 
 
-def test_a_component_of_which_a_channel_is_lost_is_told_as_lost(tmp_path):
+def test_a_component_with_a_lost_channel_is_reported_as_lost(tmp_path):
     """Its other channels have no row that is whole; the other components are there."""
     lay = layout(wide=5000)
     rows = table(lay, 50)
@@ -346,7 +346,7 @@ def test_a_crc_of_nothing_vouches_for_nothing(tmp_path, written):
     json.dumps(recovery.to_dict())
 
 
-def test_a_lost_chunk_of_messages_is_told(tmp_path, written):
+def test_a_lost_chunk_of_messages_is_reported(tmp_path, written):
     """All rows are there, and their hash fits: yet it is not the log of the run."""
     data, rows, chunks = written
     (chunk,) = [chunk for chunk in chunks if not {1, 2} & chunk.message_index_offsets.keys()]

@@ -202,7 +202,7 @@ def test_definitions_and_values_inside_each_other_are_bounded(tmp_path):
         read(raw_file(tmp_path, "json", None, [b"[" * 100_000]), "/topic.x")
 
 
-def test_a_time_is_one_by_what_is_in_it(tmp_path):
+def test_a_time_message_with_other_fields_is_no_time(tmp_path):
     """A message of that name with other fields is a message."""
     parts = ("builtin_interfaces/Time stamp", "===", "MSG: builtin_interfaces/Time")
     definition = "\n".join([*parts, "int32 sec", "string nanosec"])

@@ -102,7 +102,7 @@ def test_a_schema_in_protobuf_that_is_none_is_refused(tmp_path):
             read(path, "/topic.x")
 
 
-def test_a_timestamp_is_one_by_what_is_in_it(tmp_path):
+def test_a_time_message_with_other_fields_is_no_time(tmp_path):
     """A message of that name with other fields is a message."""
     files = descriptor_pb2.FileDescriptorSet()
     file = files.file.add(name="t.proto", package="google.protobuf", syntax="proto3")

@@ -25,7 +25,7 @@ def test_a_time_is_the_nearest_ns_of_its_number():
     assert nanoseconds_in(-1.5, SECOND_NS) == -1_500_000_000
 
 
-def test_neighboring_times_are_two():
+def test_neighboring_doubles_keep_their_distance_in_ns():
     """As far apart as their numbers are."""
     later = math.nextafter(2.2e9, math.inf)
     between = nanoseconds_in(later, SECOND_NS) - nanoseconds_in(2.2e9, SECOND_NS)

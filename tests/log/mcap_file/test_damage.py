@@ -114,7 +114,7 @@ def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count, 
     assert outcomes["reported"] > count / 4
 
 
-def test_a_killed_log_is_known_by_its_seal_too(tmp_path, written):
+def test_a_flipped_bit_in_the_header_of_a_killed_log_is_harmless_or_reported(tmp_path, written):
     """No CRC covers its header, which names the tool that wrote it."""
     data = written["killed"]
     path = tmp_path / "a.mcap"

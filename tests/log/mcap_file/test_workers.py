@@ -16,7 +16,7 @@ def test_results_come_in_the_order_of_the_work():
             assert workers.map(lambda i: i * i, range(count)) == [i * i for i in range(count)]
 
 
-def test_who_takes_the_results_does_works_instead_of_waiting():
+def test_the_consumer_runs_jobs_instead_of_waiting():
     """The only thread is held by the first one, which ends when others have been done."""
     others_are_done = threading.Event()
     names = []
@@ -37,7 +37,7 @@ def test_who_takes_the_results_does_works_instead_of_waiting():
     assert threading.current_thread().name in names
 
 
-def test_a_work_is_taken_when_the_results_before_it_are_done_with():
+def test_a_job_starts_only_when_earlier_results_are_released():
     """So ``AHEAD`` of them may share as many pieces of memory in turn."""
     taken = []
 

@@ -150,7 +150,7 @@ def test_a_disk_that_is_full_at_the_rotation_is_an_error_at_the_write(tmp_path, 
     assert log.content_hash() == log.recorded_hash
 
 
-def test_a_run_that_fails_in_a_later_part_says_so_there(tmp_path):
+def test_a_run_that_fails_in_a_later_part_has_the_failure_there(tmp_path):
     """And in the merged log."""
     path = tmp_path / "run.mcap"
     run = list(blocks(table(layout(), 800), 400))
