@@ -336,7 +336,7 @@ def _add_compensation(table: Table, compensation: CompensationSummary, *, single
     if compensation.active_since is None:
         text = f"not active: {compensation.reason}"
         table.add_row(label, text)
-        table.add_row("regulated error", f"{before} rms")
+        table.add_row("regulated error", f"{before} rms, as measured")
         return
     text = f"active from {compensation.active_since:g} s"
     if compensation.theta:
@@ -346,7 +346,7 @@ def _add_compensation(table: Table, compensation: CompensationSummary, *, single
         text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in compensation.interval)
     table.add_row(label, text)
     after = numbers_text(compensation.after)
-    text = f"{before} rms before, {after} rms for t >= {compensation.since:.4g} s"
+    text = f"{before} rms before, {after} rms for t >= {compensation.since:.4g} s, as measured"
     table.add_row("regulated error", text)
 
 

@@ -251,7 +251,7 @@ def _here_text(here: int, starts: int) -> str:
     if starts == 1:
         return "searched from one start"
     if here < starts:
-        return f"all {here} of {starts} starts that finished ended here"
+        return f"{here} of {starts} starts finished and ended here"
     return f"all {here} starts ended here"
 
 
