@@ -53,6 +53,7 @@ UNKNOWN_COLOR: Final = (
     "these samples allow describes: the standard errors are not known"
 )
 SPECTRUM_POINTS: Final = 2**13
+BLOCK: Final = 256  # of samples that are filtered together: they stay in the cache
 
 
 class Criterion(StrEnum):
@@ -177,21 +178,40 @@ class ColoredRecord:
         kept = values > LEAST_REMAINDER * values.max(initial=0.0)
         return ColoredRecord(self.residual, left[:, kept], self.measured)
 
-    def behind_zeros(self, order: int) -> ColoredRecord:
+    def behind_zeros(self, order: int) -> _WindowedRecord:
         """Return the same as if there had been nothing in ``order`` samples before.
 
         Otherwise a column that decays as the noise does would not count at all.
         """
         before = ((order, 0),)
-        return ColoredRecord(
+        padded = ColoredRecord(
             np.pad(self.residual, before),
             np.pad(self.columns, (*before, (0, 0))),
             np.pad(self.measured, before, constant_values=True),
         )
+        windows = np.flatnonzero(padded.windows(order))
+        return _WindowedRecord(padded.residual, padded.columns, windows)
 
     def windows(self, order: int) -> Mask:
         """Return which samples are measured, with ``order`` others before them, shape (N,)."""
         return counted_values(self.measured[:, np.newaxis], order)[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class _WindowedRecord:
+    """A record behind zeros.
+
+    Parameters
+    ----------
+    residual : Vector, shape (N,)
+    columns : Matrix, shape (N, K)
+    windows : array of int
+        The last sample of each window of a model's order.
+    """
+
+    residual: Vector
+    columns: Matrix
+    windows: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +234,10 @@ def autoregression(records: Sequence[ColoredRecord], criterion: Criterion) -> Au
     longest = _longest(records)
     records = [record.independent for record in records]
     a = np.zeros(longest)
+    behind_zeros = [record.behind_zeros(longest) for record in records]
     for _ in range(FIRST_STEPS):
-        a = _expected(records, a).coefficients(longest)
-    products = _expected(records, a)
+        a = _expected(behind_zeros, a).coefficients(longest)
+    products = _expected(behind_zeros, a)
     order = _best_order(products, criterion)
     if not order:
         return AutoregressiveModel(np.zeros(0), np.inf)
@@ -224,11 +245,12 @@ def autoregression(records: Sequence[ColoredRecord], criterion: Criterion) -> Au
     shortest = min(len(record.residual) for record in records)
     if correlation_length(start) > FAR_TOO_LONG * LONGEST_CORRELATION * shortest:
         return AutoregressiveModel(start, np.inf)
-    a = _most_likely(records, start)
-    return AutoregressiveModel(a, _freedom(records, a))
+    behind_zeros = [record.behind_zeros(order) for record in records]
+    a = _most_likely(behind_zeros, start)
+    return AutoregressiveModel(a, _freedom(behind_zeros, a))
 
 
-def _most_likely(records: Sequence[ColoredRecord], start: Vector) -> Vector:
+def _most_likely(records: Sequence[_WindowedRecord], start: Vector) -> Vector:
     """Return the coefficients of the greatest restricted likelihood near a start."""
     from scipy.optimize import minimize  # takes long to import
 
@@ -244,7 +266,7 @@ def _most_likely(records: Sequence[ColoredRecord], start: Vector) -> Vector:
     return np.asarray(start + scale @ result.x, np.float64)
 
 
-def _freedom(records: Sequence[ColoredRecord], a: Vector) -> float:
+def _freedom(records: Sequence[_WindowedRecord], a: Vector) -> float:
     """Return the degrees of freedom that a chi-square as uncertain as the power at 0 has.
 
     By the observed information, half the second derivatives of the deviance.
@@ -331,16 +353,15 @@ def _best_order(products: _Products, criterion: Criterion) -> int:
     return int(np.argmin(values)) if values else 0
 
 
-def _expected(records: Sequence[ColoredRecord], a: Vector) -> _Products:
+def _expected(records: Sequence[_WindowedRecord], a: Vector) -> _Products:
     """Return the expected products of the noise under a model, of all windows of its order."""
     order = len(a)
     of_rest = np.zeros((order + 1, order + 1))
     of_columns = np.zeros((order + 1, order + 1))
     squares = determinant = 0.0
     freedom = count = 0
-    for plain in records:
-        record = plain.behind_zeros(order)
-        windows = np.flatnonzero(record.windows(order))
+    for record in records:
+        windows = record.windows
         white_columns = _filtered(record.columns, a, windows)
         values, vectors = np.linalg.eigh(white_columns.T @ white_columns)
         values = np.maximum(values, ROUNDING)
@@ -363,9 +384,15 @@ def _expected(records: Sequence[ColoredRecord], a: Vector) -> _Products:
 
 
 def _filtered(rows: Matrix, a: Vector, windows: NDArray[np.intp]) -> Matrix:
-    result = rows[windows].copy()
-    for k, coefficient in enumerate(a, start=1):
-        result -= coefficient * rows[windows - k]
+    result = rows[windows]
+    used = np.flatnonzero(a) + 1
+    for first in range(0, len(windows), BLOCK):
+        part = result[first : first + BLOCK]
+        ends = windows[first : first + BLOCK]
+        is_run = ends[-1] - ends[0] == len(ends) - 1
+        for k in used:
+            before = slice(ends[0] - k, ends[-1] - k + 1) if is_run else ends - k
+            part -= a[k - 1] * rows[before]
     return result
 
 
@@ -373,7 +400,10 @@ def _lagged_products(rows: Matrix, windows: NDArray[np.intp], order: int) -> Mat
     """Return the sums of ``rows(k - i) rows(k - j)`` over windows k and columns."""
     ends_here = np.zeros(len(rows), np.bool_)
     ends_here[windows] = True
-    by_lag = _correlations(rows * ends_here[:, np.newaxis], rows, order)
+    ahead = rows
+    if rows[~ends_here].any():
+        ahead = rows * ends_here[:, np.newaxis]
+    by_lag = _correlations(ahead, rows, order)
     # One sample earlier each run of windows gains one in front, and loses its last.
     edges = np.diff(np.concatenate([[0], ends_here.astype(np.int8), [0]]))
     gained = _edge_products(rows, np.flatnonzero(edges == 1), order)
@@ -392,7 +422,8 @@ def _correlations(ahead: Matrix, behind: Matrix, order: int) -> Vector:
     """Return the sums of ``ahead(k) behind(k - lag)`` over k and columns, shape (order + 1,)."""
     length = 1 << int(len(ahead) + order).bit_length()
     spectrum_ahead = np.fft.rfft(ahead, length, axis=0)
-    spectrum_behind = np.fft.rfft(behind, length, axis=0)
+    is_same = behind is ahead
+    spectrum_behind = spectrum_ahead if is_same else np.fft.rfft(behind, length, axis=0)
     spectra = spectrum_ahead * spectrum_behind.conj()
     correlations: Vector = np.fft.irfft(spectra.sum(axis=1), length)
     return correlations[: order + 1]
