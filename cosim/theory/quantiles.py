@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Final
 
 from cosim.arrays import Vector
@@ -27,6 +28,7 @@ _EPSILON: Final = 2.0**-52
 _LARGE: Final = 100.0  # from where three terms of Stirling's series are exact to rounding
 
 
+@lru_cache
 def chi_square_above(probability: float, degrees: float) -> float:
     """Return what a chi-square of ``degrees`` degrees of freedom exceeds with a probability."""
     shape = 0.5 * degrees
@@ -37,6 +39,7 @@ def chi_square_above(probability: float, degrees: float) -> float:
     return _quantile(tail, probability, degrees)
 
 
+@lru_cache
 def ratio_above(probability: float, degrees: float, freedom: float) -> float:
     """Return what a chi-square over the estimate of its scale exceeds with a probability.
 
