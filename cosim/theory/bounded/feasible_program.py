@@ -185,7 +185,8 @@ class FeasibleProgram:
         outputs = [sparse.kron(previous, cell.mean), sparse.kron(same, cell.mean_axes)]
         supports = sparse.kron(same, cell.supports)
         no_states = sparse.csr_matrix((supports.shape[0], n * count))
-        self._dynamics = _with_columns(sparse.hstack([state_change, -from_axes]), 0.0, 0.0)
+        dynamics = _with_columns(sparse.hstack([state_change, -from_axes]), 0.0, 0.0)
+        self._dynamics = dynamics.tocsc()
         self._rows = _both_sides(
             _with_columns(sparse.hstack(outputs), 0.0, -1.0),
             _with_columns(sparse.hstack([no_states, supports]), -1.0 - MARGIN, 0.0),
@@ -277,13 +278,11 @@ class FeasibleProgram:
         n_rows = self._rows.shape[0]
         n_p = columns.shape[1]
         of_supports = n_rows - len(sides)
-        no_effect = sparse.csr_matrix((of_supports, n_p))
-        effect = sparse.vstack([columns, -columns, no_effect])
-        A_ub = sparse.hstack([self._rows, effect]).tocsr()
+        effect = np.concatenate([columns, -columns, np.zeros((of_supports, n_p))])
+        A_ub = sparse.hstack([self._rows, sparse.csc_matrix(effect)])
         b_ub = np.concatenate([sides, np.zeros(of_supports)])
         n_equations = self._dynamics.shape[0]
-        no_step = sparse.csr_matrix((n_equations, n_p))
-        A_eq = sparse.hstack([self._dynamics, no_step]).tocsr()
+        A_eq = sparse.hstack([self._dynamics, sparse.csc_matrix((n_equations, n_p))])
         constraints = (A_ub, b_ub, A_eq, np.zeros(n_equations), bounds)
         for method, presolve in ATTEMPTS:
             options = {"maxiter": PIVOTS * len(cost), "presolve": presolve}
@@ -409,7 +408,7 @@ def _both_sides(outputs: SparseMatrix, supports: SparseMatrix) -> SparseMatrix:
     signs = -np.ones(outputs.shape[1])
     signs[-2:] = 1.0
     mirror = sparse.diags(signs)
-    return sparse.vstack([outputs, outputs @ mirror, supports, supports @ mirror]).tocsr()
+    return sparse.vstack([outputs, outputs @ mirror, supports, supports @ mirror]).tocsc()
 
 
 def _or_one(unit: Vector) -> Vector:
