@@ -1,6 +1,6 @@
 """A plant under exponentials, as a function of p = (theta, amplitudes, x(0)): for bounds on theta.
 
-Its arithmetic is its own: the modes of the plant, each a recursion of first order.
+Its arithmetic is its own: the modes of the plant, each a recursion of first order or a power.
 """
 
 from __future__ import annotations
@@ -49,33 +49,43 @@ class ExponentialPlant:
         end = power[:n, n + 1]
         return power[:n, :n], power[:n, n] - end, end
 
-    def respond(self, delta: Vector, x0: Vector) -> Matrix:
-        """Return y, shape (N, n_y)."""
+    @cached_property
+    def modes(self):
+        """Return the poles of a step, what each end of it adds to a mode, and what y shows."""
         Ad, begin, end = self.hold
         values, vectors = np.linalg.eig(Ad)
-        forced = np.outer(delta[:-1], begin) + np.outer(delta[1:], end)
-        rows = np.concatenate([x0[np.newaxis], forced]).astype(complex)
-        modes = np.linalg.solve(vectors, rows.T)
-        for i, value in enumerate(values):
-            modes[i] = lfilter([1.0], [1.0, -value], modes[i])
-        x = (vectors @ modes).real.T
-        return x @ self.C.T + np.outer(delta, self.Dd[:, 0])
+        ends = np.linalg.solve(vectors, np.stack([begin, end], axis=1))
+        return values, ends, self.C @ vectors
+
+    def respond(self, deltas: Matrix) -> Matrix:
+        """Return y from rest for every column of delta, shape (N, n_y, columns)."""
+        values, ends, outputs = self.modes
+        y = self.Dd[:, 0, np.newaxis] * deltas[:, np.newaxis].astype(complex)
+        for value, (begin, end), output in zip(values, ends, outputs.T, strict=True):
+            forced = np.zeros(deltas.shape, complex)
+            forced[1:] = begin * deltas[:-1] + end * deltas[1:]
+            mode = lfilter([1.0], [1.0, -value], forced, axis=0)
+            y += output[:, np.newaxis] * mode[:, np.newaxis]
+        return y.real
 
     def __call__(self, p: Vector) -> Prediction:
         components = self.alphas.shape[1]
         theta = p[:components]
         c = p[components : 2 * components]
-        rest = np.zeros(len(self.A))
         basis = self.alphas * np.exp(np.outer(self.t, theta))
-        slopes = [c[i] * self.respond(self.t * basis[:, i], rest) for i in range(components)]
-        responses = [self.respond(column, rest) for column in basis.T]
-        columns = [*slopes, *responses, *self.free]
-        jacobian = np.stack(columns, axis=-1)
+        slopes = c * self.t[:, np.newaxis] * basis
+        responses = self.respond(np.hstack([slopes, basis]))
+        jacobian = np.concatenate([responses, self.free], axis=-1)
         return Prediction(jacobian[:, :, components:] @ p[components:], jacobian)
 
     @cached_property
     def free(self):
-        return [self.respond(0.0 * self.t, unit) for unit in np.eye(len(self.A))]
+        """Return what every state makes of y by itself, shape (N, n_y, n)."""
+        Ad, _, _ = self.hold
+        values, vectors = np.linalg.eig(Ad)
+        powers = values ** np.arange(len(self.alphas))[:, np.newaxis]
+        starts = np.linalg.inv(vectors)
+        return np.einsum("oi,ki,ij->koj", self.C @ vectors, powers, starts).real
 
     @property
     def irregular(self) -> IrregularResponse:

@@ -28,16 +28,17 @@ def alpha(t: Vector) -> Vector:
 def states(t: Vector, u: Vector, *, amplitude: float = 1.0, held: bool = False) -> Vector:
     """Solve for x from rest; the disturbance, and u where it is not held, are straight lines."""
     delta = amplitude * alpha(t) * np.exp(RATE * t)
-    x = np.zeros(len(t))
-    for k, h in enumerate(np.diff(t)):
-        decay = np.exp(-h)
-        constant = 1.0 - decay
-        ramp = 1.0 - constant / h
-        forced = constant * (u[k] + delta[k]) + ramp * (delta[k + 1] - delta[k])
-        if not held:
-            forced += ramp * (u[k + 1] - u[k])
-        x[k + 1] = decay * x[k] + forced
-    return x
+    h = np.diff(t)
+    decay = np.exp(-h)
+    constant = 1.0 - decay
+    ramp = 1.0 - constant / h
+    forced = constant * (u + delta)[:-1] + ramp * np.diff(delta)
+    if not held:
+        forced += ramp * np.diff(u)
+    x = [0.0]
+    for factor, added in zip(decay.tolist(), forced.tolist(), strict=True):
+        x.append(factor * x[-1] + added)
+    return np.array(x)
 
 
 def record(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from scipy.signal import lsim
 
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential, Polynomial, TExponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from tests.theory.straight_lines import simulate_lines
 
 T = 0.02 * np.arange(1001)
 U = np.sin(1.1 * T) + 0.5 * np.sin(2.9 * T + 1.0)
@@ -29,8 +29,8 @@ def plant(terms):
 
 
 def response(forcing, x0=(1.0, -0.5)):
-    """Simulate straight lines between samples by scipy."""
-    return lsim((A, B, C, D), forcing, T, X0=np.array(x0), interp=True)[1]
+    """Simulate straight lines between samples."""
+    return simulate_lines((A, B, C, D), forcing, T, x0)
 
 
 def record(rates, terms, seed=1):
@@ -109,7 +109,7 @@ def coarse(h):
     alpha = 1.2 + 0.5 * np.sin(2.0 * fine)
     delta = alpha * (np.exp(-3.8 * fine) - 0.78 * np.exp(-2.0 * fine))
     u = np.sin(2.5 * fine)
-    y = lsim((A, B, C, D), u + delta, fine, X0=np.array([1.0, -0.5]), interp=True)[1][::every]
+    y = simulate_lines((A, B, C, D), u + delta, fine, (1.0, -0.5))[::every]
     y = y + 1e-6 * np.random.default_rng(0).standard_normal(len(y))
     both = np.stack([alpha, alpha], axis=1)[::every]
     return DataSet(fine[::every], y[:, np.newaxis], u[::every, np.newaxis], both)

@@ -43,15 +43,19 @@ def recorded(seed, delay, in_feedback=True):
     t = H * np.arange(N)
     f = 1.8 * np.exp(RATE * t)
     noise = SIGMA * np.random.default_rng(seed).standard_normal(N)
-    x = np.array([0.2, -0.1])
-    y = np.zeros(N)
-    u = np.zeros(N)
-    for k in range(N - 1):
-        y[k] = x[0] + noise[k]
-        u[k] = np.sin(1.3 * t[k]) - 4.0 * (y[k - delay] if k >= delay else 0.0)
-        x = held[:2, :2] @ x + held[:2, 2] * u[k] + begin * f[k] + end * f[k + 1]
-    y[-1] = x[0] + noise[-1]
-    data = DataSet(t, y[:, np.newaxis], u[:, np.newaxis], np.ones((N, 1)), np.array([True]))
+    disturbed = (np.outer(f[:-1], begin) + np.outer(f[1:], end)).tolist()
+    (a11, a12, b1), (a21, a22, b2) = held[:2].tolist()
+    reference = np.sin(1.3 * t)
+    x1, x2 = 0.2, -0.1
+    y = []
+    u = []
+    for k, (w1, w2) in enumerate(disturbed):
+        y.append(x1 + noise[k])
+        u.append(reference[k] - 4.0 * (y[k - delay] if k >= delay else 0.0))
+        x1, x2 = a11 * x1 + a12 * x2 + b1 * u[k] + w1, a21 * x1 + a22 * x2 + b2 * u[k] + w2
+    y.append(x1 + noise[-1])
+    u.append(0.0)
+    data = DataSet(t, np.array([y]).T, np.array([u]).T, np.ones((N, 1)), np.array([True]))
     return replace(data, in_feedback=np.array([in_feedback]))
 
 

@@ -21,7 +21,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import forced_outputs
-from tests.theory.experiments import COARSE, FAMILIES, design, exact, solved, times
+from tests.theory.experiments import COARSE, FAMILIES, design, exact, solved
 from tests.theory.experiments import record as example_record
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states
 
@@ -59,7 +59,7 @@ def test_a_wrong_gain_of_a_held_input_is_inconsistent(sigma):
 @pytest.mark.parametrize("bits", [None, 12])
 def test_allowed_errors_pass_each_test(bits, sigma):
     """Data below the errors of step and quantization: no test fails beside a good verdict."""
-    y = exact("good", COARSE) if bits else solved(times(COARSE))
+    y = exact("good", COARSE) if bits else solved(COARSE)
     y = y + sigma * np.random.default_rng(3).standard_normal(y.shape)
     if bits:
         level = 8.0 / 2**bits

@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 import pytest
-from scipy.signal import StateSpace, lsim
 from scipy.stats import chi2
 
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
@@ -27,6 +26,7 @@ from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.closed_forms import ALPHAS, ClosedForm, T
+from tests.theory.straight_lines import simulate_lines
 
 DIFFERENCE = 1e-3
 # of all seeds: how often another optimum is told that explains y as well
@@ -69,7 +69,7 @@ class Case:
     def __post_init__(self):
         self.plant = disturbed_plant(reduce(academic()), [0] * len(self.forms))
         system = self.plant
-        self.system = StateSpace(system.A, system.Bd[:, :1], system.C, system.Dd[:, :1])
+        self.system = (system.A, system.Bd[:, :1], system.C, system.Dd[:, :1])
         alphas = [ALPHAS[0] if self.shared else ALPHAS[i] for i in range(len(self.forms))]
         self.alpha = np.array(alphas).T
         self.clean = self.response([[form(t) for t in T] for form in self.forms])
@@ -77,7 +77,7 @@ class Case:
     def response(self, parts, x0=(0.0, 0.0)):
         """Return y of a disturbance that is a straight line between samples."""
         delta = np.sum(self.alpha * np.array(parts).T, axis=1)
-        return lsim(self.system, delta, T, X0=np.array(x0))[1]
+        return simulate_lines(self.system, delta, T, x0)
 
     @property
     def names(self):

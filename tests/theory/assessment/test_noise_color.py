@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, lsim
+from scipy.signal import lfilter
 
 from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.noise_color import (
@@ -20,6 +20,7 @@ from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above
+from tests.theory.straight_lines import simulate_lines
 
 RATE = -0.3
 SIGMA = 1e-3
@@ -36,10 +37,10 @@ def signals(N):
 
 
 def response(N, p, matrix=A):
-    """Compute y for (theta, amplitude, x(0)), by scipy's simulation of straight lines."""
+    """Compute y for (theta, amplitude, x(0)), for straight lines between samples."""
     t, u, alpha = signals(N)
     forcing = u + p[1] * alpha * np.exp(p[0] * t)
-    return lsim((matrix, B, C, np.zeros((1, 1))), forcing, t, X0=p[2:], interp=True)[1]
+    return simulate_lines((matrix, B, C, np.zeros((1, 1))), forcing, t, p[2:])
 
 
 TRUE = np.array([RATE, 1.0, 1.0, -0.5])

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, lsim
+from scipy.signal import lfilter
 
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.noise_covariance import fit_with_noise
@@ -15,6 +15,7 @@ from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import FAMILIES, design, times
+from tests.theory.straight_lines import simulate_lines
 
 H = 2e-2  # s
 START = np.array([-0.05, -0.5])
@@ -36,15 +37,14 @@ def two_outputs(scale: float = 1.0) -> DisturbedPlant:
 
 
 def response(plant: DisturbedPlant, theta=THETA, amplitudes=(1.0, 1.0), x0=(1.0, -1.0)):
-    """Compute y exactly for straight lines between samples, by scipy's simulation of the plant."""
+    """Compute y exactly for straight lines between samples."""
     t = times(H)
     u = np.sin(t)
     parts = alpha(t) * np.exp(np.outer(t, theta)) * np.asarray(amplitudes)
     forcing = np.column_stack([u, parts])
     B = np.hstack([plant.B, plant.Bd])
     D = np.hstack([plant.D, plant.Dd])
-    _, y, _ = lsim((plant.A, B, plant.C, D), forcing, t, X0=np.array(x0), interp=True)
-    return y
+    return simulate_lines((plant.A, B, plant.C, D), forcing, t, x0)
 
 
 def record(y) -> DataSet:

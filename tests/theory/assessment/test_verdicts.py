@@ -60,8 +60,7 @@ def test_good_data_are_identifiable(sigma):
 @pytest.mark.parametrize("sigma", [0.0, 1e-7, 1e-5, 1e-3])
 def test_data_of_another_solver_are_identifiable(sigma):
     """The error of the step is computed: the residual may have it, and the intervals contain it."""
-    t = times(COARSE)
-    y = solved(t)
+    y = solved(COARSE)
     noise = sigma * np.random.default_rng(3).standard_normal(y.shape)
     assessment, found = verdicts(record(y + noise, COARSE))
     assert found == GOOD
@@ -70,8 +69,7 @@ def test_data_of_another_solver_are_identifiable(sigma):
 
 def test_the_bias_of_the_step_is_computed():
     """What straight lines between samples do to theta is known to leading order: to 1 %."""
-    t = times(COARSE)
-    assessment, _ = verdicts(record(solved(t), COARSE))
+    assessment, _ = verdicts(record(solved(COARSE), COARSE))
     error = np.abs(assessment.fit.theta - THETA)
     np.testing.assert_allclose(assessment.consistency.bias, error, rtol=1e-2)
 
@@ -337,7 +335,7 @@ def test_errors_and_intervals_over_a_thousand_seeds(sigma, offset):
 @pytest.mark.parametrize("sigma", [0.0, 1e-5, 1e-4, 1e-3, 1e-2])
 def test_good_data_are_rarely_inconsistent(sigma, source):
     """INCONSISTENT in at most 5 of 1 000 seeds, and IDENTIFIABLE else."""
-    y = exact("good") if source != "another solver" else solved(times())
+    y = exact("good") if source != "another solver" else solved()
     level = 8.0 / 4096
     alarms = missed = 0
     seeds = 1000 if sigma else 1

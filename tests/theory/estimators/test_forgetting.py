@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
 
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
+from tests.theory.straight_lines import simulate_lines
 
 H = 0.02
 T = np.arange(1001) * H
@@ -20,7 +20,7 @@ STATES = (np.array([[0.0, 1.0], [-2.0, -0.8]]), np.array([[0.0], [1.0]]), np.arr
 
 def response(forcing, x0=(0.0, 0.0)):
     A, B, C = STATES
-    return lsim((A, B, C, [[0.0]]), forcing, T, X0=x0)[1]
+    return simulate_lines((A, B, C, [[0.0]]), forcing, T, x0)
 
 
 def linear_columns():

@@ -9,6 +9,7 @@ from scipy.signal import lsim
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
+from tests.theory.straight_lines import simulate_lines
 
 MASS = (np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]))
 RATES = np.array([-0.1, -0.5])
@@ -28,7 +29,7 @@ def mass() -> DisturbedPlant:
 def position(force, x0=(0.0, 0.0)):
     """Return the position under a force that is a straight line between samples."""
     A, Bd, C = MASS
-    return lsim((A, Bd, C, [[0.0]]), force, T, X0=x0)[1]
+    return simulate_lines((A, Bd, C, [[0.0]]), force, T, x0)
 
 
 def columns(theta):

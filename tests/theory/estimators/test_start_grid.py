@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.signal import lsim
 
 from cosim.native.estimation.output_error import ResponseRecord
 from cosim.native.estimation.start_grid import StartGridModel
@@ -22,6 +21,7 @@ from cosim.theory.estimators.start_grid import (
     search_starts,
     start_grid,
 )
+from tests.theory.straight_lines import simulate_lines
 
 T = np.arange(401) * 0.02
 LOWER = np.array([-3.0, 0.2])
@@ -50,6 +50,7 @@ def disturbances(t):
     return known_factors(t) * np.stack([1.3 * np.exp(TRUE[0] * t), sine], axis=-1)
 
 
+@cache
 def simulated(present=(1.0, 1.0)):
     """Return y by another solver, with noise; ``present``: how much of each component there is."""
     solution = solve_ivp(
@@ -78,7 +79,7 @@ def response(component, kind, rate):
     shape = {"exp": np.exp, "cos": np.cos, "sin": np.sin}[kind]
     signal = known_factors(T)[:, component] * shape(rate * T)
     system = (PLANT.A, PLANT.Bd[:, [component]], PLANT.C, PLANT.Dd[:, [component]])
-    return lsim(system, signal, T)[1]
+    return simulate_lines(system, signal, T)
 
 
 @cache
