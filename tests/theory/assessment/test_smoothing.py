@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from scipy.signal import lfilter
 from scipy.stats import binom
 
 from cosim.errors import AssumptionError
@@ -29,6 +31,12 @@ FEW = 30  # seeds
 def smoothed(data, fit=None):
     fit = fit or fit_output_error([data], design(), FAMILIES, START)
     return smoothed_signals(fitted([data], fit))
+
+
+@cache
+def smoothed_good(seed):
+    """Return the example's bands under noise of a seed."""
+    return smoothed(noisy("good", 1e-3, seed, COARSE))
 
 
 def fitted(data, fit, noise=None):
@@ -105,7 +113,7 @@ def coverage(seeds):
     true = np.column_stack([true_delta, true_states(t)])[PLACES]
     inside = np.zeros(true.shape)
     for seed in range(seeds):
-        found = smoothed(noisy("good", 1e-3, seed, COARSE))
+        found = smoothed_good(seed)
         values = np.column_stack([found.disturbance, found.states])[PLACES]
         widths = np.column_stack([found.disturbance_half_width, found.states_half_width])[PLACES]
         inside += np.abs(values - true) <= widths
@@ -134,7 +142,7 @@ def test_a_band_is_as_wide_as_the_scatter():
     values = []
     widths = []
     for seed in range(FEW):
-        found = smoothed(noisy("good", 1e-3, seed, COARSE))
+        found = smoothed_good(seed)
         values.append(found.disturbance[PLACES])
         widths.append(found.disturbance_half_width[PLACES])
     scatter = np.std(values, axis=0, ddof=1)
@@ -177,15 +185,14 @@ def test_colored_noise_makes_wider_bands():
     t = times(COARSE)
     rng = np.random.default_rng(4)
     white = rng.standard_normal(len(t))
-    colored = np.zeros(len(t))
-    for k in range(1, len(t)):
-        colored[k] = 0.8 * colored[k - 1] + 0.6 * white[k]
+    white[0] = 0.0
+    colored = lfilter([0.6], [1.0, -0.8], white)
     y = simulate(t, delta(t).sum(axis=1)) + 1e-3 * colored[:, np.newaxis]
     data = DataSet(t, y, np.sin(t)[:, np.newaxis], alpha(t))
     noise = NoiseModel(covariance=np.eye(1), a=np.array([[0.8]]))
     fit = fit_output_error([data], design(), FAMILIES, START, noise=noise)
     found = smoothed_signals(fitted([data], fit, noise))
-    plain = smoothed(noisy("good", 1e-3, 4, COARSE))
+    plain = smoothed_good(4)
     wider = found.disturbance_half_width[2000] / plain.disturbance_half_width[2000]
     # the spectrum of the noise at low frequencies: (0.6 / (1 - 0.8)) = 3 times the deviation
     assert wider == pytest.approx(3.0, rel=0.2)

@@ -92,7 +92,7 @@ def test_twelve_bits_are_identifiable(subtests):
 @pytest.mark.parametrize("case", WRONG_MODELS)
 def test_a_wrong_model_is_inconsistent(case, sigma):
     """Whatever of it is wrong by 5 %, or a constant disturbance beside the class."""
-    assessment, found = verdicts(noisy(case, sigma, seed=2, h=COARSE))
+    assessment, found = verdicts(noisy(case, sigma, seed=2, h=2e-2))
     assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
     assert "noise does not explain the residual" in assessment.parameters[0].reason
 
@@ -159,9 +159,9 @@ def test_colored_noise_is_whitened():
 @pytest.mark.parametrize("case", ["A12", "constant delta"])
 def test_a_wrong_model_does_not_pass_for_colored_noise(case):
     """Also with colored noise on top, and where it alone leaves something slow."""
-    white = np.random.default_rng(6).standard_normal(len(times(COARSE)))
+    white = np.random.default_rng(6).standard_normal(len(times(2e-2)))
     noise = 1e-3 * lfilter([1.0], [1.0, -0.8], white)[:, np.newaxis]
-    _, found = verdicts(record(exact(case, COARSE) + noise, COARSE))
+    _, found = verdicts(record(exact(case, 2e-2) + noise, 2e-2))
     assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
 
 
