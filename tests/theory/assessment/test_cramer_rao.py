@@ -6,7 +6,7 @@ bounds of theta, or of the constants where there is no theta, is one part in a h
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import pytest
@@ -59,6 +59,12 @@ CASES = {
 }
 
 
+@cache
+def signal(form):
+    """Return f at all instants."""
+    return np.array([form(t) for t in T])
+
+
 @dataclass
 class Case:
     """A disturbance of some terms, one alpha for all or one each."""
@@ -72,7 +78,7 @@ class Case:
         self.system = (system.A, system.Bd[:, :1], system.C, system.Dd[:, :1])
         alphas = [ALPHAS[0] if self.shared else ALPHAS[i] for i in range(len(self.forms))]
         self.alpha = np.array(alphas).T
-        self.clean = self.response([[form(t) for t in T] for form in self.forms])
+        self.clean = self.response([signal(form) for form in self.forms])
 
     def response(self, parts, x0=(0.0, 0.0)):
         """Return y of a disturbance that is a straight line between samples."""
@@ -104,7 +110,7 @@ class Case:
             if k == i:
                 values[of][j] += step
             own = ClosedForm(form.family, tuple(values["theta"]), tuple(values["constants"]))
-            parts.append([own(t) for t in T])
+            parts.append(signal(own))
         return self.response(parts)
 
     def slope(self, of, i, j):

@@ -146,15 +146,15 @@ def test_the_interval_is_narrower_than_the_worst_error_of_the_estimate(d):
     """
     model = example(h=8e-2)
     problem = model.problem(d)
-    cells = Cells(8, 1)
     exact = model(TRUTH).output
-    widest = feasible_interval(problem, RecordedOutputs(exact, cells, NO_NOISE), TRUTH[np.newaxis])
+    recorded = RecordedOutputs(exact, Cells(8, 1), NO_NOISE)
+    widest = feasible_interval(problem, recorded, TRUTH[np.newaxis])
     for parameter in (0, 1):
         worst = [worst_error(problem, TRUTH, parameter, direction) for direction in (-1, 1)]
         found = max(worst, key=lambda found: abs(found.error))
         assert half_width(widest)[parameter] < abs(found.error)
         y = exact + problem.response.respond(found.delta_0)
-        recorded = RecordedOutputs(y, cells, NO_NOISE)
+        recorded = RecordedOutputs(y, Cells(10, 1), NO_NOISE)
         interval = feasible_interval(problem, recorded, found.estimate[np.newaxis])
         assert contains(interval, TRUTH[:2])
         assert half_width(interval)[parameter] < abs(found.error)
@@ -355,12 +355,12 @@ def test_gaussian_noise_is_bounded_with_the_stated_probability():
 
 def test_noise_and_irregular_part_together_leave_the_truth_inside():
     """Deviation 1e-3 on y and a bang-bang delta_0 of 0.02: the case of the field."""
-    model = example(h=1e-2)
+    model = example(h=2e-2)
     problem = model.problem(0.02)
-    cells = cells_of(4001, noisy=True)
-    assert cells == Cells(20, 20)
-    cells = Cells(50, 50)  # which takes a sixth of the time
-    noise = gaussian_noise_bound(np.array([1e-3]), cells, recorded=4001)
+    cells = cells_of(2001, noisy=True)
+    assert cells == Cells(10, 10)
+    cells = Cells(40, 40)  # which takes a tenth of the time
+    noise = gaussian_noise_bound(np.array([1e-3]), cells, recorded=2001)
     rng = np.random.default_rng(7)
     knots = rng.standard_normal(15)
     delta_0 = 0.02 * np.sign(np.interp(model.t, np.linspace(0.0, 40.0, 15), knots))
@@ -411,7 +411,7 @@ def test_the_interval_scales_with_the_bound_where_the_first_order_holds():
     """Ten times less d, ten times less width, to the size of the second order."""
     model = example(h=8e-2)
     y = model(TRUTH).output
-    recorded = RecordedOutputs(y, Cells(5, 1), NO_NOISE)
+    recorded = RecordedOutputs(y, Cells(7, 1), NO_NOISE)
     narrow = half_width(feasible_interval(model.problem(2e-4), recorded, TRUTH[np.newaxis]))
     wide = half_width(feasible_interval(model.problem(2e-3), recorded, TRUTH[np.newaxis]))
     np.testing.assert_allclose(wide, 10.0 * narrow, rtol=1e-3)
