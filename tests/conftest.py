@@ -49,6 +49,7 @@ OF_ONE_WORKER = frozenset(
         "tests/studies/tables/test_real_study.py",
         "tests/studies/tuning/test_tuning.py",
         "tests/test_architecture.py",
+        "tests/theory/assessment/test_smoothing.py",
         "tests/theory/assessment/test_validation.py",
     }
 )
