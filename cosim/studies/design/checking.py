@@ -88,13 +88,14 @@ class _DesignCheck:
         self._design = design
         self._check = check
         self._member = first
+        self._problems: dict[str, str] = {}
         self._drawn = {item.key: item for item in design.study.sampled if not item.values}
 
     def run(self) -> CheckedDesign:
         names = self._names()
-        if self._check.problem(self._member):
+        if self._problem(self._member):
             self._take_medians()
-        if self._check.problem(self._member):
+        if self._problem(self._member):
             # what is wrong by itself comes first, as beside it all others are wrong, too
             names.sort(key=lambda name: bool(self._problem_without(name)))
             if names and self._problem_without(names[0]):  # several are: each is checked alone
@@ -109,12 +110,20 @@ class _DesignCheck:
                     refused.append(draws)
                 continue
             problems += self._value_problems(name, _values(column))
-            if problems and self._check.problem(self._member):
+            if problems and self._problem(self._member):
                 break  # beside a value that is refused all others are, too
         if problems:
             raise UsageError("\n".join(problems))
-        self._check(self._member)
+        if self._problem(self._member):
+            self._check(self._member)
         return CheckedDesign(self._member, tuple(refused))
+
+    def _problem(self, member: StudyMember) -> str:
+        """Return why a member is refused; one that is asked for again is not built again."""
+        name = repr(member)
+        if name not in self._problems:
+            self._problems[name] = self._check.problem(member)
+        return self._problems[name]
 
     def _names(self) -> list[str]:
         """Return the keys; the logs last, as they are not to blame for a value."""
@@ -132,12 +141,12 @@ class _DesignCheck:
 
     def _problem_without(self, name: str) -> str:
         values = {key: value for key, value in self._member.set.items() if key != name}
-        return self._check.problem(replace(self._member, set=values))
+        return self._problem(replace(self._member, set=values))
 
     def _check_drawn(self, name: str, column: SampleColumn) -> RefusedDraws | None:
         def attempt(value: float) -> str:
             member = _with_value(self._member, name, value)
-            return without_key(self._check.problem(member), name)
+            return without_key(self._problem(member), name)
 
         layout = self._design.layout
         draws = check_draws(
@@ -146,7 +155,7 @@ class _DesignCheck:
             attempt,
             members_each=layout.seeds * layout.grid,
         )
-        if draws is not None and self._check.problem(self._member):
+        if draws is not None and self._problem(self._member):
             self._member = _with_value(self._member, name, draws.accepted)
         return draws
 
@@ -160,7 +169,10 @@ class _DesignCheck:
         problems: list[str] = []
         for number, value in enumerate(values):
             member = _with_value(self._member, name, value)
-            problem = self._check.problem(member, is_built=number in built)
+            is_built = number in built
+            problem = (
+                self._problem(member) if is_built else self._check.problem(member, is_built=False)
+            )
             if not problem:
                 accepted = accepted or member
                 continue
