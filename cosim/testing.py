@@ -916,6 +916,8 @@ class _Bench:
 
     def compare(self, law: str, rows: Matrix, expected: Matrix, first: int = 0) -> None:
         """Require equal bits of rows, the first of them at row ``first``."""
+        if rows.shape == expected.shape and rows.tobytes() == expected.tobytes():
+            return
         rows = np.ascontiguousarray(np.atleast_2d(rows))
         expected = np.ascontiguousarray(np.atleast_2d(expected))
         wrong = np.argwhere(rows.view(np.uint64) != expected.view(np.uint64))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from ctypes import POINTER, byref, c_double, c_int32, c_int64, c_void_p
 from typing import Final, Protocol
 
@@ -45,6 +45,7 @@ class RollbackStruct(ctypes.Structure):
     )
 
 
+_UNGUARDED: Final = nullcontext()
 # cosim_outputs of stage.h
 _OUTPUTS: Final = ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
 
@@ -68,6 +69,16 @@ class Guard(Protocol):
     def joined(self, others: Sequence[Guard]) -> Guard:
         """Return one for the steps of all."""
         ...
+
+
+@contextmanager
+def _guarded(guard: Guard, t: float) -> Iterator[None]:
+    """Put back what foreign code changes of the process in a call that begins at ``t`` [s]."""
+    guard.begin()
+    try:
+        yield
+    finally:
+        guard.end(t)
 
 
 class NativeStep:
@@ -205,17 +216,8 @@ class NativeStep:
             status = _OUTPUTS(self.outputs)(self.address, t, pointer(inputs), pointer(y))
         return None if status else y
 
-    @contextmanager
-    def _guarded(self, t: float) -> Iterator[None]:
-        """Put back what foreign code changes of the process in a call that begins at ``t`` [s]."""
-        if self.guard is None:
-            yield
-            return
-        self.guard.begin()
-        try:
-            yield
-        finally:
-            self.guard.end(t)
+    def _guarded(self, t: float) -> AbstractContextManager[None]:
+        return _UNGUARDED if self.guard is None else _guarded(self.guard, t)
 
     def rollback(self) -> RollbackStruct | None:
         """Return how compiled code copies the state and puts it back, in memory of its own.

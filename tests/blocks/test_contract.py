@@ -1,6 +1,7 @@
 """Every block keeps the contract; the check names the law that a component breaks."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -43,28 +44,41 @@ from cosim.theory.reconstruction.filters import SavitzkyGolay
 from tests.blocks.parts import H, discrete, identifier, through
 from tests.theory.academic import academic, ordinary
 
+GAINS = {"L": (4.0, 0.0), "filter_rate": 1e3}
+
+
+@cache
+def academic_model():
+    return descriptor_model(academic(), [1.0, -1.0])
+
 
 def plant():
-    return Linear(descriptor_model(academic(), [1.0, -1.0]))
+    return Linear(academic_model())
 
 
-def plant_without_algebraic_states():
+@cache
+def model_without_algebraic_states():
     system = ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]])
     with_input = replace(system, Bu=np.array([[0.0], [1.0]]), Du=np.zeros((1, 1)))
-    return Linear(descriptor_model(with_input, [1.0, -1.0]))
+    return descriptor_model(with_input, [1.0, -1.0])
 
 
-def observer():
-    reduced = reduce(academic())
-    return Linear(observer_model(reduced, design(reduced, L=[4.0, 0.0], filter_rate=1e3)))
+@cache
+def reduced_academic():
+    return reduce(academic())
 
 
-def observer_of_a_constant_input():
-    reduced = reduce(academic())
-    designed = design(reduced, L=[4.0, 0.0], filter_rate=1e3)
-    return Linear(observer_model(reduced, designed, constant=True))
+@cache
+def designed(reduced, **options):
+    return design(reduced, **options)
 
 
+def observer(**options):
+    reduced = reduced_academic()
+    return Linear(observer_model(reduced, designed(reduced, **GAINS), **options))
+
+
+@cache
 def with_feedthrough_to_x_b():
     """Return a system whose algebraic state depends on the disturbance."""
     system = academic()
@@ -72,20 +86,23 @@ def with_feedthrough_to_x_b():
 
 
 def consistent(reduced, **options):
-    averaged = averaged_observer(reduced, design(reduced, poles=[-4.0]), **options)
+    averaged = averaged_observer(reduced, designed(reduced, poles=(-4.0,)), **options)
     return consistent_observer(averaged, reduced, 1e3)
 
 
 def windowed(reduced, half_width=3, **options):
-    averaged = averaged_observer(reduced, design(reduced, poles=[-4.0]), **options)
+    averaged = averaged_observer(reduced, designed(reduced, poles=(-4.0,)), **options)
     return Windowed(averaged, SavitzkyGolay(half_width, 2, H).weights)
 
 
+@cache
+def without_inputs_and_algebraic_states():
+    return reduce(ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]]))
+
+
 def observer_without_inputs_and_algebraic_states():
-    system = ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]])
-    reduced = reduce(system)
-    designed = design(reduced, L=[4.0, 0.0], filter_rate=1e3)
-    return Linear(observer_model(reduced, designed))
+    reduced = without_inputs_and_algebraic_states()
+    return Linear(observer_model(reduced, designed(reduced, **GAINS)))
 
 
 def regressor(steps=(2, 4, 6), lag=0.0):
@@ -127,6 +144,7 @@ def sensor(**parameters):
     return Sensor(SensorParameters(noise=0.1, dropout=0.3, **every, **parameters), size=2)
 
 
+@cache
 def recording():
     memory = Memory()
     run(
@@ -214,18 +232,18 @@ COMPONENTS = {
     "PID step of a period": sampled_pid,
     "sampled PID controller": lambda: Sampled(sampled_pid(), 4, hold=True),
     "plant": plant,
-    "plant without algebraic states": plant_without_algebraic_states,
+    "plant without algebraic states": lambda: Linear(model_without_algebraic_states()),
     "observer": observer,
-    "observer of a constant input": observer_of_a_constant_input,
+    "observer of a constant input": lambda: observer(constant=True),
     "observer without u and x_b": observer_without_inputs_and_algebraic_states,
-    "consistent observer": lambda: consistent(reduce(academic())),
+    "consistent observer": lambda: consistent(reduced_academic()),
     "consistent observer of all of x_b": lambda: consistent(with_feedthrough_to_x_b()),
     "consistent observer of a constant input": lambda: consistent(
-        reduce(academic()), constant=True
+        reduced_academic(), constant=True
     ),
-    "windowed observer": lambda: windowed(reduce(academic())),
+    "windowed observer": lambda: windowed(reduced_academic()),
     "windowed observer of all of x_b": lambda: windowed(with_feedthrough_to_x_b(), 2),
-    "windowed observer of a constant input": lambda: windowed(reduce(academic()), constant=True),
+    "windowed observer of a constant input": lambda: windowed(reduced_academic(), constant=True),
     "regressor": regressor,
     "regressor without delay": lambda: regressor((0, 3, 5)),
     "regressor of a delta that lags": lambda: regressor(lag=0.2),
