@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -205,6 +206,30 @@ def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
         return {}
 
     monkeypatch.setattr(Assessor, "results", no_results)
+
+
+ASSESSED: dict[bytes, Any] = {}  # by the problem and the start of the fit, as pickle writes them
+
+
+@pytest.fixture(scope="module")
+def verdicts_once() -> Iterator[None]:
+    """Assess the same data of the same run once, for tests that run one scenario over and over.
+
+    A run of another bit of its data, of its scenario or of its last estimate is assessed anew.
+    """
+    from cosim.scenario.identification import run_verdicts
+
+    assess = run_verdicts.assess
+
+    def assess_once(problem: Any, start: Any) -> Any:
+        given = pickle.dumps((problem, start))
+        if given not in ASSESSED:
+            ASSESSED[given] = assess(problem, start)
+        return ASSESSED[given]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_verdicts, "assess", assess_once)
+        yield
 
 
 @pytest.fixture(scope="session")
