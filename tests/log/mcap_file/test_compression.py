@@ -16,15 +16,15 @@ from tests.log.recordings import (
     record,
 )
 
+SIZE = 2**27  # of a chunk when it is expanded, twice what may be
 
-def bomb(path, declared, size=2**28):
-    """Replace a log's only chunk by zeros that expand to ``size`` bytes, ``declared`` declared."""
+
+def bomb(path, declared, packed, checksum):
+    """Replace a log's only chunk by a packed one of ``SIZE`` bytes, ``declared`` declared."""
     data = path.read_bytes()
     with path.open("rb") as stream:
         (index,) = make_reader(stream).get_summary().chunk_indexes
-    content = bytes(size)
-    packed = zstandard.compress(content)
-    chunk = struct.pack("<QQQI", 0, 0, declared, zlib.crc32(content))
+    chunk = struct.pack("<QQQI", 0, 0, declared, checksum)
     chunk += b"\x04\0\0\0zstd"
     chunk += struct.pack("<Q", len(packed))
     chunk += packed
@@ -41,10 +41,13 @@ def bomb(path, declared, size=2**28):
 
 def test_a_decompression_bomb_is_refused_before_it_goes_off(tmp_path):
     """The declared size and the frame's are looked at first; the memory is not spent."""
-    for declared, numbers in [(1000, "1000.*268435456"), (2**28, "268435456.*67108864")]:
+    content = bytes(SIZE)
+    packed = zstandard.compress(content)
+    checksum = zlib.crc32(content)
+    for declared, numbers in [(1000, "1000.*134217728"), (SIZE, "134217728.*67108864")]:
         path = tmp_path / f"{declared}.mcap"
         record(path, steps=10)
-        bomb(path, declared)
+        bomb(path, declared, packed, checksum)
         log = open_log(path)
         tracemalloc.start()
         with pytest.raises(LogError, match=numbers):

@@ -364,10 +364,10 @@ def test_differences_of_rounding_have_no_rank_correlation():
 @pytest.mark.parametrize(
     ("layout", "rows"),
     [
-        (StudyLayout("random", samples=2000), 2000),
-        (StudyLayout("latin-hypercube", samples=2000), 2000),
-        (StudyLayout("random", samples=2000 // 5, seeds=5), 2000),
-        (StudyLayout("grid", grid=100, seeds=20), 2000),
+        (StudyLayout("random", samples=500), 500),
+        (StudyLayout("latin-hypercube", samples=500), 500),
+        (StudyLayout("random", samples=500 // 5, seeds=5), 500),
+        (StudyLayout("grid", grid=100, seeds=5), 500),
     ],
 )
 def test_chance_alone_is_distinct_in_1_of_20_correlations(layout, rows):
