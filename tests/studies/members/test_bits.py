@@ -345,5 +345,5 @@ def test_no_memory_stays_of_members():
         with traced_memory():  # from the first member on: what replaces other memory is no growth
             run_all(runner, 55)
             objects = len(gc.get_objects())
-            assert min(growth(runner) for _ in range(3)) < 50 * 100
+            assert any(growth(runner) < 50 * 100 for _ in range(3))
         assert len(gc.get_objects()) <= objects + 20
