@@ -129,6 +129,7 @@ def test_a_log_that_is_not_there_is_refused(call):
     assert "none.mcap" in call("metrics", "none.mcap", "last(t)", code=2)
 
 
+@pytest.mark.usefixtures("members_in_this_process")
 @pytest.mark.slow
 def test_a_study_without_metrics_is_refused(call):
     """As it says nothing of what to compute."""
@@ -137,6 +138,7 @@ def test_a_study_without_metrics_is_refused(call):
     assert "this study has no metrics" in call("metrics", "a.mcap", "--of", "x", code=2)
 
 
+@pytest.mark.usefixtures("members_in_this_process")
 @pytest.mark.slow
 def test_a_log_of_another_scenario_than_the_study_is_noticed(call, tmp_path):
     folder = tmp_path / "study"

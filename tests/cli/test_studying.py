@@ -61,6 +61,7 @@ def test_a_study_runs_and_is_shown(call, tmp_path):
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("members_in_this_process")
 @pytest.mark.slow
 def test_options_are_those_of_a_file(call):
     """Everything of the file stands on one line, too."""
@@ -83,6 +84,7 @@ def test_options_are_those_of_a_file(call):
     assert one["statistics"] == two["statistics"]
 
 
+@pytest.mark.usefixtures("members_in_this_process")
 @pytest.mark.slow
 def test_a_dry_run_records_nothing(call, tmp_path):
     """It says how many members there are, and what they take."""
@@ -94,6 +96,7 @@ def test_a_dry_run_records_nothing(call, tmp_path):
     assert estimate["study_time"] > 0
 
 
+@pytest.mark.usefixtures("members_in_this_process")
 @pytest.mark.slow
 def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
     """The dataset of another study in its place, and what it does not show."""
@@ -167,6 +170,7 @@ def test_an_interrupted_study_says_how_to_go_on(tmp_path):
     assert "of 500 members are recorded in out; the same command resumes" in messages
 
 
+@pytest.mark.usefixtures("members_in_this_process")
 @pytest.mark.slow
 def test_a_study_with_failed_members_exits_with_1(call, tmp_path):
     """All of it is recorded and shown all the same."""

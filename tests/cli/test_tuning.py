@@ -8,6 +8,8 @@ import pytest
 from cosim.cli.stopping import stopped_text
 from tests.studies.tuning.lags import LAG
 
+pytestmark = pytest.mark.usefixtures("members_in_this_process")
+
 VARY = "--vary=plant.time_constant=log:0.1:10"
 OBJECTIVE = "--minimize=abs(last(plant.y) - 0.5)"
 
