@@ -37,7 +37,7 @@ def rms_of(model, measured, noise=0.0):
 
 def fitted(model, space, measured, *, noise=0.0, **options):
     """Search the parameters of a curve in measured values."""
-    given = {"is_rms": True, "with_errors": True, "samples": T.size, **options}
+    given = {"is_rms": True, "with_errors": True, "samples": T.size, "starts": 1, **options}
     search = TuningSearch(space, OBJECTIVE, **given)
     return search_best(Recorded(rms_of(model, measured, noise)), search)
 

@@ -52,7 +52,7 @@ def test_a_decay_has_the_errors_of_curve_fit(deviation):
     solution, covariance = curve_fit(decay, T, measured, p0=[1.0, 1.0])
     expected = np.sqrt(np.diag(covariance))
     result = fitted(decay, DECAY, measured)
-    assert len(result.trials) <= 200
+    assert len(result.trials) <= 120
     assert list(result.errors.errors.values()) == pytest.approx(expected, rel=0.01 + deviation)
     assert list(result.best.point.values()) == pytest.approx(solution, abs=0.1 * expected.min())
 
