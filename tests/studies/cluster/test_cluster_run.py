@@ -90,7 +90,7 @@ def test_a_worker_killed_in_the_middle_costs_nothing(tmp_path):
     """Every member is there once, with the content of the local run; who has gone is named."""
     named = tmp_path / "named"
     waiting = {"waiting from": 100, "waits for": str(named)}
-    design = CountedMembers(300, cost=0.01, marks=str(tmp_path), **waiting)
+    design = CountedMembers(300, sleeps=0.01, marks=str(tmp_path), **waiting)
     notices = []
 
     def note(text):
@@ -206,7 +206,7 @@ def test_a_scheduler_that_goes_is_one_error(tmp_path):
 
 def test_members_that_dask_gives_up_are_named(tmp_path):
     """The others are in the dataset: one whose member ended the worker costs those beside it."""
-    design = CountedMembers(200, cost=0.01, **{"ends the worker of dask": 50})
+    design = CountedMembers(200, sleeps=0.01, **{"ends the worker of dask": 50})
     folder = tmp_path / _made(tmp_path, "cluster")
     with (
         cluster(folder, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as processes,
@@ -230,7 +230,7 @@ def test_members_that_dask_gives_up_are_named(tmp_path):
 def test_a_task_that_dask_gives_up_is_not_given_to_another_worker(tmp_path, monkeypatch):
     """Though the worker that it ended was the only one, and has been missed before dask says so."""
     monkeypatch.setattr(cluster_run, "LOOK", 0.0)
-    design = CountedMembers(40, cost=0.01, **{"ends the worker of dask": 0})
+    design = CountedMembers(40, sleeps=0.01, **{"ends the worker of dask": 0})
     folder = tmp_path / _made(tmp_path, "cluster")
     allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
     with (
@@ -259,7 +259,7 @@ def test_a_task_that_dask_gives_up_is_not_given_to_another_worker(tmp_path, monk
 @pytest.mark.usefixtures("bucket")
 def test_workers_write_into_a_bucket(two_workers, tmp_path, monkeypatch):
     """Most members do not go through this process where storage is shared."""
-    design = CountedMembers(400, cost=0.005)
+    design = CountedMembers(400, sleeps=0.005)
     added = []
     add = StudyDataset.add
 
