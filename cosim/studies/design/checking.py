@@ -169,10 +169,10 @@ class _DesignCheck:
         problems: list[str] = []
         for number, value in enumerate(values):
             member = _with_value(self._member, name, value)
-            is_built = number in built
-            problem = (
-                self._problem(member) if is_built else self._check.problem(member, is_built=False)
-            )
+            if number in built:
+                problem = self._problem(member)
+            else:
+                problem = self._check.problem(member, is_built=False)
             if not problem:
                 accepted = accepted or member
                 continue
