@@ -68,8 +68,8 @@ _ALWAYS_COMPARED = (
     "warnings",
 )
 NOT_COMPARED = (
-    "gains of controllers and observers, error growth of loops, error estimates, stop reason, "
-    "machine, metadata of FMUs and files"
+    "matrices of plants, gains of controllers and observers, error growth of loops, error "
+    "estimates, stop reason, machine, metadata of FMUs and files"
 )
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
