@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from time import perf_counter
 
 import numpy as np
@@ -31,6 +31,10 @@ def nanoseconds(seconds: float | str) -> int:
     ClockError
         If ``seconds`` is not a number, not a whole number of nanoseconds, or beyond 292 years.
     """
+    return _of_float(seconds) if type(seconds) is float else _exactly(seconds)
+
+
+def _exactly(seconds: float | str) -> int:
     try:
         decimal = Decimal(str(seconds))
     except (InvalidOperation, ValueError) as error:  # no number
@@ -53,6 +57,9 @@ def nanoseconds(seconds: float | str) -> int:
             f"{LARGEST_NS / NANOSECONDS:.3e} s"
         )
     return whole
+
+
+_of_float = lru_cache(1024)(_exactly)  # the times of a scenario are asked for many times
 
 
 def start_nanoseconds(start_time: float) -> int:

@@ -37,6 +37,8 @@ class Ports:
     def __init__(self, layout: Layout) -> None:
         self.channels = {channel.name: channel for channel in layout.channels}
         self._signals: dict[tuple[str, Causality], dict[str, Signal]] = {}
+        self._inputs: dict[Port, ConnectionEnd] = {}
+        self._outputs: dict[Port, ConnectionEnd] = {}
         for channel in layout.channels:
             name = channel.name
             interface = channel.interface
@@ -51,7 +53,10 @@ class Ports:
         GraphError
             If there is no such input or element; names the nearest.
         """
-        return self._find(port, "input")
+        end = self._inputs.get(port)
+        if end is None:
+            end = self._inputs[port] = self._find(port, "input")
+        return end
 
     def output(self, port: Port) -> ConnectionEnd:
         """Return an output, or elements of it.
@@ -61,7 +66,10 @@ class Ports:
         GraphError
             If there is no such output or element; names the nearest.
         """
-        return self._find(port, "output")
+        end = self._outputs.get(port)
+        if end is None:
+            end = self._outputs[port] = self._find(port, "output")
+        return end
 
     def _find(self, port: Port, causality: Causality) -> ConnectionEnd:
         if port.component not in self.channels:
