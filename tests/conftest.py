@@ -194,18 +194,20 @@ def frozen_heap() -> None:
     gc.freeze()
 
 
-@pytest.fixture
-def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the verdicts at the end of runs, for tests of signals.
-
-    They take most of the time of a long run. Fixtures of modules are made with them.
-    """
+def leave_out_verdicts(patch: pytest.MonkeyPatch) -> None:
+    """Leave out the verdicts at the end of runs, which take most of the time of a long run."""
     from cosim.scenario.identification.run_verdicts import Assessor
 
     def no_results(assessor: Assessor) -> dict[str, Any]:
         return {}
 
-    monkeypatch.setattr(Assessor, "results", no_results)
+    patch.setattr(Assessor, "results", no_results)
+
+
+@pytest.fixture
+def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the verdicts of runs, for tests of signals; fixtures of modules have them."""
+    leave_out_verdicts(monkeypatch)
 
 
 ASSESSED: dict[bytes, Any] = {}  # by the problem and the start of the fit, as pickle writes them

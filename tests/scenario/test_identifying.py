@@ -151,6 +151,7 @@ def test_a_log_without_identifier_is_refused(tmp_path):
         ),
     ],
 )
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_partial_log_says_that_it_is_one(tmp_path, record, said):
     """It has an identifier, but not what that needs."""
     settings = {"scenario.stop": 1.0, **record}

@@ -220,6 +220,7 @@ def test_replay_is_bit_exact_with_another_blas(logged, core):
     assert "equals the log bit for bit" in done.stdout
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_start_calls_the_kernels_once_for_many_instants():
     """No grid is sampled by a call an instant: the regressor's has 512 instants and 3 delays."""
     calls = 0
@@ -254,6 +255,7 @@ def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
     assert cosim.diff(log, cosim.replay("mine.mcap")).equal
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
     """Another filter changes the reconstruction and what follows it, not the recorded plant."""
     name, path, log = logged
@@ -275,6 +277,7 @@ def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
     assert not any(signal in changed for signal in ("plant.y", "plant.x_a", "delta.y"))
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_replay_with_a_prior_equals_the_run_with_that_prior(recorded):
     """What-if by replay and by run agree bit for bit.
 
@@ -294,6 +297,7 @@ def test_replay_with_a_prior_equals_the_run_with_that_prior(recorded):
     assert np.array_equal(by_replay["identifier.theta"], by_run["identifier.theta"], equal_nan=True)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_replay_keeps_grid_end_and_plant_of_its_recording(recorded, subtests):
     """Recorded rows exist at the recorded instants only, whatever parameters the plant had."""
     for key, value, text in [
@@ -369,6 +373,7 @@ def test_a_memory_run_equals_a_logged_run(recorded):
     assert cosim.diff(open_log(recorded), cosim.run("academic", set=COARSE)).equal
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_an_existing_log_needs_force(tmp_path):
     """Nothing recorded is overwritten by accident."""
     path = tmp_path / "a.mcap"
@@ -381,6 +386,7 @@ def test_an_existing_log_needs_force(tmp_path):
     )
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_numbered_logs_count_up(tmp_path):
     """A name is free where nothing stands: no file, no folder, no link that leads nowhere."""
 
@@ -472,6 +478,7 @@ def log_of(folder, scenario):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
     """A change of a recorded component, or of what drives one, in every spelling."""
     for scenario, key, value, named in [
@@ -506,6 +513,7 @@ def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_replay_allows_what_is_behind_its_recording(tmp_path, subtests):
     for scenario, key, value in [
         ("academic", "observer.filter_rate", 500.0),
@@ -517,6 +525,7 @@ def test_a_replay_allows_what_is_behind_its_recording(tmp_path, subtests):
             check_replay(log_of(tmp_path, scenario), key, value)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_replay_allows_what_changes_nothing(tmp_path, subtests):
     """The values that the scenario has."""
     for key, value in [("u.amplitude", 1.0), ("truth.observer.delta", "delta.y")]:
@@ -530,6 +539,7 @@ def check_replay(path, key, value):
     assert np.array_equal(again["plant.y"], cosim.open_log(path)["plant.y"])
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_replay_says_what_it_is(tmp_path):
     """Its log names the log that it is made from, and what was copied from it."""
     path = log_of(tmp_path, "academic")
@@ -540,6 +550,7 @@ def test_a_replay_says_what_it_is(tmp_path):
         replay_origin(log)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
     """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU.
 
@@ -665,6 +676,7 @@ def test_a_run_has_one_recorder(tmp_path):
 
 
 @pytest.mark.parametrize("in_memory", [True, False], ids=["memory", "log"])
+@pytest.mark.usefixtures("without_verdicts")
 def test_several_signals_of_a_recording_are_stacked(in_memory, tmp_path):
     """Elements and slices too, of one component or several, where their instants are the same."""
     changes = {"identifier.period": 0.01, "scenario.stop": 0.1}
@@ -685,6 +697,7 @@ def test_several_signals_of_a_recording_are_stacked(in_memory, tmp_path):
         run[[]]
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_values_from_numpy_can_be_set():
     """Arrays and numpy numbers mean what they hold."""
     run = cosim.run(
@@ -693,6 +706,7 @@ def test_values_from_numpy_can_be_set():
     assert np.array_equal(run.plan.designs["observer"]["A"][0, :1], [-8.0])
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
     """A recording that is too short or has no row is refused, and so is writing over it.
 
@@ -717,6 +731,7 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
         cosim.replay(empty)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_summary_counts_steps_not_rows():
     """Whatever period the first component has."""
     changes = {"identifier.period": 0.1, "scenario.stop": 1.0}

@@ -29,6 +29,7 @@ def test_t_is_empty_before_the_run():
     assert len(Memory().t) == 0
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_signals_tell_what_they_are(recorded):
     """By name, with all that was declared."""
     assert recorded.signals["plant.x_a"].size == 2
@@ -38,6 +39,7 @@ def test_signals_tell_what_they_are(recorded):
         recorded.signals["plant.x_a"] = None
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_parameters_are_those_of_the_scenario(recorded):
     """Also where a run was started with others than its file has."""
     shown = tomllib.loads(find("academic").text)["components"]
@@ -50,6 +52,7 @@ def test_parameters_are_those_of_the_scenario(recorded):
     assert changed.parameters["observer"]["filter_rate"] == 500
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_parameters_of_components_that_are_not_recorded_are_known():
     """A log of some signals tells of the whole run what it was."""
     run = cosim.run("academic", set={**SHORT, "record.signals": ["plant.y"]})

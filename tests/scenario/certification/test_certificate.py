@@ -84,6 +84,7 @@ def certified_run(name, stop):
 
 @pytest.mark.fast("academic-False")
 @pytest.mark.parametrize(("name", "closed"), [("academic", False), ("closed-loop", True)])
+@pytest.mark.usefixtures("without_verdicts")
 def test_estimate_is_the_difference_from_the_monolithic_solution(name, closed):
     """The error of the step in delta_hat, and in the states, within 20 % of the true one.
 
@@ -598,6 +599,7 @@ def test_a_step_without_a_quarter_is_refused():
         cosim.run(scenario, set={"scenario.step": 2e-9, "scenario.stop": 1e-7}, certify=True)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_recorded_component_is_refused_by_its_log(tmp_path):
     """A recording has the rows of its own step alone."""
     cosim.run("academic", set={**STARTS, "scenario.stop": 1.0}, out=tmp_path / "a.mcap")

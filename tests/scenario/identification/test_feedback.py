@@ -27,6 +27,7 @@ def test_the_connections_say_whether_a_loop_is_closed(scenario, closed):
         ("academic", {}, False),
     ],
 )
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_data_of_an_identifier_say_so(scenario, options, closed):
     """By the connections, or as the identifier states of a recording."""
     memory = cosim.run(scenario, set={"scenario.stop": 1.0, **options})

@@ -278,6 +278,7 @@ def test_a_log_identifies_theta_from_the_recorded_alphas(tmp_path):
         assert one.value == other.value
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_estimators_are_compared_on_the_recorded_signals(tmp_path):
     """Every replay takes the alphas that its method needs."""
     changes = {**RUN, "scenario.stop": 6.0}

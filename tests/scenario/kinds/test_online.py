@@ -85,6 +85,7 @@ def test_the_contract_is_kept(options, recorded):
     check_component(make, inputs=recorded[: count + 1], h=H)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_bound_of_a_file_may_be_infinite(tmp_path):
     """``inf`` is no bound, in a scenario as in ``cosim identify``; NaN is nothing at all."""
     settings = {**SHORT, "identifier.bounds": [[-np.inf, np.inf], [-np.inf, np.inf]]}
@@ -173,6 +174,7 @@ def test_replay_is_bit_exact(period, sensed, tmp_path):
     assert cosim.diff(log, cosim.replay(log.path)).equal
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_an_estimate_rests_on_all_samples_before_it():
     """The default period is the communication step, and estimates do not depend on the period."""
     often = cosim.run("academic", set={**SHORT, "identifier.period": H})
@@ -203,6 +205,7 @@ def settled(estimates, relative):
 
 
 @pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error(seed, sensed):
     """From y alone, once no other minimum explains the samples as well."""
     log = cosim.run(sensed, set={**COARSE, "sensor.seed": seed})
@@ -216,6 +219,7 @@ def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(1, 9))
+@pytest.mark.usefixtures("without_verdicts")
 def test_one_percent_and_a_thousandth_come_as_early_as_the_bound_lets_them(seed, sensed):
     """At 1 ms and noise 1e-3 about 3.0 s and 7.5 s; two deviations of that are a third more."""
     log = cosim.run(sensed, set={**ONLINE, "scenario.stop": 15.0, "sensor.seed": seed})
@@ -228,6 +232,7 @@ def test_one_percent_and_a_thousandth_come_as_early_as_the_bound_lets_them(seed,
     [{}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}],
     ids=["plain", "offset", "window", "forgetting"],
 )
+@pytest.mark.usefixtures("without_verdicts")
 def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
     """Whichever samples count, and with an offset among the unknowns or without."""
     log = run(sensed, **options)
@@ -239,6 +244,7 @@ def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_verdicts")
 def test_fewer_samples_mean_larger_standard_errors(sensed):
     """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
     plain = standard_error(run(sensed))[-1]
@@ -246,6 +252,7 @@ def test_fewer_samples_mean_larger_standard_errors(sensed):
         assert (standard_error(run(sensed, **options))[-1] > plain).all()
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_amplitudes_are_those_at_the_beginning_of_the_window():
     """exp(theta t) there, as all are 1 at t = 0."""
     log = run(window=8.0)
@@ -254,6 +261,7 @@ def test_amplitudes_are_those_at_the_beginning_of_the_window():
     )
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_bounds_fix_theta_and_keep_it(sensed):
     """Equal bounds give the number itself, without error; the search keeps to bounds too."""
     log = run(sensed, bounds=[[-0.2, 0.0], [-0.3, -0.3]])
@@ -266,6 +274,7 @@ def test_bounds_fix_theta_and_keep_it(sensed):
 
 @pytest.mark.fast("2")
 @pytest.mark.parametrize("seed", [1, 2, 4, 5])
+@pytest.mark.usefixtures("without_verdicts")
 def test_an_absent_component_has_no_value(seed, sensed):
     """Of two exponentials of which one has the amplitude 0 the other is estimated.
 
@@ -283,6 +292,7 @@ def test_an_absent_component_has_no_value(seed, sensed):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
     """Held inputs are taken as held; what the plant held of the disturbance is half a step late."""
     errors = []

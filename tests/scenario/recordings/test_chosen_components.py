@@ -11,6 +11,8 @@ from cosim.scenario.document.document import shipped
 from cosim.scenario.recorded_metadata import replay_origin
 from tests.log.crafting import change_rows, put_together, take_apart
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 LOOP = """
 [scenario]
 name = "loop"

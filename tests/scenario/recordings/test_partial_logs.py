@@ -18,6 +18,8 @@ from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
 from tests.log.crafting import put_together, take_apart, without_checksum
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 SHORT = {"scenario.stop": 0.2, "identifier.period": 0.01}
 CHOSEN = ["plant.*", "observer.delta"]
 

@@ -10,6 +10,8 @@ from cosim.log.contents.metadata import read_json
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 SHORT = {"scenario.stop": 0.2}
 ALL = {"record.signals": ["*"], "record.every": 1}
 LOOP = """

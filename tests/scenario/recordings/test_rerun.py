@@ -17,6 +17,8 @@ from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
 from tests.log.crafting import change_rows, put_together, take_apart
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 SCENARIO = """
 [scenario]
 name = "fmu"
@@ -37,11 +39,9 @@ BOTH = {"rerun": True, "allow_code": True}
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Write a scenario with an FMU that leaves a mark where it is loaded."""
-    mark = tmp_path / "mark"
+    """Write a scenario with an FMU that leaves a mark in the working folder where it is loaded."""
     sources = ("lag2.c", "marking.c")
-    define = f'MARK="{mark}"'
-    compile_fmu(tmp_path / "lag.fmu", lag.xml("2"), *sources, defines=(define,))
+    compile_fmu(tmp_path / "lag.fmu", lag.xml("2"), *sources, defines=('MARK="mark"',))
     (tmp_path / "fmu.toml").write_text(SCENARIO)
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -12,6 +12,8 @@ from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from tests.log.crafting import change_rows, put_together, take_apart
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 END = 0.2
 RATES = {"identifier.period": 0.01, "scenario.stop": END}
 

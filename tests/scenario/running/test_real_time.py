@@ -79,6 +79,7 @@ offset = 0.5
 
 
 @pytest.mark.parametrize("actions", ["", ACTION], ids=["plain", "actions"])
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_rows_are_those_of_any_other_run(actions, monkeypatch, tmp_path):
     """In blocks of 10 ms at most; the summary shows the pace, which other runs do not have."""
     wall = WallClock()

@@ -155,6 +155,7 @@ def test_an_identifier_cannot_begin_before_its_regressor_has_a_value(logs):
                 cosim.run("closed-loop", set=changes)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_computed_start_of_the_identification_counts_from_the_start_of_the_run():
     """(36) is a duration."""
     computed = {"identifier.start": {"epsilon_observer": 1e-3, "epsilon_filter": 1e-3}}

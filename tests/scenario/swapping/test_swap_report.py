@@ -219,6 +219,7 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     assert json.loads(capsys.readouterr().out)["problems"] == []
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys):
     """One warning; exit 0. The log's info shows the rows."""
     with pytest.raises(SystemExit) as left:
@@ -305,6 +306,7 @@ def test_a_unit_on_one_side_only_is_said_and_its_size_warned_of(milli, capsys):
     assert f"warning: plant: {sizes}" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
     """The old plant in m, the new one in mm, an observer that takes m: all is converted.
 
@@ -451,6 +453,7 @@ def test_a_swapped_scenario_is_read_and_built_once(folder, tmp_path, counted):
     assert aspects["poles"] == aspects["static gain"] == "ok"
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_an_fmu_that_cannot_be_reset_is_loaded_again(folder, counted, monkeypatch):
     """It is not linearized then, and the run has an instance of its own."""
     reference = cosim.run("academic", swap={"plant": folder / "plant.fmu"}, set=SHORT)
