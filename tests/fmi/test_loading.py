@@ -310,7 +310,7 @@ def test_cycles_leave_nothing_behind(request, model1, slave1, number, interface_
     tracemalloc.start()
     try:
         for _ in range(3):
-            files, maps, memory = grown(path, interface_type, warm_up=20, cycles=50, measure=traced)
+            files, maps, memory = grown(path, interface_type, warm_up=8, cycles=50, measure=traced)
             if memory < 50 * 500 + 50_000:
                 break
     finally:
