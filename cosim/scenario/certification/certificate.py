@@ -33,7 +33,7 @@ from cosim.core.port import Port
 from cosim.core.recorders import Nothing, close, end_of_run, error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
-from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
+from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
 from cosim.instants import NANOSECONDS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
@@ -321,6 +321,8 @@ def finer_run(
             run_into(watched, experiment, progress=progress, profile=None)
         except Interrupted:
             raise
+        except FmuError as error:  # which does not take this step
+            problem = f"no run with steps of {step} s: {error}"
         except RunError as error:
             problem = f"the run with steps of {step} s ended early: {error}"
     return FinerRun(rows, jumps, problem)

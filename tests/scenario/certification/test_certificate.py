@@ -13,6 +13,7 @@ from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalErro
 from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
 from cosim.scenario.exporting import export_component
+from tests.fmi import lag
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
 
@@ -445,6 +446,22 @@ def test_runs_that_a_condition_ends_are_compared_up_to_the_first_end():
 
 
 # --- noise, and what cannot be certified ---
+
+
+def test_an_fmu_that_takes_no_smaller_step_leaves_no_estimate(tmp_path):
+    """The run is kept; the report names the FMU and its step."""
+    lag.able(lag.build(tmp_path, "3"), tmp_path / "x.fmu", "3", "inner step of 30 ms")
+    path = tmp_path / "x.toml"
+    path.write_text(
+        'scenario = { name = "x", stop = 0.3, step = 0.03 }\n'
+        'components.x = { kind = "fmu", path = "x.fmu" }\n'
+    )
+    log = cosim.run(path, certify=True, out=tmp_path / "a.mcap")
+    assert log.status == "complete"
+    certificate = log.results["certificate"]
+    assert certificate["signals"] == {}
+    assert "0.015 s" in certificate["problem"]
+    assert "inner steps of 0.03 s" in certificate["problem"]
 
 
 def test_noise_of_every_step_is_refused_by_name():
