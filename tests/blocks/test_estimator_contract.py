@@ -10,11 +10,16 @@ from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
 from cosim.blocks.identifier import LeastSquaresIdentifier
-from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
+from cosim.blocks.kalman_identifier import (
+    AugmentedKalmanIdentifier,
+    ExtendedKalmanIdentifier,
+    check_positive,
+)
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
 from cosim.native.numerics.expression import compile_expression
 from cosim.testing import check_estimator
 from cosim.theory.disturbances.families import group_by_alpha
@@ -196,3 +201,10 @@ def test_inputs_that_no_case_has_are_named():
 
     with pytest.raises(AssertionError, match=r"input 'z' of size 1: .* y \(1\), u \(1\)"):
         check_estimator(lambda case: Other())
+
+
+def test_numbers_of_kalman_filters_are_positive_and_finite():
+    for value in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(UsageError, match=f"drift: expected a finite number > 0, got {value}"):
+            check_positive(drift=value)
+    check_positive(drift=1e-300)

@@ -8,6 +8,7 @@ import cosim
 from cosim.errors import CosimError, RunError
 from cosim.log import open_log
 from cosim.report.statements import Contradiction
+from cosim.report.summary import summarize
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from tests.log.crafting import put_together, take_apart
@@ -175,7 +176,7 @@ def judged(tmp_path_factory):
     return path
 
 
-@pytest.mark.fast("amplitudes-place1-amplitudes of")
+@pytest.mark.fast("parameters-place0-verdicts on", "amplitudes-place1-amplitudes of")
 @pytest.mark.parametrize(
     ("key", "place", "named"),
     [
@@ -201,6 +202,14 @@ def test_no_estimate_can_be_changed(judged, tmp_path, key, place, named):
         if not passes:
             (problem,) = verification.problems
             assert f"{named} 'identifier': " in problem
+
+
+def test_the_summary_shows_half_the_width_of_an_interval(judged):
+    log = open_log(judged)
+    (identification,) = summarize(log).identifications
+    recorded = log.results["identification"]["identifier"]["parameters"]
+    for shown, of_log in zip(identification.parameters, recorded, strict=True):
+        assert shown.half_width == pytest.approx((of_log["upper"] - of_log["lower"]) / 2.0)
 
 
 @pytest.mark.parametrize("key", ["amplitudes", "irregular"])
