@@ -8,6 +8,7 @@ multiply-adds among them, and the bits would differ.
 from __future__ import annotations
 
 import importlib.util
+import os
 import platform
 import re
 import shutil
@@ -15,8 +16,10 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, NoReturn
 
 HERE = Path(__file__).resolve().parent
 SOURCES = (
@@ -141,12 +144,34 @@ def compile_library(
     RuntimeError
         If there is no compiler, or it refuses the sources; with the compiler's own message.
     """
-    command = compiler() if command is None else command
-    if not command:
-        raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
+    command = (compiler() if command is None else command) or _no_compiler()
     libraries = [] if target.suffix == ".dll" else ["-lm"]
     inputs = map(str, sources)
     run_compiler(command, [*FLAGS, *options, *inputs, "-o", str(target), *libraries])
+
+
+def compile_kernels(target: Path) -> None:
+    """Compile the package's own library, sources side by side.
+
+    Raises
+    ------
+    RuntimeError
+        As of :func:`compile_library`.
+    """
+    command = compiler() or _no_compiler()
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        objects = [Path(folder, f"{Path(name).stem}.o") for name in SOURCES]
+        compilers = []
+        for name, path in zip(SOURCES, objects, strict=True):
+            arguments = [*FLAGS, *OPTIONS, "-c", str(HERE / name), "-o", str(path)]
+            compilers.append(pool.submit(run_compiler, command, arguments))
+        for running in compilers:
+            running.result()
+        compile_library(objects, target, OPTIONS, command=command)
+
+
+def _no_compiler() -> NoReturn:
+    raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
 
 
 def run_compiler(command: Sequence[str], arguments: Iterable[str]) -> None:
@@ -175,8 +200,7 @@ if "hatchling" in sys.modules:
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
             """Compile before the wheel is put together."""
-            sources = [HERE / name for name in SOURCES]
-            compile_library(sources, HERE / LIBRARY, OPTIONS)
+            compile_kernels(HERE / LIBRARY)
             build_data["artifacts"].append(f"cosim/native/{LIBRARY}")
             build_data["pure_python"] = False
             system = sysconfig.get_platform().replace("-", "_").replace(".", "_")
