@@ -52,7 +52,7 @@ def bounces(n):
     return np.array(times), np.array(speeds)
 
 
-@pytest.mark.fast("RK45", "CVode", "LSODA", "Radau", "BDF", "RK23")
+@pytest.mark.fast("RK45", "BDF", "LSODA")
 @pytest.mark.parametrize("solver", ACCURATE)
 def test_a_bouncing_ball_is_the_closed_form(solver, subtests):
     """Bounce times to 1e-9, the flight after the last of them too.
@@ -92,6 +92,7 @@ def force(t):
     return 2.0 * t if t <= 1.0 else 4.0 - 2.0 * t
 
 
+@pytest.mark.fast("rk4", "RK45", "BDF", "CVode")
 @pytest.mark.parametrize("solver", ACCURATE)
 def test_coulomb_friction_sticks_and_slips(solver, subtests):
     """A mass of 1 kg under the force 2 t, from 1 s on 4 - 2 t, with friction of 1 N.

@@ -137,7 +137,7 @@ upper = 0.4
 """
 
 
-@pytest.mark.fast("gauss-seidel-me", "jacobi-cs")
+@pytest.mark.fast("jacobi-cs")
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(

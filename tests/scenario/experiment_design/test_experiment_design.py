@@ -105,6 +105,7 @@ def test_the_best_design_can_be_set_and_is_predicted_the_same(designed):
     np.testing.assert_allclose(again.error, best.error, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_designs_of_a_choice_are_ranked(designed):
     """The best first, for every method that has it; each error is bias and scatter together."""
     for choice in ("filter", "step", "window"):

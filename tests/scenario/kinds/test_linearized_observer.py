@@ -227,6 +227,7 @@ REFUSED_TABLES = {
 }
 
 
+@pytest.mark.fast("no such disturbance", "co-simulation only")
 @pytest.mark.parametrize("name", REFUSED)
 def test_an_fmu_without_a_design_model_is_refused(name, folder, foreign2):
     """One clear error each, with the component: see REFUSED."""

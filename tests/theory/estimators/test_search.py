@@ -54,6 +54,7 @@ def found(of):
     return assessment.fit.theta
 
 
+@pytest.mark.fast("3-one alpha", "4-an alpha each")
 @pytest.mark.parametrize("shared", [True, False], ids=["one alpha", "an alpha each"])
 @pytest.mark.parametrize("theta", [[-0.1, -0.5, -1.5], [-0.05, -0.3, -0.8, -2.0]], ids=len)
 def test_several_exponentials_are_found(theta, shared):

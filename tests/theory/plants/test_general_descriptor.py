@@ -282,6 +282,7 @@ BORDERS = [
 ]
 
 
+@pytest.mark.slow
 def test_a_reduction_near_a_lower_rank_is_as_accurate_as_it_says(subtests):
     """Nothing is accepted and more wrong than its accuracy; nothing well conditioned is refused.
 
