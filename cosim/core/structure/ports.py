@@ -37,8 +37,7 @@ class Ports:
     def __init__(self, layout: Layout) -> None:
         self.channels = {channel.name: channel for channel in layout.channels}
         self._signals: dict[tuple[str, Causality], dict[str, Signal]] = {}
-        self._inputs: dict[Port, ConnectionEnd] = {}
-        self._outputs: dict[Port, ConnectionEnd] = {}
+        self._ends: dict[tuple[Port, Causality], ConnectionEnd] = {}
         for channel in layout.channels:
             name = channel.name
             interface = channel.interface
@@ -53,10 +52,7 @@ class Ports:
         GraphError
             If there is no such input or element; names the nearest.
         """
-        end = self._inputs.get(port)
-        if end is None:
-            end = self._inputs[port] = self._find(port, "input")
-        return end
+        return self._end(port, "input")
 
     def output(self, port: Port) -> ConnectionEnd:
         """Return an output, or elements of it.
@@ -66,10 +62,13 @@ class Ports:
         GraphError
             If there is no such output or element; names the nearest.
         """
-        end = self._outputs.get(port)
-        if end is None:
-            end = self._outputs[port] = self._find(port, "output")
-        return end
+        return self._end(port, "output")
+
+    def _end(self, port: Port, causality: Causality) -> ConnectionEnd:
+        key = (port, causality)
+        if key not in self._ends:
+            self._ends[key] = self._find(port, causality)
+        return self._ends[key]
 
     def _find(self, port: Port, causality: Causality) -> ConnectionEnd:
         if port.component not in self.channels:
