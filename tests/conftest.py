@@ -217,12 +217,19 @@ def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
 ASSESSED: dict[bytes, Any] = {}  # by the problem and the start of the fit, as pickle writes them
 
 
-@pytest.fixture(scope="module")
-def verdicts_once() -> Iterator[None]:
-    """Assess the same data of the same run once, for tests that run one scenario over and over.
+# Folders and modules whose tests run one scenario over and over.
+OF_EQUAL_RUNS = frozenset({"cli", "log", "report", "studies", "test_ending.py", "test_terminal.py"})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def verdicts_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Assess the same data of the same run once where many runs are equal.
 
     A run of another bit of its data, of its scenario or of its last estimate is assessed anew.
     """
+    if request.path.relative_to(HERE).parts[0] not in OF_EQUAL_RUNS:
+        yield
+        return
     from cosim.scenario.identification import run_verdicts
 
     assess = run_verdicts.assess

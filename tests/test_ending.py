@@ -23,8 +23,6 @@ from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import build
 from tests.fmi.rogues import XML
 
-pytestmark = pytest.mark.usefixtures("verdicts_once")
-
 ONE = "from cosim.cli import main; main()"
 EIGHT = """
 import os, sys

@@ -12,8 +12,6 @@ from cosim.terminal import show_count, show_members
 from tests.fmi.archives import write
 from tests.log.crafting import put_together, take_apart
 
-pytestmark = pytest.mark.usefixtures("verdicts_once")
-
 OBEYED = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]"
 )

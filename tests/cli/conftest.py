@@ -5,11 +5,6 @@ import pytest
 from tests.studies.in_process import run_members_in_this_process
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _verdicts_once(verdicts_once: None) -> None:
-    """Assess equal runs once."""
-
-
 @pytest.fixture
 def members_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run members where the command runs: for tests of what it reads and prints."""

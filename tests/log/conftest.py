@@ -1,4 +1,4 @@
-"""Recordings that tests only read, and verdicts that they share."""
+"""Recordings that tests only read."""
 
 import pytest
 
@@ -20,8 +20,3 @@ def long_log(tmp_path_factory):
     path = tmp_path_factory.mktemp("long") / "a.mcap"
     rows = record(path, steps=1000)
     return open_log(path), rows
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _verdicts_once(verdicts_once: None) -> None:
-    """Assess equal runs once."""

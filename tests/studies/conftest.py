@@ -30,11 +30,6 @@ def members_in_this_process() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _verdicts_once(verdicts_once: None) -> None:
-    """Assess equal runs once."""
-
-
 @pytest.fixture
 def worker_processes() -> Iterator[None]:
     """Run members in workers, as users do: for tests of crashes, hangs and pools."""
