@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +63,21 @@ OF_ONE_WORKER = frozenset(
 
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference" / "cases.json"
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Import one share of the test modules first, so that workers compile each once.
+
+    Every worker collects all tests; side by side in one order, each would compile every module.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    number = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
+    paths = [path for given in session.config.args for path in Path(given).rglob("test_*.py")]
+    for path in sorted(paths)[number :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]:
+        module = path.resolve().relative_to(HERE.parent).with_suffix("")
+        with suppress(Exception, pytest.skip.Exception):  # reported when it is collected
+            import_module(".".join(module.parts))
 
 
 def pytest_collection_finish() -> None:
