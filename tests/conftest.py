@@ -25,41 +25,9 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # The same examples every time, and no deadline: machines are slow now and then.
 # HYPOTHESIS_PROFILE=search looks for new ones.
-settings.register_profile("repeat", derandomize=True, deadline=None)
+settings.register_profile("repeat", max_examples=50, derandomize=True, deadline=None)
 settings.register_profile("search", max_examples=1000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
-
-# Modules whose tests share costly runs, exports or parsed files: with -n one worker runs all of
-# a module.
-OF_ONE_WORKER = frozenset(
-    {
-        "tests/fmi/test_export.py",
-        "tests/paper/test_figures.py",
-        "tests/report/test_comparing.py",
-        "tests/report/test_estimator_comparison.py",
-        "tests/report/test_identification.py",
-        "tests/scenario/test_dae.py",
-        "tests/scenario/test_export.py",
-        "tests/scenario/kinds/test_field_data.py",
-        "tests/scenario/test_identifying.py",
-        "tests/scenario/kinds/test_linearized_observer.py",
-        "tests/scenario/kinds/test_several_outputs.py",
-        "tests/scenario/recordings/test_partial_logs.py",
-        "tests/scenario/recordings/test_swapped_replays.py",
-        "tests/scenario/experiment_design/test_experiment_design.py",
-        "tests/scenario/test_runs.py",
-        "tests/scenario/swapping/test_swap.py",
-        "tests/scenario/swapping/test_swap_matrix.py",
-        "tests/scenario/swapping/test_swapping.py",
-        "tests/studies/cluster/test_cluster_run.py",
-        "tests/studies/cluster/test_real_studies.py",
-        "tests/studies/tables/test_real_study.py",
-        "tests/studies/tuning/test_tuning.py",
-        "tests/test_architecture.py",
-        "tests/theory/assessment/test_smoothing.py",
-        "tests/theory/assessment/test_validation.py",
-    }
-)
 
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference" / "cases.json"
@@ -72,6 +40,7 @@ def pytest_collection(session: pytest.Session) -> None:
     """
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
+    gc.disable()  # what is collected stays
     number = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
     paths = [path for given in session.config.args for path in Path(given).rglob("test_*.py")]
     for path in sorted(paths)[number :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]:
@@ -82,20 +51,8 @@ def pytest_collection(session: pytest.Session) -> None:
 
 def pytest_collection_finish() -> None:
     """Keep the tests out of garbage collections: each looked through half a million objects."""
+    gc.enable()
     gc.freeze()
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Distribute tests one by one, but modules of ``OF_ONE_WORKER`` as a whole, and these first."""
-    from xdist.scheduler import LoadScopeScheduling
-
-    class ByCost(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            module = nodeid.partition("::")[0]
-            return module if module in OF_ONE_WORKER else nodeid
-
-    return ByCost(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

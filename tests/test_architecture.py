@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import cosim
-from tests.conftest import OF_ONE_WORKER
 
 ROOT = Path(cosim.__file__).parent
 BASE = {
@@ -364,9 +363,3 @@ def test_every_folder_of_the_package_has_tests():
         path.name for path in ROOT.iterdir() if path.is_dir() and (path / "__init__.py").exists()
     }
     assert folders <= {path.name for path in (ROOT.parent / "tests").iterdir()}
-
-
-def test_the_modules_that_one_worker_runs_are_there():
-    """A module of another name would be distributed test by test, its costly runs made twice."""
-    for module in OF_ONE_WORKER:
-        assert (ROOT.parent / module).is_file(), module
