@@ -82,10 +82,13 @@ def bucket(s3_variables: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Ite
     fsspec.get_filesystem_class("s3").clear_instance_cache()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def two_workers(
     tmp_path_factory: pytest.TempPathFactory, s3_variables: dict[str, str]
 ) -> Iterator[Any]:
-    """Serve a scheduler of dask with two workers, which find the bucket; nobody ends them."""
+    """Serve a scheduler of dask with two workers, which find the bucket; nobody ends them.
+
+    For a module: idle, they take a tenth of a processor as long as they are there.
+    """
     with cluster(tmp_path_factory.mktemp("cluster"), **s3_variables) as processes:
         yield processes
