@@ -91,7 +91,7 @@ def test_noise_that_is_stated_wrong_is_said(two):
     "options",
     [
         {},
-        {"identifier.window": 2.0},
+        {"identifier.window": 1.0},
         {"identifier.forgetting": 2.0},
         {"identifier.deviation": [0.1, 1e-3]},
     ],
@@ -99,11 +99,11 @@ def test_noise_that_is_stated_wrong_is_said(two):
 )
 def test_the_contract_is_kept(options, two, log):
     """One call of many steps equals many calls of one step; a state goes back."""
-    settings = {**options, "scenario.stop": 3.0, "identifier.period": 0.5}
+    settings = {**options, "scenario.stop": 1.5, "identifier.period": 0.5}
     columns = [log[name] for name in ("regressor.mu", "observer.delta", "sensor.y", "u.y")]
     inputs = np.hstack([np.reshape(rows, (len(rows), -1)) for rows in columns])
     make = identifiers(str(two), settings)
-    check_component(make, inputs=np.ascontiguousarray(inputs[:301]), h=1e-2)
+    check_component(make, inputs=np.ascontiguousarray(inputs[:151]), h=1e-2)
 
 
 @pytest.mark.slow
