@@ -34,17 +34,18 @@ REFERENCE = HERE / "reference" / "cases.json"
 
 
 def pytest_collection(session: pytest.Session) -> None:
-    """Import one share of the test modules first, so that workers compile each once.
+    """Import one share of the whole suite first, so that its workers compile each module once.
 
     Every worker collects all tests; side by side in one order, each would compile every module.
     """
-    if "PYTEST_XDIST_WORKER" not in os.environ:
+    is_whole = HERE.resolve() in {Path(given).resolve() for given in session.config.args}
+    if not is_whole or "PYTEST_XDIST_WORKER" not in os.environ:
         return
     gc.disable()  # what is collected stays
     number = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
-    paths = [path for given in session.config.args for path in Path(given).rglob("test_*.py")]
-    for path in sorted(paths)[number :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]:
-        module = path.resolve().relative_to(HERE.parent).with_suffix("")
+    workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    for path in sorted(HERE.rglob("test_*.py"))[number::workers]:
+        module = path.relative_to(HERE.parent).with_suffix("")
         with suppress(Exception, pytest.skip.Exception):  # reported when it is collected
             import_module(".".join(module.parts))
 
