@@ -63,6 +63,18 @@ def check_rows(recovery, rows):
         last = recovery.end_ns // STEP_NS
         assert set(steps.tolist()) | lost == set(range(0, last + 1, period))
         assert not set(steps.tolist()) & lost
+    told = recovery.to_dict()
+    assert told["end"] == recovery.end_ns / 1e9  # s
+    assert told["components"] == {
+        name: {
+            "rows": own.count,
+            "lost": [
+                {"from": gap.first_ns / 1e9, "to": gap.last_ns / 1e9, "rows": gap.count}
+                for gap in own.lost
+            ],
+        }
+        for name, own in recovery.rows.items()
+    }
     assert log.content_hash() == log.recorded_hash
     with log.path.open("rb") as stream:
         sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
