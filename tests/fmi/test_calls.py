@@ -168,6 +168,7 @@ def test_how_a_step_of_fmi_3_ends(probe3, behavior, end):
         instance.exit_initialization_mode()
         put(instance, behavior=behavior)
         assert instance.do_step(1.0, 0.5) == end
+        assert end.returned_early == (behavior == 2)
         assert got(instance, "no_way_back", "event_mode", "early_return") == [1.0, 0.0, 1.0]
         instance.may_go_back = True
         instance.do_step(1.5, 0.5)

@@ -83,6 +83,14 @@ def test_wrong_clocks_are_refused(tmp_path, subtests):
             'intervalDecimal="soon"',
             "variable 'decimal': intervalDecimal: expected a finite number, got 'soon'",
         ),
+        *(
+            (
+                'intervalDecimal="1e-1"',
+                f'intervalDecimal="{text}"',
+                f"variable 'decimal': intervalDecimal: expected a finite number, got '{text}'",
+            )
+            for text in ("0_1", "INF", "1e99999")  # read by Python, but no interval
+        ),
         (
             'intervalDecimal="1e-1"',
             'intervalDecimal="-0.1"',
