@@ -143,6 +143,7 @@ def test_a_theta_that_does_not_hold_is_said_and_exits_with_1(logs, call):
     code, output, _ = call("identify", logs["first"].path, "--validate", logs["other"].path)
     assert code == 1
     shown = rows(output)
+    assert {"theta[0]", "theta[1]", "amplitude[0]", "amplitude[1]"} <= shown.keys()
     assert f"validation {logs['other'].path}" in output.splitlines()
     text = shown["FAILS"][0]
     assert text.startswith("theta[0] is ")
