@@ -133,12 +133,12 @@ def test_a_constant_input_needs_no_connection(recording):
     number=integers(-3, 10**6 + 3),
 )
 def test_regular_times_are_found_as_by_a_search(first_ns, period_ns, count, data, number):
-    """At a row, one bit before or after it, between two and outside of all."""
+    """At a hundred rows, one bit before or after them, between two and outside of all."""
     number = min(number, count + 2)
     regular = RegularTimes(first_ns, period_ns, count)
     given_times = GivenTimes(first_ns + period_ns * np.arange(count))
-    at = (first_ns + period_ns * (number + data)) / 1e9
-    t = np.array([at, np.nextafter(at, -np.inf), np.nextafter(at, np.inf)])
+    at = (first_ns + period_ns * (np.arange(number - 100, number + 1) + data)) / 1e9
+    t = np.concatenate([at, np.nextafter(at, -np.inf), np.nextafter(at, np.inf)])
     assert (regular.last_not_after(t) == given_times.last_not_after(t)).all()
     begin = max(0, count - 3)
     expected = given_times.nanoseconds(begin, count)
