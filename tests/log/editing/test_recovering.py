@@ -63,9 +63,9 @@ def check_rows(recovery, rows):
         last = recovery.end_ns // STEP_NS
         assert set(steps.tolist()) | lost == set(range(0, last + 1, period))
         assert not set(steps.tolist()) & lost
-    told = recovery.to_dict()
-    assert told["end"] == recovery.end_ns / 1e9  # s
-    assert told["components"] == {
+    shown = recovery.to_dict()
+    assert shown["end"] == recovery.end_ns / 1e9  # s
+    assert shown["components"] == {
         name: {
             "rows": own.count,
             "lost": [
