@@ -1,8 +1,10 @@
 """No command sends a terminal what it would obey, whatever a log, an FMU or a scenario says."""
 
 import io
+import pty
 import re
 import sys
+from contextlib import suppress
 
 import pytest
 
@@ -111,6 +113,28 @@ def test_texts_of_scenarios_are_shown_and_not_obeyed(printed, tmp_path, monkeypa
     printed("run", tmp_path / "raw.toml")
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     printed("show", tmp_path / "raw.toml")
+
+
+@pytest.mark.usefixtures("capsys")
+def test_a_message_that_finds_the_terminal_closed_is_lost(tmp_path, monkeypatch):
+    """The command ends as it would have: with the exit code of a refused scenario."""
+    reader, writer = pty.openpty()
+    closed = tmp_path / "closed"
+    closing = f"import os\n\nos.close({reader})\nos.mkdir({str(closed)!r})\n"
+    (tmp_path / "closing.py").write_text(closing)
+    components = '[components.x]\nkind = "python"\nclass = "closing:Missing"\n'
+    head = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'
+    (tmp_path / "x.toml").write_text(head + components)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", open(writer, "w", encoding="utf-8"))  # noqa: SIM115  by main
+        try:
+            with pytest.raises(SystemExit) as end:
+                main(["run", str(tmp_path / "x.toml")])
+        finally:
+            with suppress(OSError):  # what is still in its buffer
+                sys.stderr.close()
+    assert end.value.code == 2
+    assert closed.is_dir()
 
 
 class Tty(io.StringIO):
