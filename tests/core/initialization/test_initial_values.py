@@ -256,7 +256,8 @@ def refused(components, connections, text):
 def test_a_loop_without_a_solution_is_named():
     """The message has every port of the loop, the residual and what is needed.
 
-    It has them too where several loops share a port.
+    It has them too where several loops share a port. The residual is that of the input on which an
+    output depends at initialization alone, where another one of the loop feeds through.
     """
     chase = {"lag": Linear(lag(time_constant=1.0))}
     name = (
@@ -272,6 +273,11 @@ def test_a_loop_without_a_solution_is_named():
         chase,
         {"lag.u": "lag.y"},
         name + "1 - w' is singular, so that other values solve it as well; give",
+    )
+    refused(
+        chase | {"direct": times(1.0)},
+        {"lag.u": Connection("direct.y", 1.0, 1.0), "direct.u": "lag.y"},
+        "with a residual of 1 at 'lag.u', expected at most 1",
     )
     square = {"x": Starter(lambda u: u * u + 1.0, start=(0.2,))}
     name = (
