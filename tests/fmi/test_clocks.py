@@ -240,6 +240,17 @@ def test_an_output_clock_is_1_at_the_end_of_the_step_it_ticks_in(opened, interfa
 
 
 @TYPES
+def test_what_belongs_to_a_local_clock_follows_it(opened, interface_type, monkeypatch):
+    """No other component sees that clock tick; the output is taken at each of its ticks."""
+    monkeypatch.setitem(clocked.CLOCKS, "out", (6, "local", 'intervalVariability="triggered"'))
+    fmu = opened(interface_type, "sample", "out")
+    assert "out" not in [signal.name for signal in fmu.component.interface.outputs]
+    trace = Trace(fmu, u=lambda t: 1.0)
+    n = ticks_by(trace.t, every(200_000_000, 100_000_000))
+    assert trace["shown"].tolist() == (2.0 * n).tolist()
+
+
+@TYPES
 def test_two_ticks_in_a_step_are_reported(opened, interface_type):
     fmu = opened(interface_type, "sample", "out")
     trace = Trace(fmu, h=1.0, steps=3)
