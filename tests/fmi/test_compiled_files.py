@@ -129,6 +129,24 @@ def test_the_compiler_counts(compiled, tmp_path):
     assert compiled(command=[str(script)]) == (2.0, ALL)
 
 
+def test_the_version_of_the_package_counts_for_zig_alone(compiled, tmp_path, monkeypatch):
+    """Its compiler is in that package; for cc it counts as little as where it is not installed."""
+    script = tmp_path / "zig"
+    script.write_text(f'#!/bin/sh\nshift\nexec {" ".join(build.compiler())} "$@"\n')
+    script.chmod(0o755)
+    installed = {"ziglang": "0.13.0"}
+    monkeypatch.setattr(compiling.metadata, "version", installed.__getitem__)
+    zig = [str(script), "ziglang"]
+    assert compiled(command=zig) == (2.0, ALL)
+    installed["ziglang"] = "0.14.0"
+    compiling._identity.cache_clear()  # as in another process
+    assert compiled(command=zig) == (2.0, ALL)
+    assert compiled() == (2.0, ALL)
+    installed.clear()
+    compiling._identity.cache_clear()
+    assert compiled() == (2.0, NOTHING)
+
+
 @pytest.mark.parametrize(
     "damage",
     [
