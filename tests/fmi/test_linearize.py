@@ -356,6 +356,33 @@ def test_plain_values_carry_every_bit(swinging):
     assert Linearization.of(empty.to_dict()).D.shape == (0, 0)
 
 
+@pytest.mark.parametrize("slope", [0.0, 1e-7, 1e-6, 2e-6, 5e-6, 1e-5])
+def test_a_slope_within_its_error_is_zero_and_the_error_has_both(slope):
+    """y = 1e8 + k u: rounding leaves an error of twice 2 eps 1e8 over a step of 1/32, 2.8e-6.
+
+    A slope of less is no feedthrough. The error of that zero is not what is left of the 2.8e-6, but
+    covers what the slope is in truth.
+    """
+
+    class Offset(Lift):
+        interface = Interface((Signal("u", role="input"),), (Signal("y"),), {"y": ("u",)})
+
+        def outputs(self, t, x, u):
+            return 1e8 + slope * u
+
+        def initial(self, t, u):
+            return np.ones(1)
+
+        def derivatives(self, t, x, u):
+            return -x
+
+    rounding = 2.0 * 2.0 * np.finfo(np.float64).eps * 1e8 / (1.0 / 32.0)
+    linearization = linearize(GeneratedInstance(Offset()))
+    found = linearization.D.item()
+    assert (found == 0.0) == (slope < rounding)
+    assert abs(found - slope) <= linearization.errors["D"] <= 3.0 * rounding
+
+
 @pytest.mark.parametrize(
     ("f", "slope", "z", "scale"),
     [
