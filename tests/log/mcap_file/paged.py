@@ -62,6 +62,9 @@ class PagedStream(io.RawIOBase):
         self._look(bytes(self.content))
         return size
 
+    def fileno(self):
+        return -1  # no file of the system
+
     def _begin(self, stop):
         number = self.writes
         self.writes += 1
@@ -134,6 +137,7 @@ class Recording:
     random: object
     largest: int = 2000  # bytes of a message
     summary_bytes: int = 0  # of a schema that the summary repeats
+    sync: bool = False  # wait for the disk
     kept: int = 0
     tail: int = 0
     allowed: tuple = ()
@@ -146,7 +150,7 @@ class Recording:
         schemas = [records.Schema(data=data, encoding="protobuf", id=1, name="s1")]
         channels = [records.Channel(1, "/s1", "protobuf", {}, 1)]
         head = MAGIC + encoded(records.Header("", "x"), *schemas, *channels)
-        self.file = LiveFile(self.stream, head, FileSummary(schemas, channels))
+        self.file = LiveFile(self.stream, head, FileSummary(schemas, channels), sync=self.sync)
         self.allowed = (0,)
 
     def look(self, content):

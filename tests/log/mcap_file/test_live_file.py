@@ -11,6 +11,7 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
+from cosim.log.mcap_file import live_file
 from tests.log.mcap_file.paged import Recording, count_rows
 
 
@@ -38,6 +39,24 @@ def test_readers_see_the_rows_before_or_after_the_flush_in_progress(seeds, sizes
             recording.close()
             assert recording.looks > 50
             assert final_counts(recording) == set(recording.allowed)
+
+
+def test_a_loss_of_power_leaves_what_was_flushed(monkeypatch):
+    """All that was written since the disk was waited for last may be lost then."""
+    on_disk = b""
+
+    def wait_for_disk(descriptor):
+        nonlocal on_disk
+        on_disk = bytes(recording.stream.content)
+
+    monkeypatch.setattr(live_file, "_fdatasync", wait_for_disk)
+    recording = Recording(random.Random(3), sync=True)
+    recording.replace_tail(1, 10)
+    for _ in range(8):
+        recording.call()
+        assert set(count_rows(on_disk)) == set(recording.allowed)
+    recording.close()
+    assert on_disk == recording.stream.content
 
 
 @pytest.mark.parametrize("flushes", [1, 2])
