@@ -12,8 +12,11 @@ import time
 from contextlib import suppress
 from itertools import product
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
 
+from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
 from cosim.log import McapRecorder, open_log
 from cosim.log.mcap_file import unfinished
@@ -346,6 +349,32 @@ def test_the_steps_of_a_log_that_is_written_are_those_when_it_was_opened(tmp_pat
         with pytest.raises(LogError, match="has changed since it was opened"):
             log.rows("plant")
         assert (log.steps, log.end_ns) == (10, 10 * STEP_NS)
+
+
+def test_the_last_step_of_a_log_that_is_written_is_that_of_its_last_row(tmp_path):
+    """Also where no component has a row at every step: of five rows every fifth step, step 20."""
+    path = tmp_path / "a.mcap"
+    lay = Layout((Channel("slow", Interface((), (Signal("y"),)), 0, 5),))
+    rows = np.arange(21.0)[:, np.newaxis]
+    with McapRecorder(path, flush=0.0) as recorder:
+        recorder.begin(plan(lay))
+        for number, (block, signals) in enumerate(blocks(rows, 5), start=1):
+            recorder.write(block, signals)
+            wait_for_rows(path, number + 1)
+            log = open_log(path)
+            assert (log.status, log.steps) == ("unfinished", 5 * number)
+            assert log.end_ns == 5 * number * STEP_NS
+
+
+def wait_for_rows(path, count):
+    """Wait until a log that is written has so many rows of its first component."""
+    deadline = time.monotonic() + 60.0
+    found = 0
+    while found < count:
+        assert time.monotonic() < deadline
+        with path.open("rb") as stream:
+            statistics = make_reader(stream).get_summary().statistics
+        found = statistics.channel_message_counts.get(1, 0)
 
 
 def wait_for_step(path, step):
