@@ -17,7 +17,7 @@ from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, UsageError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document, find, shipped
-from cosim.scenario.document.edits import parse_value
+from cosim.scenario.document.edits import parse_value, plain
 from cosim.scenario.document.lines import key_lines
 from tests.scenario.refusals import check_refused
 
@@ -230,6 +230,26 @@ def test_a_value_from_the_shell_is_read_or_refused():
     """Deep lists and long numbers too."""
     texts = ["[" * 500 + "]" * 500, "9" * 5000, "[" * 100_000 + "]" * 100_000]
     check_refused([(text, r"levels deep|digits") for text in texts], parse_value)
+
+
+@pytest.mark.parametrize(
+    ("levels", "nest"),
+    [
+        (1, lambda value: [value]),
+        (1, lambda value: {"a": value}),
+        (2, lambda value: [{"a": value}]),
+    ],
+    ids=["lists", "tables", "lists of tables"],
+)
+def test_values_are_nested_at_most_50_levels_deep(levels, nest):
+    """A table is one level, as a list is."""
+    value = 1.5
+    for _ in range(50 // levels):
+        value = nest(value)
+    assert plain(value) == value
+    for deeper in ([value], {"a": value}):
+        with pytest.raises(UsageError, match="at most 50 levels deep"):
+            plain(deeper)
 
 
 def test_a_second_line_in_the_shell_is_part_of_a_text():
