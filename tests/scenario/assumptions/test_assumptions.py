@@ -206,6 +206,21 @@ def test_a_sine_aliases_where_its_delays_are_too_far_apart():
     assert delays.cure == "choose two delays less than 0.982 s apart"
 
 
+def test_a_step_is_judged_by_the_alphas_that_are_known_before_the_run():
+    """Where all are signals that only the run computes, nothing is said of 1 %."""
+    for alphas, evidence in (
+        (BOTH, "over a step of 0.01 s linear interpolation of every alpha is within 1 %"),
+        ([{"from": "plant.x_a[0]"}, {"from": "plant.x_a[1]"}], "the alphas are signals of the run"),
+        ([{"from": "plant.x_a[0]"}, BOTH[1]], "within 1 %"),
+    ):
+        terms = [{"family": "exponential", "alpha": alpha} for alpha in alphas]
+        report = check_assumptions("academic", set={**COARSE, "regressor.terms": terms})
+        step = report.of("identifier")[STEP]
+        assert step.fulfilled
+        assert evidence in step.evidence
+        assert step.values == {"step": 0.01}
+
+
 @pytest.mark.parametrize("rate", [3.2, 6.1])
 def test_delays_that_are_not_equally_spaced_distinguish_faster_sines(rate):
     """With (0, 1, 2.5) s only a rate above pi / 0.5 s has a slower one with the same chi."""
