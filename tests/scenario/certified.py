@@ -111,15 +111,19 @@ class Echo:
 
     interface = Interface((Signal("u"),), (Signal("y"),), delayed=("u",))
 
+    def __init__(self, gain: float = -1.02, initial: float = 1e-3):
+        self.gain = gain
+        self.initial = initial
+
     def initialize(self, t, u):
-        self.y = 1e-3
+        self.y = self.initial
         return self.outputs(t, u)
 
     def outputs(self, t, u):
         return np.array([self.y])
 
     def advance(self, t, h, u):
-        rows = -1.02 * u[:-1]
+        rows = self.gain * u[:-1]
         self.y = float(rows[-1, 0])
         return rows
 '''

@@ -515,6 +515,35 @@ def test_jumps_by_actions_at_their_instants_are_none_between_points():
     assert found["lag.y"].order == pytest.approx(2.0, abs=0.05)
 
 
+ECHO = """
+    [components]
+    zero = { kind = "constant", value = 0.0 }
+    echo = { kind = "python", class = "parts:Echo", gain = 1.0, initial = 0.0 }
+    lag = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+
+    [connections]
+    "echo.u" = "zero.y"
+    "lag.u" = "echo.y"
+
+    [[actions]]
+    at = 1.0
+    signal = "echo.u"
+    override = 1.0
+    """
+
+
+def test_a_jump_within_the_first_step_behind_an_action_is_expected(tmp_path):
+    """What follows an input a step late rises from 0 to 1 over that step: half of it late, order 1.
+
+    The lag is at 1 - (T/h)(1 - exp(-h/T)) behind it, the exact one at 1 - exp(-h/T).
+    """
+    found = cosim.certificate(cosim.run(write(tmp_path, ECHO), certify=True))
+    rest = np.exp(-0.01 / 0.5)
+    assert found["lag.y"].time == 1.01
+    assert found["lag.y"].order == pytest.approx(1.0, abs=0.02)
+    assert found["lag.y"].largest == pytest.approx((1.0 - rest) * 51.0 - 1.0, rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("effect", "changed"),
     [
