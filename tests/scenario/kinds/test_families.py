@@ -1,6 +1,7 @@
 """The table of terms: every family as a source and in a regressor, and wrong numbers refused."""
 
 import math
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from cosim.errors import CosimError
 from cosim.scenario.assumptions.regression import ALPHAS as OF_ALPHAS
 from cosim.scenario.assumptions.regression import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
-from cosim.scenario.building.build import parse
+from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.recorded_metadata import recorded_identification
 from tests.scenario.refusals import check_refused
@@ -271,6 +272,28 @@ def test_the_linear_route_is_refused_from_four_alphas_on(method, tmp_path):
         CosimError, match=r'l = 4 with different alphas makes 119 unknowns.*method = "output-error"'
     ):
         cosim.run(scenario)
+
+
+def test_what_least_squares_does_not_tell_apart_is_noted(tmp_path, subtests):
+    """Rates from pi over the spacing of the delays on, and which exponential is which; no more."""
+    sine = {"alpha": ALPHAS[0], "family": "sine", "theta": 2.0}
+    decays = [{"family": "exponential", "theta": theta} for theta in (-0.3, -0.8)]
+    of_sine = (
+        f"theta[0]: a rate above {math.pi / 0.4:.4g} rad/s is taken for a slower one "
+        "(delays 0.4 s apart)"
+    )
+    of_decays = "theta[0], theta[1]: two exponentials under one alpha come back the larger first"
+    for terms, notes in [
+        ([sine, decays[0]], [of_sine]),
+        (decays, [of_decays]),
+        (decays[:1], []),
+    ]:
+        with subtests.test(notes=notes), ExitStack() as resources:
+            count = 1 + len(terms) + (sine in terms)
+            delays = [round(0.4 * (j + 1), 1) for j in range(count)]
+            scenario = identified(tmp_path, terms, delays, 'method = "least-squares"')
+            metadata = Builder(scenario, resources).experiment().metadata
+            assert metadata["identifier"]["notes"] == notes
 
 
 @pytest.mark.slow

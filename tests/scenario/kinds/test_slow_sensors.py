@@ -255,6 +255,23 @@ def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     np.testing.assert_array_equal(later.fit.theta, offline)
 
 
+@pytest.mark.parametrize("bare", [0, 1])
+def test_an_output_without_a_sensor_counts_at_every_point(tmp_path, bare):
+    """Beside one that a sensor samples every 0.1 s, before it or behind it in y."""
+    sources = ["first.y", "first.y"]
+    sources[bare] = f"plant.y[{bare}]"
+    text = two_sensors(tmp_path, "").read_text(encoding="utf-8")
+    text = text.replace('["first.y", "second.y"]', str(sources).replace("'", '"'))
+    path = tmp_path / "one.toml"
+    path.write_text(text.replace("plant.y[0]", f"plant.y[{1 - bare}]", 1), encoding="utf-8")
+    log = cosim.run(path, set={"scenario.stop": 1.0}, out=tmp_path / "one.mcap")
+    record = identifier_record(log)
+    counts = [11, 11]
+    counts[bare] = 101
+    np.testing.assert_array_equal(record.data.measured.sum(axis=0), counts)
+    np.testing.assert_array_equal(record.data.y[:, bare], log["plant.y"][:, bare])
+
+
 @pytest.mark.fast("sensor0")
 @pytest.mark.parametrize("sensor", [{"dropout": 0.2}, {"period": 0.05}])
 def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(sensor, tmp_path):
