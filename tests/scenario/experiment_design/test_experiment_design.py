@@ -150,6 +150,24 @@ def test_theta_given_replaces_that_of_the_disturbance():
     assert trial.bound().residual < 1e-10
 
 
+def test_a_variant_may_be_set_by_another_table_than_what_a_user_sets():
+    """Of a filter that goes with other keys; the trial tells what the user would set."""
+    subject = subject_of(cosim.load("academic-noisy").set(TINY))
+    table = dict(subject.scenario.tree["components"]["observer"])
+    del table["filter_rate"]
+    window = {"filter": "savitzky-golay", "half_width": 0.5}
+    settings = {f"observer.{key}": value for key, value in window.items()}
+    replaced = trial_of(subject, settings, {"observer": {**table, **window}})
+    changed = trial_of(subject, settings)
+    assert replaced.settings == changed.settings == settings
+    np.testing.assert_array_equal(replaced.regression.delta, changed.regression.delta)
+    # two filters of a derivative, of which the first-order one lags by 0.1 s
+    before = trial_of(subject, {}).regression.delta
+    late = slice(-10, None)
+    assert np.isfinite(before[late]).all()
+    assert (np.abs(replaced.regression.delta - before)[late] > 1e-3).all()
+
+
 def test_missing_knowledge_is_refused_with_the_way_out(subtests):
     """One error, which says what is missing and how to give it."""
     for scenario, settings, arguments, words in [

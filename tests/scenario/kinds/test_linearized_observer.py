@@ -10,11 +10,14 @@ import pytest
 
 import cosim
 from cosim.errors import RunError, ScenarioError, UsageError
-from cosim.fmi.linearizing.linearize import linearize
+from cosim.fmi.linearizing.linearize import linearize, open_for_linearization
+from cosim.fmi.linearizing.moving import MovingLinearization
+from cosim.fmi.linearizing.request import LinearizationRequest
+from cosim.fmi.reading.model_description import read
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.linearizing import model_toml, split
-from tests.fmi.pendulum import jacobian, pendulum
+from cosim.scenario.kinds.linearizing import MovingModel, model_toml, split
+from tests.fmi.pendulum import FRICTION, G, jacobian, pendulum
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
@@ -359,6 +362,22 @@ def test_linearized_anew_the_estimates_converge_where_those_of_one_model_stay_wr
     # y'', at most 17.1 rad/s^2 here
     assert anew[1] < 5e-3 * 17.2
     assert fixed[1] > 10.0 * anew[1]
+
+
+def test_the_local_model_is_exact_at_its_point(folder):
+    """Where torque and wind act on the outputs at once: the pendulum's own equations say so."""
+    request = LinearizationRequest(outputs=["power", "push"])
+    with open_for_linearization(read(folder / "pendulum.fmu"), {}) as fmu:
+        model = MovingModel(MovingLinearization(fmu.instance, request), [0], [1])
+        theta, omega, torque, wind = 0.4, 0.7, 4.0, -1.5
+        x, u, delta = np.array([theta, omega]), np.array([torque, 1.0]), np.array([wind])
+        local = model.local(0.0, x, u[:1], delta)
+    push = -G * math.sin(theta) - FRICTION * omega + torque + wind
+    dx = local.A_a @ x + local.B_1a @ u + local.B_2a @ delta
+    y = local.C3 @ x + local.C4 @ u + local.C5 @ delta
+    # sums of a few terms, the largest 5.6
+    np.testing.assert_allclose(dx, [omega, push], atol=1e-14)
+    np.testing.assert_allclose(y, [torque * omega, push], atol=1e-14)
 
 
 @pytest.mark.slow
