@@ -11,6 +11,8 @@ import pytest
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.validation import ValidationVerdict, validate
+from cosim.theory.disturbances.families import Exponential, Sine
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (
@@ -82,6 +84,38 @@ def test_a_theta_that_has_changed_shows_in_the_residual():
     assert not found.consistency.passed
     assert found.own.fit.theta == pytest.approx(THETA, abs=5e-3)
     assert assessment.fit.theta == pytest.approx((-0.1, -0.4), abs=5e-3)
+
+
+def test_a_change_of_a_strong_term_shows_beside_a_weak_one():
+    """However much better its theta is known: of a sine, and of a ten millionth of it that decays.
+
+    The statistic is the square of the change over the variances of both estimates.
+    """
+    t = 0.02 * np.arange(401)
+    static = DisturbedPlant(
+        A=np.zeros((0, 0)),
+        B=np.zeros((0, 0)),
+        Bd=np.zeros((0, 2)),
+        C=np.zeros((1, 0)),
+        D=np.zeros((1, 0)),
+        Dd=np.ones((1, 2)),
+    )
+
+    def data(rate, seed):
+        noise = 1e-6 * np.random.default_rng(seed).standard_normal(len(t))
+        y = 1e3 * np.sin(rate * t) + 1e-4 * np.exp(-0.3 * t) + noise
+        return DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), np.ones((len(t), 2)))
+
+    problem = OutputErrorProblem([data(2.0, 1)], static, (Sine(), Exponential()))
+    assessment = assess_near(problem, np.array([2.0, -0.2]))
+    strong, weak = assessment.fit.standard_error
+    assert strong < 1e-7 * weak
+    assert validate(assessment, data(2.0, 2)).verdict is ValidationVerdict.HOLDS
+    change = 1e-8
+    found = validate(assessment, data(2.0 + change, 2))
+    assert found.verdict is ValidationVerdict.FAILS
+    variance = strong**2 + found.own.fit.standard_error[0] ** 2
+    assert found.difference.statistic == pytest.approx(change**2 / variance, rel=0.1)
 
 
 def test_a_fixed_theta_is_held_against_other_data():
