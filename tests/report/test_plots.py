@@ -46,13 +46,21 @@ def texts(path):
     return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text(encoding="utf-8"))
 
 
+def size_of(path):
+    """Return width and height of an SVG [cm]."""
+    content = path.read_text(encoding="utf-8")
+    points = re.search(r'width="([\d.]+)pt" height="([\d.]+)pt"', content).groups()
+    return tuple(float(length) / 72.0 * 2.54 for length in points)
+
+
 def test_every_curve_has_its_name_and_unit(runs, tmp_path):
-    """One curve on the axis, several in a legend and their unit on the axis."""
+    """One curve on the axis, several in a legend and their unit on the axis; 5 cm a panel."""
     plot_signals(runs[0], ["a.y", "c.y", "a.y, b.y"], tmp_path / "a.svg")
     shown = texts(tmp_path / "a.svg")
     assert shown.count("a.y [m]") == 1
     assert {"c.y[0]", "c.y[1]", "[V]", "a.y", "b.y", "[m]", "t [s]"} <= set(shown)
     assert "[mm]" not in shown
+    assert size_of(tmp_path / "a.svg") == pytest.approx((22.0, 3.0 + 3 * 5.0), abs=1e-4)
 
 
 def test_units_of_one_kind_share_an_axis_and_others_do_not(runs, tmp_path):
@@ -94,9 +102,7 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):
     """The curve is cut one row outside the window; sizes are in cm."""
     options = PictureOptions(size=(12.7, 7.62), start=0.25, stop=0.5, title="A & B")
     plot_signals(runs[0], ["a.y"], tmp_path / "a.svg", options)
-    content = (tmp_path / "a.svg").read_text()
-    width, height = re.search(r'width="([\d.]+)pt" height="([\d.]+)pt"', content).groups()
-    assert (float(width), float(height)) == (5.0 * 72, 3.0 * 72)
+    assert size_of(tmp_path / "a.svg") == pytest.approx((12.7, 7.62), abs=1e-9)
     assert "A &amp; B" in texts(tmp_path / "a.svg")
     from cosim.report.plots.curves import curves_of
 
@@ -136,6 +142,8 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(academic, tmp_pat
     plot_run(academic, tmp_path / "a.svg")
     shown = texts(tmp_path / "a.svg")
     assert {"academic", "errors", "error of observer.delta", "identifier.theta[1]"} <= set(shown)
+    # wider for its two columns, a row each for x, delta and theta
+    assert size_of(tmp_path / "a.svg") == pytest.approx((32.0, 3.0 + 3 * 6.0), abs=1e-4)
     (error,) = error_curves(academic, "observer.delta", "delta.y", PictureOptions())
     assert np.array_equal(error.values, academic["observer.delta"] - academic["delta.y"])
     first, second = error_curves(academic, "identifier.theta", [-0.1, -0.3], PictureOptions())

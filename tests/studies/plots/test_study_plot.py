@@ -1,6 +1,7 @@
 """Pictures of studies: what they show, read back from the SVG, whose text is text."""
 
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -303,6 +304,18 @@ def test_a_picture_that_cannot_be_drawn_says_why(options, message, tmp_path):
     with pytest.raises(UsageError, match=message):
         plot_study(tolerances()[1], tmp_path / "a.svg", **options)
     assert not (tmp_path / "a.svg").exists()
+
+
+def test_without_matplotlib_every_picture_names_the_way_out(monkeypatch, tmp_path):
+    """Whatever part of it would draw the picture, and before the study is looked at."""
+    results = grid_study(plants=["plain", "fmu"])
+    for name in list(sys.modules):
+        if name.startswith("matplotlib."):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for kind in (*KINDS, "no kind"):
+        with pytest.raises(UsageError, match=r"matplotlib, .*not installed: pip install matplo"):
+            plot_study(results, tmp_path / "a.svg", kind=kind)
 
 
 def tuning(maximize=False):

@@ -246,6 +246,23 @@ def test_sobol_indices_are_printed(capsys):
         print_sobol(tolerances()[1])
 
 
+@pytest.mark.parametrize(("points", "has_intervals"), [(256, True), (32, False)])
+def test_one_parameter_alone_explains_all_of_a_metric(points, has_intervals, capsys):
+    """Both of its indices are 1, whatever the function; few base points have no intervals."""
+    p = stats.qmc.Sobol(2, rng=np.random.default_rng(0)).random(points)
+    values = np.concatenate([p[:, 0], p[:, 1], p[:, 1]])  # A, B, and A with the parameter of B
+    study = MadeStudy({"p": values, "y": np.exp(values)}, ("p",), ("y",))
+    layout = StudyLayout("saltelli", samples=3 * points, parameters=("p",))
+    print_sobol(results_of_study(study, layout))
+    lines = printed(capsys)
+    (row,) = [line for line in lines if line[0] == "p"]
+    # means over Sobol points are those of the integrals, but for some 1 / points
+    assert [float(row[1]), float(row[3])] == pytest.approx([1.0, 1.0], abs=2.0 / points)
+    assert sum(" to " in cell for cell in row) == (2 if has_intervals else 0)
+    basis = "rough (bootstrap)" if has_intervals else "none (too few)"
+    assert [f"of {points} base points; 95 % intervals: {basis}"] in lines
+
+
 @pytest.mark.parametrize(
     ("value", "half_width", "text"),
     [
