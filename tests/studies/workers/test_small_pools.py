@@ -8,6 +8,7 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.studies.contracts import COMPLETE, MemberOutcome
+from cosim.studies.workers import member_times
 from tests.studies.workers.pools import doing, open_pool, outcomes_of
 
 pytestmark = pytest.mark.usefixtures("worker_processes")
@@ -49,6 +50,32 @@ def test_windows_is_refused(monkeypatch):
     monkeypatch.setattr("sys.platform", "win32")
     with pytest.raises(UsageError, match="got Windows"):
         open_pool()
+
+
+def test_short_members_wait_in_the_pipe_of_a_worker_up_to_a_number(tmp_path, monkeypatch):
+    """Here eight with the one that it runs: as often as four are left, four are given to it.
+
+    The last 30 of 60 wait until the outcome before theirs was handed on, so that the worker has all
+    that were taken and are not done.
+    """
+    monkeypatch.setattr(member_times, "MOST_AHEAD", 8)
+    taken = 0
+
+    def members():
+        nonlocal taken
+        for number in range(60):
+            taken += 1
+            does = "nothing" if number < 30 else "wait"
+            yield doing(number, does, until=str(tmp_path / str(number)))
+
+    had = []
+    with open_pool(1) as workers:
+        for done, _ in enumerate(workers.run(members()), start=1):
+            if done >= 30:
+                had.append(taken - done)
+                (tmp_path / str(done)).touch()
+    assert taken == 60
+    assert max(had) == 8
 
 
 def test_the_worker_of_a_failure_is_named():
