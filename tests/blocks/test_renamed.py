@@ -29,6 +29,19 @@ def test_a_renamed_component_keeps_the_contract(case):
     check_rollback(lambda: renamed(INTERFACE_WITHOUT_UNITS))
 
 
+@pytest.mark.parametrize("case", CASES)
+def test_a_component_without_a_compiled_step_has_none_under_other_names(case):
+    """It may have one, as an FMU may, and has not: its methods take every step."""
+
+    def shown():
+        component = linear()
+        component.native = lambda: None
+        return renamed(CASES[case], component)
+
+    assert shown().native() is None
+    check_component(shown)
+
+
 def test_shown_ports_have_the_bits_of_what_they_stand_for():
     """Inputs in their places, outputs put together and taken apart."""
     component = linear()
