@@ -491,6 +491,47 @@ def test_a_loop_far_from_what_can_be_proven_is_refused():
     assert not certify(loop).proven
 
 
+def test_an_instability_between_the_points_of_the_grid_is_found():
+    """A loop of one state, w, that e = -9 w drives: Phi = c - K_w + exp(theta) - 9 phi(theta).
+
+    K_w and c are such that its largest value is 1.001, at theta = 0.05. Its second derivative is
+    about 1 - 9/3 = -2, so that 0.05 beside it, at the next points of the grid, it is below 0.999.
+    """
+    peak, largest = 0.05, 1.001
+
+    def own(theta):
+        phi = np.expm1(theta) / theta if theta else 1.0
+        return np.exp(theta) - 9.0 * phi
+
+    slope = (own(peak + 1e-4) - own(peak - 1e-4)) / 2e-4
+    c = largest - own(peak) + slope * peak
+    ends = np.array([-0.4, 0.4])
+    nodes = {"K_w": slope * ends, "X": np.zeros(2), "B_w": np.zeros(2)}
+    loop = SampledLoop(
+        fixed=np.array([[c]]),
+        of_u=np.eye(1),
+        deviation=np.zeros((1, 1)),
+        w=np.eye(1),
+        error=np.array([[-9.0]]),
+        model=internal_model([Exponential()], 1),
+        schedule=Schedule(
+            box=ParameterBox(ends[:1], ends[1:]),
+            counts=(1,),
+            **{name: values.reshape(2, 1, 1) for name, values in nodes.items()},
+        ),
+        h=1.0,
+        at_limit=False,
+    )
+    for theta in np.linspace(-0.4, 0.4, 9):
+        Phi = c - slope * theta + own(theta)
+        assert loop.radius(np.array([theta])) == pytest.approx(Phi, abs=1e-12)
+        assert Phi < 0.999
+    found = certify(loop)
+    assert not found.proven
+    assert found.theta == pytest.approx([peak], abs=0.03)  # beyond, Phi is below 1
+    assert found.rate == pytest.approx(-np.log(largest), rel=1e-2)
+
+
 def test_the_internal_model_decays_alike_in_the_whole_interval():
     """At 0.3 rad/s as at 3: the gains follow theta. One gain for all would not be stable."""
     reduced = drive()
