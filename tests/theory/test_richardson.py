@@ -64,6 +64,19 @@ def test_rounding_is_no_error():
     assert "at the level of rounding" in found.reason
 
 
+def test_rounding_that_grows_is_told_from_an_error_in_any_unit(subtests):
+    """Differences that grow as 1/h: 1e-9 of the signal is rounding, 1e-3 of it is not."""
+    for unit in [1e-6, 1.0, 1e6]:
+        for relative, is_rounding in [(1e-9, True), (1e-3, False)]:
+            with subtests.test(unit=unit, relative=relative):
+                values = runs(lambda h, size=relative: size / h * np.sign(np.cos(T)))
+                found = step_error(T, *(unit * run for run in values))
+                assert (found.is_rounding, found.grows) == (is_rounding, not is_rounding)
+                # the largest difference is that of the last two runs, (4 - 2) times the size
+                bound = pytest.approx(4.0 * relative * unit, rel=1e-6)
+                assert found.bound == (bound if is_rounding else None)
+
+
 def test_differences_of_no_order_are_no_error():
     """As of a chaotic signal: each run has a course of its own."""
     rng = np.random.default_rng(1)
