@@ -71,6 +71,19 @@ def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
     assert ["correlations not significant at the 5 % level are omitted"] in lines
 
 
+@pytest.mark.parametrize(("kinds", "more"), [(5, None), (6, 1), (8, 3)])
+def test_texts_beyond_the_five_most_frequent_are_counted(kinds, more, capsys):
+    """Text k is that of k + 1 members; every other one is in the count behind."""
+    texts = [f"v{k}" for k in range(kinds) for _ in range(k + 1)]
+    study = MadeStudy({"verdict": texts}, (), ("verdict",))
+    results = results_of_study(study, StudyLayout("random", samples=len(texts)))
+    print_study(results, command_of)
+    (line,) = [line for (line, *_) in printed(capsys) if line.startswith("verdict: ")]
+    shown, _, rest = line.removeprefix("verdict: ").partition("; and ")
+    assert shown.split("; ") == [f"{k + 1} v{k}" for k in reversed(range(kinds - 5, kinds))]
+    assert rest.partition(" ")[0] == ("" if more is None else str(more))
+
+
 def test_json_has_all_of_it(capsys):
     """With every interval, as strict JSON."""
     _, results = tolerances()

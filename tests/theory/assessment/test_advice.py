@@ -107,6 +107,26 @@ def test_less_noise_as_it_is_said_is_enough(case):
     assert quiet.standard_error == pytest.approx(expected, rel=0.3)
 
 
+def test_what_helps_is_said_where_longer_data_leave_all_numbers():
+    """Of e^(8 t): after 25 s it is e^200, and squares of what it is after 50 s are no numbers."""
+
+    def growing(size):
+        def disturbance(t):
+            return size * np.exp(8.0 * (t - 25.0))[:, np.newaxis].sum(axis=1)
+
+        (parameter,) = experiment(
+            [Exponential()], [8.0], disturbance, length=25.0, sigma=0.8, seed=1
+        )
+        return parameter
+
+    helps, fails, _ = said(growing(40.0))
+    assert fails == {"data of any length": np.inf}
+    factor, expected = factor_of(helps)
+    larger = growing(40.0 * factor)
+    assert larger.verdict is Verdict.IDENTIFIABLE
+    assert larger.standard_error == pytest.approx(expected, rel=0.3)
+
+
 def test_an_offset_that_is_not_there_need_not_be_estimated():
     """Where that is said to help by chance, the same data without one are enough here."""
     (weak,) = with_offset()
