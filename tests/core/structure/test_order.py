@@ -27,7 +27,7 @@ from cosim.core.structure import order as order_module
 from cosim.core.structure.cycles import groups_in_order
 from cosim.core.structure.order import order_loop
 from cosim.testing import check_component
-from tests.core.parts import half_through, integrator, times
+from tests.core.parts import InPython, half_through, integrator, times
 
 
 def permuted(mapping, order):
@@ -100,6 +100,25 @@ def test_the_schedule_names_the_order_of_a_loop(first, coupling, is_second):
     (stage,) = graph.stages
     assert stage.is_first_order == (not is_second)
     assert stage.description.endswith(" (second order)") == is_second
+
+
+class Lagging(InPython):
+    """A plant whose y, which feeds through, belongs to the input inside a step."""
+
+    def __init__(self):
+        super().__init__(half_through())
+        self.interface = replace(self.interface, lagging=("y",))
+
+
+@pytest.mark.parametrize(("output", "is_second"), [("y", False), ("v", True)])
+def test_a_loop_through_an_output_that_lags_is_first_order(output, is_second):
+    """It is wrong by its slope over a part of a step; where another closes the loop, it is not."""
+    components = {"plant": Lagging(), "b": integrator(), "sink": integrator()}
+    connections = {"plant.u": "b.y", "b.u": f"plant.{output}", "sink.u": "plant.y"}
+    graph = Graph(components, connections, coupling="newton")
+    (loop,) = [stage for stage in graph.stages if len(stage.members) > 1]
+    assert loop.is_first_order == (not is_second)
+    assert loop.description.endswith(" (second order)") == is_second
 
 
 def order_of(components, connections, **options):
