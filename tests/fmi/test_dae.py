@@ -270,7 +270,7 @@ def with_manifest(path, content):
     return path
 
 
-@pytest.mark.fast("version", "well-formed", "root")
+@pytest.mark.fast("version", "well-formed", "root", "discrete")
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_broken_manifest_is_reported_and_no_obstacle(what, tmp_path):
     """The residual form is refused; the ordinary one runs."""

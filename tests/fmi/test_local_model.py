@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import linearized, prepare
+from cosim.core.linear import LinearModel
+from cosim.core.signals import Interface, Signal
 from cosim.fmi.component import load
 from cosim.fmi.driving.model_exchange import ModelExchange
+from cosim.fmi.exporting.export import export
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from tests.fmi import plant
@@ -23,6 +26,14 @@ def begun(component, u):
     component.initialize(0.0, u)
     component.outputs(0.0, u)
     return linearized(component, 0.0, u)
+
+
+def static(D):
+    """Return y = D u."""
+    interface = Interface((Signal("u", 2),), (Signal("y", 2),), {"y": ("u",)})
+    none = np.zeros((0, 0))
+    nothing = np.zeros((0, 2))
+    return LinearModel(interface, (), none, nothing, nothing.T, D, np.zeros(0), nothing)
 
 
 def check_matrices(found, rtol):
@@ -72,6 +83,23 @@ def test_a_nonlinear_fmu_is_linearized_where_it_begins(tmp_path):
     rows = [outputs.index(name) for name in ("y", "reach", "power", "angle", "push")]
     np.testing.assert_allclose(found.C[rows], C, rtol=0, atol=1e-8)
     np.testing.assert_allclose(found.D[rows][:, : D.shape[1]], D, rtol=0, atol=1e-8)
+
+
+def test_a_model_without_states_has_none_behind_its_steps_either(tmp_path):
+    """There its matrices are those from before: D alone."""
+    D = np.array([[1.0, 2.0], [0.0, -1.0]])
+    path = export(static(D), tmp_path / "static.fmu", name="static").path
+    t = H * np.arange(3)
+    u = np.column_stack([1.0 + t, np.cos(t)])
+    with load(path, FmuOptions(interface_type="me", solver="RK45")) as fmu:
+        component = fmu.component
+        begun(component, u[0])
+        y = component.advance(t, H, u)
+        found = linearized(component, t[-1], u[-1])
+    np.testing.assert_allclose(y, u[1:] @ D.T, rtol=1e-15)
+    assert found.A.shape == (0, 0)
+    assert (found.B.shape, found.C.shape) == ((0, 2), (2, 0))
+    np.testing.assert_allclose(found.D, D, rtol=0, atol=1e-9)  # differences of a linear model
 
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])

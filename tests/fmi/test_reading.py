@@ -200,6 +200,19 @@ def test_the_interface_of_fmi_3(described):
     assert interface.initial == {"y": ()}
 
 
+def test_no_integer_is_long(described):
+    """What it takes to read one grows with the square of its digits; FMI's have at most 20."""
+
+    def renumbered(digits):
+        number = "8".zfill(digits)
+        old = 'name="large" valueReference="8"'
+        return described(FMI3.replace(old, old.replace("8", number)))
+
+    assert renumbered(100)["large"].reference == 8
+    with pytest.raises(FmuError, match="'large': valueReference: expected an integer, got '00"):
+        renumbered(101)
+
+
 def test_other_sizes(described):
     """A structural parameter changes arrays, states and event indicators.
 
