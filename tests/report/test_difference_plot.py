@@ -31,18 +31,25 @@ def texts(path):
     return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text(encoding="utf-8"))
 
 
-def test_both_curves_and_their_difference_are_drawn(tmp_path, rows, monkeypatch):
-    """Of the element that is farthest apart, by the names of the runs, with the tolerance."""
-    drawn = {}
-
-    def keep(panel, curves, *, styles):
-        drawn.setdefault("curves", []).append(curves)
-        return original(panel, curves, styles=styles)
-
+@pytest.fixture
+def drawn(monkeypatch):
+    """Return what will be drawn: the curves of each panel, and their lines."""
     from cosim.report.plots import difference as module
 
     original = module.draw_curves
+    drawn = {"curves": [], "lines": []}
+
+    def keep(panel, curves, *, styles):
+        original(panel, curves, styles=styles)
+        drawn["curves"].append(curves)
+        drawn["lines"].append(list(panel.lines))
+
     monkeypatch.setattr(module, "draw_curves", keep)
+    return drawn
+
+
+def test_both_curves_and_their_difference_are_drawn(tmp_path, rows, drawn):
+    """Of the element that is farthest apart, by the names of the runs, with the tolerance."""
     changed = rows.copy()
     changed[40:, 2] += 0.5
     difference, logs = compared(tmp_path, rows, changed, tol={"plant.*": 0.1})
@@ -52,10 +59,22 @@ def test_both_curves_and_their_difference_are_drawn(tmp_path, rows, monkeypatch)
     assert np.array_equal(second.values, changed[:, 2])
     assert np.array_equal(apart.values, changed[:, 2] - rows[:, 2])
     assert np.array_equal(apart.times, np.arange(101) * STEP_NS / 1e9)
+    assert {line.get_drawstyle() for lines in drawn["lines"] for line in lines} == {"default"}
     shown = texts(tmp_path / "a.svg")
     for text in ("plant.x_a[1] (first)", "plant.x_a[1] (second)", "tolerance", "first outside"):
         assert text in shown
     assert "plant.x_a[1]: largest |a - b| = 0.5" in shown
+
+
+def test_a_discrete_signal_and_its_difference_hold_between_rows(tmp_path, rows, drawn):
+    """They are drawn as steps, such as n of the plant."""
+    changed = rows.copy()
+    changed[40:60, 4] += 2.0
+    difference, logs = compared(tmp_path, rows, changed)
+    plot_difference(difference, logs, tmp_path / "a.svg")
+    (first, second), (apart,) = drawn["lines"]
+    assert [line.get_drawstyle() for line in (first, second, apart)] == 3 * ["steps-post"]
+    assert np.array_equal(apart.get_ydata(), changed[:, 4] - rows[:, 4])
 
 
 def test_a_number_beside_none_is_drawn_where_it_is(tmp_path, rows):
