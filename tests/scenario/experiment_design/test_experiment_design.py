@@ -231,6 +231,9 @@ def test_the_command_prints_a_table_or_json(call):
     assert content["noise"] == "sensor.noise"
     assert len(content["bound"]) == 2
     assert {one["choice"] for one in content["designs"]} >= {"scenario", "delays", "step"}
+    for one in content["designs"]:  # of the parameter that is farthest from its bound
+        of_bound = np.array(one["error"], float) / content["bound"]
+        assert float(one["ratio"]) == pytest.approx(of_bound.max(), rel=1e-15)
     assert call("design", "academic", *short)[0] == 2
     assert "expected a number, or a list" in call("design", "academic", "--noise", "x", *short)[2]
 
