@@ -320,6 +320,7 @@ WRONG_OPTIONS = [
         {"connections.observer.y": {"from": "plant.y", "gain": [[1.0]]}},
         "y is interpolated between the samples of 'plant'",
     ),
+    ({"connections.observer.y": "plant.y[0]"}, "y is interpolated between the samples of 'plant'"),
     ({"plant.kind": "field"}, "unknown kind 'field'; did you mean 'field-data'?"),
 ]
 
