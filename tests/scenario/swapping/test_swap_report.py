@@ -129,6 +129,13 @@ def test_renamed_ports_are_proposed_and_never_applied(folder):
     assert not report(folder, "other.fmu", maps).problems
 
 
+@pytest.mark.usefixtures("with_other")
+def test_what_stops_the_run_is_an_error_of_its_ports(folder):
+    """Inputs that are driven and an output that drives; not x_a, which only the report needs."""
+    found = verdicts(report(folder, "other.fmu"), "error")
+    assert set(found) == {("u", "causality"), ("delta", "causality"), ("y", "causality")}
+
+
 @pytest.mark.usefixtures("with_packed")
 def test_an_element_of_a_vector_is_proposed(folder):
     """Of out = (x_b, x_b, y) only the last begins at 1 and has the static gains of y."""
