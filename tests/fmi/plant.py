@@ -1,4 +1,4 @@
-"""The paper's reduced plant (28), and its solution in closed form for inputs linear in time."""
+"""The paper's reduced plant (28), its solution for inputs linear in time, and static ones."""
 
 import numpy as np
 
@@ -15,6 +15,7 @@ INTERFACE = Interface(
     (Signal("y"), Signal("x_a", 2, role="state"), Signal("x_b")),
     {"y": ("u",), "x_a": (), "x_b": ("u",)},
 )
+STATIC = Interface((Signal("u", 2, role="input"),), (Signal("y", 2),), {"y": ("u",)})
 # u = U0 + SLOPE t
 U0 = np.array([0.5, -1.0])
 SLOPE = np.array([0.7, 1.5])
@@ -24,6 +25,15 @@ FREE = np.zeros(2, np.bool_)
 def model() -> LinearModel:
     states = ("x_a[0]", "x_a[1]")
     return LinearModel(INTERFACE, states, A, B, C, D, START, np.zeros((2, 2)))
+
+
+def static(interface: Interface, D) -> LinearModel:
+    """Return y = D u, without a state."""
+    n_y, n_u = D.shape
+    nothing = np.zeros((0, n_u))
+    return LinearModel(
+        interface, (), np.zeros((0, 0)), nothing, np.zeros((n_y, 0)), D, np.zeros(0), nothing
+    )
 
 
 def inputs(t, slope=SLOPE):

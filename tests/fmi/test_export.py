@@ -33,7 +33,20 @@ from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.linear import first_order_hold
 from tests.fmi.dae import descriptor
 from tests.fmi.identifiers import output_error
-from tests.fmi.plant import INTERFACE, A, B, C, D, grid, inputs, model, run, solution
+from tests.fmi.plant import (
+    INTERFACE,
+    STATIC,
+    A,
+    B,
+    C,
+    D,
+    grid,
+    inputs,
+    model,
+    run,
+    solution,
+    static,
+)
 
 NAMES = ("y", "x_a[0]", "x_a[1]", "x_b")
 
@@ -203,20 +216,6 @@ def test_without_a_compiler_the_sources_are_written(fmi, tmp_path, monkeypatch):
         load(result.path)
 
 
-def static(D):
-    interface = Interface((Signal("u", 2, role="input"),), (Signal("y", 2),), {"y": ("u",)})
-    return LinearModel(
-        interface,
-        (),
-        np.zeros((0, 0)),
-        np.zeros((0, 2)),
-        np.zeros((2, 0)),
-        D,
-        np.zeros(0),
-        np.zeros((0, 2)),
-    )
-
-
 def discrete(kernel, *, optional=False, size=1, step_ns=1_000_000):
     interface = Interface(
         (Signal("u", 1, role="input", optional=optional),),
@@ -267,7 +266,7 @@ def sampled():
 
 MODELS = {
     "plant": model,
-    "static": lambda: static(np.array([[1.0, 2.0], [0.0, -1.0]])),
+    "static": lambda: static(STATIC, np.array([[1.0, 2.0], [0.0, -1.0]])),
     "regressor": regressor,
     "regressor-with-signal": regressor_with_signal,
     "identifier": identifier,
@@ -426,16 +425,7 @@ def test_arrays_of_fmi_3_are_the_scalars_of_fmi_2(tmp_path):
 def test_a_variable_called_time_is_refused_in_fmi_3(tmp_path):
     """FMI 3 has a variable of that name already."""
     interface = Interface((Signal("u", role="input"),), (Signal("time"),), {"time": ("u",)})
-    gain = LinearModel(
-        interface,
-        (),
-        np.zeros((0, 0)),
-        np.zeros((0, 1)),
-        np.zeros((1, 0)),
-        np.ones((1, 1)),
-        np.zeros(0),
-        np.zeros((0, 1)),
-    )
+    gain = static(interface, np.ones((1, 1)))
     with pytest.raises(
         FmuError,
         match="a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name",
@@ -447,16 +437,7 @@ def test_an_instance_that_is_too_large_is_refused(tmp_path):
     """Steps need four matrices of states and inputs."""
     many = 4000
     interface = Interface((Signal("u", many, role="input"),), (Signal("y"),), {})
-    wide = LinearModel(
-        interface,
-        (),
-        np.zeros((0, 0)),
-        np.zeros((0, many)),
-        np.zeros((1, 0)),
-        np.zeros((1, many)),
-        np.zeros(0),
-        np.zeros((0, many)),
-    )
+    wide = static(interface, np.zeros((1, many)))
     with pytest.raises(
         FmuError, match=r"x: an instance needs 256000001 numbers; the limit is 134217728"
     ):

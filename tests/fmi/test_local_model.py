@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import linearized, prepare
-from cosim.core.linear import LinearModel
-from cosim.core.signals import Interface, Signal
 from cosim.fmi.component import load
 from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.exporting.export import export
@@ -26,14 +24,6 @@ def begun(component, u):
     component.initialize(0.0, u)
     component.outputs(0.0, u)
     return linearized(component, 0.0, u)
-
-
-def static(D):
-    """Return y = D u."""
-    interface = Interface((Signal("u", 2),), (Signal("y", 2),), {"y": ("u",)})
-    none = np.zeros((0, 0))
-    nothing = np.zeros((0, 2))
-    return LinearModel(interface, (), none, nothing, nothing.T, D, np.zeros(0), nothing)
 
 
 def check_matrices(found, rtol):
@@ -88,7 +78,7 @@ def test_a_nonlinear_fmu_is_linearized_where_it_begins(tmp_path):
 def test_a_model_without_states_has_none_behind_its_steps_either(tmp_path):
     """There its matrices are those from before: D alone."""
     D = np.array([[1.0, 2.0], [0.0, -1.0]])
-    path = export(static(D), tmp_path / "static.fmu", name="static").path
+    path = export(plant.static(plant.STATIC, D), tmp_path / "static.fmu", name="static").path
     t = H * np.arange(3)
     u = np.column_stack([1.0 + t, np.cos(t)])
     with load(path, FmuOptions(interface_type="me", solver="RK45")) as fmu:

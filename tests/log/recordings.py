@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from time import monotonic
 
 import numpy as np
+from mcap.reader import make_reader
 
 from cosim.core.contracts import Block
 from cosim.core.recording import Plan
@@ -141,3 +143,14 @@ def parts_of(path):
     """Return the files of a log."""
     further = [other for other in path.parent.glob(f"{path.stem}.part*.mcap")]
     return part_paths(max([path, *further], key=lambda other: len(part_paths(other))))
+
+
+def wait_for_rows(path, count):
+    """Wait until a reader finds so many rows of the first component in a file being written."""
+    deadline = monotonic() + 60.0
+    found = 0
+    while found != count:
+        assert monotonic() < deadline, f"no {count} rows"
+        with path.open("rb") as stream:
+            statistics = make_reader(stream).get_summary().statistics
+        found = statistics.channel_message_counts.get(1, 0)

@@ -19,6 +19,7 @@ from cosim.theory.disturbances.families import (
     TExponential,
 )
 from cosim.theory.disturbances.linear_family import LinearFamily
+from cosim.theory.disturbed_plant import DisturbedPlant
 
 T = np.arange(1001) * 0.02
 # of the terms of a mixture
@@ -111,3 +112,15 @@ FORMS = {
     "t-exponential": _of(TExponential(), EXPONENTS),
     "linear": _of(OSCILLATOR, st.floats(0.5, 9.0), st.floats(-0.3, 1.0)),
 }
+
+
+def static_plant(components, outputs=1):
+    """Return a plant without states: its outputs are the sum of all components."""
+    return DisturbedPlant(
+        A=np.zeros((0, 0)),
+        B=np.zeros((0, 0)),
+        Bd=np.zeros((0, components)),
+        C=np.zeros((outputs, 0)),
+        D=np.zeros((outputs, 0)),
+        Dd=np.ones((outputs, components)),
+    )

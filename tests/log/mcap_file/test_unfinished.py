@@ -14,7 +14,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
@@ -23,7 +22,16 @@ from cosim.log.mcap_file import unfinished
 from cosim.log.reading import container
 from cosim.log.writing import writer
 from tests.log.disks import FullDisk
-from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
+from tests.log.recordings import (
+    STEP_NS,
+    blocks,
+    layout,
+    plan,
+    record,
+    same_bits,
+    table,
+    wait_for_rows,
+)
 
 
 @pytest.fixture(params=[False, True], ids=["new", "force"])
@@ -364,17 +372,6 @@ def test_the_last_step_of_a_log_that_is_written_is_that_of_its_last_row(tmp_path
             log = open_log(path)
             assert (log.status, log.steps) == ("unfinished", 5 * number)
             assert log.end_ns == 5 * number * STEP_NS
-
-
-def wait_for_rows(path, count):
-    """Wait until a log that is written has so many rows of its first component."""
-    deadline = time.monotonic() + 60.0
-    found = 0
-    while found < count:
-        assert time.monotonic() < deadline
-        with path.open("rb") as stream:
-            statistics = make_reader(stream).get_summary().statistics
-        found = statistics.channel_message_counts.get(1, 0)
 
 
 def wait_for_step(path, step):

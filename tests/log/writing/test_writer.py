@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import time
 from collections import Counter
 from dataclasses import replace
 from itertools import product
@@ -31,6 +30,7 @@ from tests.log.recordings import (
     record,
     same_bits,
     table,
+    wait_for_rows,
 )
 
 
@@ -173,17 +173,6 @@ def test_rows_are_in_the_file_after_the_flush_interval(tmp_path):
     assert same_bits(open_log(path).rows("plant"), rows[:, :5])
     with path.open("rb") as stream:
         assert len(make_reader(stream).get_summary().chunk_indexes) == 1
-
-
-def wait_for_rows(path, count):
-    """Wait until a reader finds so many rows in a file that is written to."""
-    deadline = time.monotonic() + 60.0
-    while time.monotonic() < deadline:
-        with path.open("rb") as stream:
-            statistics = make_reader(stream).get_summary().statistics
-        if statistics.channel_message_counts[1] == count:
-            return
-    pytest.fail(f"no {count} rows")
 
 
 @pytest.mark.parametrize(

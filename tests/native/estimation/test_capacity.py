@@ -15,16 +15,11 @@ import numpy as np
 import pytest
 
 import cosim.native
-from cosim.blocks.estimator import Estimator
-from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
-from cosim.blocks.output_error_identifier import OutputErrorIdentifier
-from cosim.blocks.regressor import Regressor
 from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation import output_error
 from cosim.native.estimation.rayleigh import MOST_ROWS, MOST_TERMS
 from cosim.native.estimation.start_grid import MOST_STARTS, StartGridModel
-from cosim.native.numerics.expression import compile_expression
 from cosim.theory.disturbances.families import (
     Exponential,
     Sine,
@@ -39,12 +34,12 @@ from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.estimators.rayleigh import (
     noise_covariance,
     rayleigh,
-    rayleigh_box,
     rayleigh_constants,
 )
 from cosim.theory.estimators.start_grid import start_grid
+from tests.native.estimation.online import H, online
+from tests.theory.closed_forms import static_plant
 
-H = 0.01
 T = np.arange(1001) * H
 
 
@@ -107,18 +102,6 @@ class Constant:
         return np.zeros(0)
 
 
-def static_plant(components, outputs=1):
-    """Return a plant without states: its outputs are the sum of all components."""
-    return DisturbedPlant(
-        A=np.zeros((0, 0)),
-        B=np.zeros((0, 0)),
-        Bd=np.zeros((0, components)),
-        C=np.zeros((outputs, 0)),
-        D=np.zeros((outputs, 0)),
-        Dd=np.ones((outputs, components)),
-    )
-
-
 def lightly_damped(states, components, outputs=1):
     """Return oscillators beside each other, driven and seen together."""
     A = np.zeros((states, states))
@@ -133,39 +116,6 @@ def lightly_damped(states, components, outputs=1):
         D=np.zeros((outputs, 1)),
         Dd=np.zeros((outputs, components)),
     )
-
-
-def online(plant, modes=1):
-    """Return the identifier of two exponentials that act on a plant."""
-    families = [Exponential(), Exponential()]
-    alphas = ["1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)"]
-    groups = group_by_alpha(alphas, families)
-    terms = expand((1, 1))
-    delays = (0.1, 0.2, 0.3)
-    programs = [compile_expression(alpha) for alpha in alphas]
-    products = Regressor(terms, alphas=programs, steps=[10, 20, 30], delays=delays).constants
-    problem = IdentificationProblem(
-        plant=plant,
-        modes=-np.eye(modes),
-        row=np.ones(modes),
-        rayleigh=rayleigh_constants(families, groups, terms, delays, span=10.0),
-        products=products,
-        alphas=programs,
-        box=rayleigh_box(families, delays, span=10.0),
-    )
-    schedule = IdentificationSchedule(
-        period=100,
-        steps=1000,
-        average=5,
-        window=0,
-        forgetting=1.0,
-        start=0.5,
-        settled=0.0,
-        lag=0.0,
-    )
-    infinite = np.full(2, np.inf)
-    method = OutputErrorIdentifier(problem, schedule, offset=False, lower=-infinite, upper=infinite)
-    return Estimator(method)
 
 
 def test_the_limits_are_those_of_the_kernels():

@@ -12,9 +12,10 @@ from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.validation import ValidationVerdict, validate
 from cosim.theory.disturbances.families import Exponential, Sine
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, alpha
+from tests.theory.closed_forms import static_plant
 from tests.theory.experiments import (
     COARSE,
     FAMILIES,
@@ -92,14 +93,7 @@ def test_a_change_of_a_strong_term_shows_beside_a_weak_one():
     The statistic is the square of the change over the variances of both estimates.
     """
     t = 0.02 * np.arange(401)
-    static = DisturbedPlant(
-        A=np.zeros((0, 0)),
-        B=np.zeros((0, 0)),
-        Bd=np.zeros((0, 2)),
-        C=np.zeros((1, 0)),
-        D=np.zeros((1, 0)),
-        Dd=np.ones((1, 2)),
-    )
+    static = static_plant(2)
 
     def data(rate, seed):
         noise = 1e-6 * np.random.default_rng(seed).standard_normal(len(t))

@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 
 from cosim.theory.disturbances.families import Sine
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, white_noise
+from cosim.theory.disturbed_plant import DataSet, white_noise
 from cosim.theory.estimators.other_optima import starts_beside
+from tests.theory.closed_forms import static_plant
 
 T = 0.02 * np.arange(1001)
 ALPHA = np.stack([1.35 + 0.25 * np.sin(1.7 * T), 1.1 + 0.2 * np.cos(2.3 * T)], axis=1)
-STATIC = DisturbedPlant(
-    A=np.zeros((0, 0)),
-    B=np.zeros((0, 0)),
-    Bd=np.zeros((0, 2)),
-    C=np.zeros((1, 0)),
-    D=np.zeros((1, 0)),
-    Dd=np.ones((1, 2)),
-)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
@@ -29,7 +22,7 @@ def test_each_term_is_moved_beside_the_other_in_any_unit_of_the_disturbance(unit
     known = np.array([1.3, 6.0])
     bounds = {0: (0.2, 10.0), 1: (0.2, 10.0)}
     starts = starts_beside(
-        [data], STATIC, (Sine(), Sine()), known, noise=white_noise(1), bounds=bounds
+        [data], static_plant(2), (Sine(), Sine()), known, noise=white_noise(1), bounds=bounds
     )
     of_terms = starts[-4:]  # two of each term, behind those of a grid
     spacing = 9.8 / 32  # of 32 points along a rate

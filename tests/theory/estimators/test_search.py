@@ -15,27 +15,19 @@ from cosim.theory.disturbances.families import (
 )
 from cosim.theory.disturbed_plant import (
     DataSet,
-    DisturbedPlant,
     disturbed_plant,
     white_noise,
 )
 from cosim.theory.estimators.start_grid import axis_points
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
-from tests.theory.closed_forms import ALPHAS, T
+from tests.theory.closed_forms import ALPHAS, T, static_plant
 
 
 def problem(families, parts, alphas, *, sigma=1e-4, seed=1):
     """Return y = sum of alpha f and noise, of a plant without states."""
     terms = len(families)
-    plant = DisturbedPlant(
-        A=np.zeros((0, 0)),
-        B=np.zeros((0, 0)),
-        Bd=np.zeros((0, terms)),
-        C=np.zeros((1, 0)),
-        D=np.zeros((1, 0)),
-        Dd=np.ones((1, terms)),
-    )
+    plant = static_plant(terms)
     alpha = np.array(alphas).T
     y = np.sum(alpha * np.array(parts).T, axis=1)
     y = y + sigma * np.random.default_rng(seed).standard_normal(len(T))
