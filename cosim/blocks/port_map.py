@@ -178,25 +178,20 @@ class PortMap:
         outward = _conversions(self.inputs, outward=True)
         return _convert(picked, outward)
 
-    def shown_gain(self, gain: Matrix) -> Matrix:
-        """Return the gain from shown inputs to shown outputs for the component's."""
-        picked = gain[np.ix_(self._output_columns, self._input_columns)]
-        outward = _factors(self._outward)
-        inward = _factors(self._inward)
-        shown: Matrix = outward[:, np.newaxis] * picked * inward
-        return shown
-
     def shown_linearized(self, own: Linearized) -> Linearized:
         """Return a linearization between shown ports for that of the component."""
-        from_shown = np.eye(len(self._input_columns))[self._shown_columns]
-        from_shown = _factors(self._inward)[:, np.newaxis] * from_shown
+        B, C, D = self.shown_matrices(own.B, own.C, own.D)
+        return replace(own, B=B, C=C, D=D, corrected=own.follows[self._output_columns])
+
+    def shown_matrices(self, B: Matrix, C: Matrix, D: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+        """Return B, C and D between shown ports for those of the component."""
+        inward = _factors(self._inward)
         outward = _factors(self._outward)[:, np.newaxis]
-        return replace(
-            own,
-            B=own.B @ from_shown,
-            C=outward * own.C[self._output_columns],
-            D=outward * own.D[self._output_columns] @ from_shown,
-            corrected=own.follows[self._output_columns],
+        picked = D[np.ix_(self._output_columns, self._input_columns)]
+        return (
+            B[:, self._input_columns] * inward,
+            outward * C[self._output_columns],
+            outward * picked * inward,
         )
 
     @property

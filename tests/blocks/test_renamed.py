@@ -150,7 +150,6 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
     y = shown.advance(np.array([0.0, 1.0]), 1.0, np.array([[0.0, 0.0], [2.0, 0.003]]))
     assert y == pytest.approx(np.array([[200.0, 0.3]]), rel=1e-15)
     ports = map_ports(Gauge.interface, renamings(names), replaced)
-    assert ports.shown_gain(np.diag([1.0, 1.0])) == pytest.approx(np.diag([100.0, 100.0]))
     assert ports.shown_inputs(np.array([2.0, 5.0])) == pytest.approx([2.0, 0.005])
     check_component(lambda: renamed(names, Gauge(), replaced))
     check_component(lambda: renamed(names, linear_gauge(), replaced))
@@ -158,6 +157,18 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
     compiled.prepare(1.0, np.zeros(2, np.bool_), {})
     compiled.initialize(0.0, np.zeros(2))
     assert compiled.native().outputs_at(0.0, np.array([2.0, 0.003])) == pytest.approx([200.0, 0.3])
+
+
+@pytest.mark.parametrize("order", [["p", "q"], ["q", "p"]])
+def test_the_linearization_is_that_of_the_shown_ports(order):
+    """In their order, and in their units: the output is linear in the inputs."""
+    names = {"x": ["b", "a"], "w": order}
+    shown = renamed(names, linear_gauge(), Interface((), (Signal("x", 2, unit="cm"),)))
+    shown.prepare(1.0, np.zeros(2, np.bool_), {})
+    shown.initialize(0.0, np.zeros(2))
+    u = np.array([2.0, 0.5])
+    y = shown.outputs(0.0, u)
+    assert shown.linearized(0.0, u).D @ u == pytest.approx(y, rel=1e-15)
 
 
 def test_elements_from_0_on_make_a_port():

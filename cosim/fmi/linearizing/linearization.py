@@ -20,9 +20,9 @@ EPSILON: Final = np.finfo(np.float64).eps
 NAMES: Final = ("states", "inputs", "outputs", "notes")
 
 
-def pole_text(pole: complex) -> str:
-    """Return a pole with six digits; a real one without its imaginary part."""
-    return f"{pole.real:.6g}" if pole.imag == 0.0 else f"{pole:.6g}"
+def pole_text(pole: complex, digits: int = 6) -> str:
+    """Return a pole; a real one without its imaginary part."""
+    return f"{pole.real:.{digits}g}" if pole.imag == 0.0 else f"{pole:.{digits}g}"
 
 
 def poles(A: Matrix) -> NDArray[np.complex128]:
@@ -30,16 +30,19 @@ def poles(A: Matrix) -> NDArray[np.complex128]:
     return np.sort_complex(np.linalg.eigvals(A).astype(np.complex128))
 
 
+def is_singular(matrix: NDArray[np.inexact[Any]], *, error: float) -> bool:
+    """Return whether a square matrix, whose entries are known up to ``error``, may be singular."""
+    sizes = np.linalg.svd(matrix, compute_uv=False)
+    return bool(sizes.size) and bool(sizes[-1] <= max(SINGULAR * sizes[0], len(matrix) * error))
+
+
 def static_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, error: float) -> Matrix | None:
     """Return D - C A^-1 B, shape (n_y, n_u).
 
     None where A, whose entries are known up to ``error``, may be singular.
     """
-    singular_values = np.linalg.svd(A, compute_uv=False)
-    if singular_values.size:
-        rounding = SINGULAR * singular_values[0]
-        if singular_values[-1] <= max(rounding, len(A) * error):
-            return None
+    if is_singular(A, error=error):
+        return None
     gain: Matrix = D - C @ np.linalg.solve(A, B)
     return gain
 

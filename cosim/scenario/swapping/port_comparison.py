@@ -10,9 +10,11 @@ are proposed.
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Causality, Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
-from cosim.fmi.linearizing.linearization import pole_text, poles, static_gain
+from cosim.fmi.linearizing.linearization import is_singular, pole_text, poles
 from cosim.scenario.kinds.base import LinearSystem
 from cosim.units import Conversion, comparable, conversion
 
@@ -63,33 +65,67 @@ class ComponentCapabilities:
         return pairs
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Outputs over inputs, all sinusoidal at one rate, or constant.
+
+    Parameters
+    ----------
+    values : array of complex, shape (n_y, n_u)
+    terms : Matrix, shape (n_y, n_u)
+        Absolute sums of the terms that each value is computed from: what rounding is relative to.
+    """
+
+    values: NDArray[np.complex128]
+    terms: Matrix
+
+
 @dataclass(frozen=True, slots=True)
 class LinearBehavior:
     """A component near its initial state.
 
     Parameters
     ----------
-    poles : array of complex [1/s]
-    gain : Matrix, shape (n_y, n_u), or None
-        Static gain; None: there is none, or it is not known for all ports.
-    error : float
-        Of the numbers; 0: rounding.
+    system : LinearSystem
+    has_ports : bool
+        Whether its inputs and outputs are all those of the component.
     """
 
-    poles: NDArray[np.complex128]
-    gain: Matrix | None
-    error: float
+    system: LinearSystem
+    has_ports: bool = True
 
-    @staticmethod
-    def of(system: LinearSystem) -> LinearBehavior:
-        """Compute poles and static gain D - C A^-1 B."""
-        gain = static_gain(system.A, system.B, system.C, system.D, error=system.error)
-        return LinearBehavior(poles(system.A), gain, system.error)
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Eigenvalues [1/s], sorted by real part."""
+        return poles(self.system.A)
 
     @property
     def pairs(self) -> Vector:
         """Real and imaginary parts of the poles, in turn."""
         return self.poles.view(np.float64)
+
+    @property
+    def rate(self) -> float:
+        """A rate between its modes, but on none of a single oscillation [rad/s]."""
+        sizes = np.abs(self.poles)
+        sizes = sizes[sizes > 0.0]
+        return float(np.sqrt(2.0) * np.exp(np.log(sizes).mean())) if len(sizes) else 1.0
+
+    def response(self, rate: float) -> Response | None:
+        """Return D + C (j rate - A)^-1 B.
+
+        None where ports are missing, or where the inverse, with A known up to its error, may be
+        singular.
+        """
+        A, B, C, D = (self.system.A, self.system.B, self.system.C, self.system.D)
+        if not self.has_ports:
+            return None
+        dynamics = 1j * rate * np.eye(len(A)) - A
+        if is_singular(dynamics, error=self.system.error):
+            return None
+        states = np.linalg.solve(dynamics, B)
+        values = np.asarray(D + C @ states, np.complex128)
+        return Response(values, np.abs(D) + np.abs(C) @ np.abs(states))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,17 +215,12 @@ class ComparedPort:
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
-        return self.gains_as(self.component)
-
-    def gains_as(self, other: ComparedComponent) -> list[float] | None:
-        """Return the static gains in the units of the ports of another component."""
-        interface = self.component.interface
         linear = self.component.linear
-        if linear is None or linear.gain is None:
+        response = None if linear is None else linear.response(0.0)
+        if response is None:
             return None
-        output_factors = _factors(interface.outputs, other)
-        input_factors = _factors(interface.inputs, other)
-        gain = linear.gain * output_factors[:, np.newaxis] / input_factors
+        gain = response.values.real
+        interface = self.component.interface
         if self.causality == "output":
             columns = interface.output_columns()[self.signal.name]
         else:
@@ -200,11 +231,49 @@ class ComparedPort:
             rows = rows[self.element]
         return sorted(rows.ravel().tolist())
 
+    def responses(self, rate: float, units_of: ComparedComponent) -> dict[str, Entry] | None:
+        """Return the responses of an output to each input, in the units of another component.
+
+        By input and output element, as ``u[0] -> y``. None: unknown.
+        """
+        linear = self.component.linear
+        response = None if linear is None else linear.response(rate)
+        if response is None:
+            return None
+        interface = self.component.interface
+        from_inputs = 1.0 / _factors(interface.inputs, units_of)
+        factors = _factors(interface.outputs, units_of)[:, np.newaxis] * from_inputs
+        values = factors * response.values
+        terms = np.abs(factors) * response.terms
+        first = interface.output_columns()[self.signal.name].start
+        entries = {}
+        for i, output in enumerate(_element_names([self.signal]), start=first):
+            for j, name in enumerate(_element_names(interface.inputs)):
+                entries[f"{name} -> {output}"] = Entry(complex(values[i, j]), float(terms[i, j]))
+        return entries
+
     def _elements_of(self, values: Vector | None) -> list[float] | None:
         if values is None:
             return None
         numbers: list[float] = values.tolist()
         return numbers if self.element is None else [numbers[self.element]]
+
+
+class Entry(NamedTuple):
+    """One entry of a response, and the absolute sum of the terms that it is computed from."""
+
+    value: complex
+    terms: float
+
+
+def _element_names(signals: Sequence[Signal]) -> list[str]:
+    names: list[str] = []
+    for signal in signals:
+        if signal.size == 1:
+            names.append(signal.name)
+        else:
+            names += [f"{signal.name}[{i}]" for i in range(signal.size)]
+    return names
 
 
 def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
@@ -358,10 +427,61 @@ def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
     yield _equal("feedthrough", _inputs_of(old), _inputs_of(new))
     initial = _in_unit_of(old, new, new.initial)
     yield _numbers("initial output", old.initial, new.initial, initial)
-    if old.gains is not None or new.gains is not None:
-        error = _error(old.component, new.component)
-        gains = new.gains_as(old.component)
-        yield _numbers("static gain", old.gains, new.gains, gains, error)
+    yield from _response_aspects(old, new)
+
+
+def _response_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
+    """Compare static gains; where they are the same or unknown, responses at a rate too."""
+    linear = old.component.linear or new.component.linear
+    if linear is None:
+        return
+    error = _error(old.component, new.component)
+    for aspect, rate in (
+        ("static gain", 0.0),
+        (f"response at {linear.rate:.3g} rad/s", linear.rate),
+    ):
+        before = old.responses(rate, old.component)
+        after = new.responses(rate, old.component)
+        if before is not None or after is not None:
+            row = _compared_responses(aspect, before, after, error)
+            yield row
+            if row.verdict == "differs":
+                return
+
+
+def _compared_responses(
+    aspect: str, before: dict[str, Entry] | None, after: dict[str, Entry] | None, error: float
+) -> Aspect:
+    """Compare element by element where both have it; show those that differ, or all."""
+    if before is None or after is None:
+        return Aspect(aspect, _plain(before), _plain(after), "unknown")
+    both = [name for name in before if name in after]
+    different = []
+    for name in both:
+        tolerance = error * max(before[name].terms, after[name].terms)
+        if abs(after[name].value - before[name].value) > tolerance:
+            different.append(name)
+    ratio = _ratio(
+        [abs(before[name].value) for name in both], [abs(after[name].value) for name in both]
+    )
+    shown_names = different or both
+    return Aspect(
+        aspect,
+        _plain({name: before[name] for name in shown_names}),
+        _plain({name: after[name] for name in shown_names}),
+        "differs" if different else "ok",
+        ratio,
+    )
+
+
+def _plain(entries: Mapping[str, Entry] | None) -> dict[str, Any] | None:
+    """Return values for a row: numbers, or real and imaginary parts."""
+    if entries is None:
+        return None
+    plain: dict[str, Any] = {}
+    for name, (value, _) in entries.items():
+        plain[name] = value.real if value.imag == 0.0 else [value.real, value.imag]
+    return plain
 
 
 def _numbers(
@@ -431,7 +551,7 @@ def _error(*components: ComparedComponent) -> float:
     errors = []
     for component in components:
         if component.linear is not None:
-            errors.append(10.0 * component.linear.error)
+            errors.append(10.0 * component.linear.system.error)
     return max([SAME, *errors])
 
 
@@ -579,7 +699,7 @@ def feedthrough_text(causality: Causality, ports: str | Sequence[str]) -> str:
     return f"direct feedthrough {preposition} {names}"
 
 
-def shown(value: Any) -> str:
+def shown(value: Any, digits: int = 6) -> str:
     """Return a value of a row as people read it."""
     match value:
         case None:
@@ -587,10 +707,31 @@ def shown(value: Any) -> str:
         case bool():
             return "yes" if value else "no"
         case float():
-            return f"{value:.6g}"
+            return f"{value:.{digits}g}"
+        case Mapping():
+            entries = [f"{name} {_entry_text(entry, digits)}" for name, entry in value.items()]
+            return ", ".join(entries)
         case [[_, _], *_]:
-            return ", ".join(pole_text(complex(real, imag)) for real, imag in value)
+            return ", ".join(pole_text(complex(real, imag), digits) for real, imag in value)
         case [*values]:
-            return " ".join(map(shown, values)) or "nothing"
+            return " ".join(shown(one, digits) for one in values)
         case _:
             return str(value)
+
+
+def _entry_text(entry: float | list[float], digits: int) -> str:
+    """Return a gain, or amplitude and phase."""
+    if isinstance(entry, float):
+        return shown(entry, digits)
+    value = complex(*entry)
+    phase = math.degrees(cmath.phase(value))
+    return f"{abs(value):.{digits}g} at {phase:.{digits}g} deg"
+
+
+def different_texts(before: Any, after: Any) -> tuple[str, str]:
+    """Return two values with as many digits as it takes to tell them apart, at least six."""
+    for digits in (6, 9, 12, 17):
+        texts = (shown(before, digits), shown(after, digits))
+        if texts[0] != texts[1]:
+            break
+    return texts

@@ -379,7 +379,7 @@ def _nominal(variable: Variable) -> Vector:
 
 
 def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
-    """Return poles and static gain of a component; None: it cannot be linearized."""
+    """Return a component near its initial state; None: it cannot be linearized."""
     spec = builder.scenario.specs[name]
     try:
         system = spec.linear_system(name, builder.context)
@@ -387,16 +387,14 @@ def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
         return None
     if system is None:
         return None
-    behavior = LinearBehavior.of(system)
-    if behavior.gain is None:
-        return behavior
     ports = builder.port_maps.get(name)
     interface = builder.components[name].interface if ports is None else ports.component
-    if behavior.gain.shape != (interface.n_y, interface.n_u):
-        return replace(behavior, gain=None)  # some ports are not continuous
+    if system.D.shape != (interface.n_y, interface.n_u):
+        return LinearBehavior(system, has_ports=False)  # some are not continuous
     if ports is None:
-        return behavior
-    return replace(behavior, gain=ports.shown_gain(behavior.gain))
+        return LinearBehavior(system)
+    B, C, D = ports.shown_matrices(system.B, system.C, system.D)
+    return LinearBehavior(replace(system, B=B, C=C, D=D))
 
 
 # --- ports that the scenario names ---

@@ -11,6 +11,7 @@ from cosim.errors import ScenarioError, option
 from cosim.scenario.swapping.port_comparison import (
     ComparedAspect,
     Proposal,
+    different_texts,
     feedthrough_text,
     port_label,
     shown,
@@ -19,6 +20,7 @@ from cosim.scenario.swapping.port_comparison import (
 _DIFFERS: Final = "differs from what it replaces: "
 _UNITS: Final = "units that cannot be compared with what is connected: "
 _SIZES: Final = "of another size than what it replaces: "
+MOST_ENTRIES: Final = 4  # of a response, that a warning names
 SWAP_WARNINGS: Final = (_DIFFERS, _UNITS, _SIZES)  # how the warnings of a report begin
 
 
@@ -119,12 +121,24 @@ def _is_added(row: ComparedAspect) -> bool:
 
 
 def _change_text(row: ComparedAspect) -> str:
-    before = _aspect_text(row.aspect, row.before)
-    after = _aspect_text(row.aspect, row.after)
     subject = f"{row.label} {row.aspect}".strip()
+    if isinstance(row.before, Mapping) and isinstance(row.after, Mapping):
+        return f"{subject} {_entry_changes(row.before, row.after)}"
+    before, after = _aspect_texts(row.aspect, row.before, row.after)
     recorded = row.aspect == "kind" and row.after in ("recording", "field-data")
     reaction = ", which does not react to inputs" if recorded else ""
     return f"{subject} {after} (was {before}){reaction}"
+
+
+def _entry_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Return the entries of a response that differ, the first of many."""
+    texts = []
+    for name in list(before)[:MOST_ENTRIES]:
+        old, new = different_texts({name: before[name]}, {name: after[name]})
+        texts.append(f"{new} (was {old.removeprefix(f'{name} ')})")
+    if len(before) > MOST_ENTRIES:
+        texts.append(f"and {len(before) - MOST_ENTRIES} more")
+    return ", ".join(texts)
 
 
 def _size_text(row: ComparedAspect) -> str:
@@ -161,19 +175,26 @@ def row_texts(row: Mapping[str, Any], *, whole: bool) -> dict[str, str]:
     aspect = row["aspect"]
     verdict = row["verdict"]
     same = verdict == "ok"
+    before, after = _aspect_texts(aspect, row["before"], row["after"])
     return {
         "": port_label(row["port"], row.get("source")),
         "aspect": aspect,
-        "before": _aspect_text(aspect, row["before"]),
-        "after": "the same" if same else _aspect_text(aspect, row["after"]),
+        "before": before,
+        "after": "the same" if same else after,
         "verdict": verdict,
         "connected": "" if whole else shown(row["connected"]),
     }
 
 
-def _aspect_text(aspect: str, value: Any) -> str:
-    no_feedthrough = aspect == "feedthrough" and value in ([], ())
-    return "no direct feedthrough" if no_feedthrough else shown(value)
+def _aspect_texts(aspect: str, before: Any, after: Any) -> tuple[str, str]:
+    """Return the values of a row as people read them, told apart."""
+    if aspect == "feedthrough":
+        return _feedthrough_text(before), _feedthrough_text(after)
+    return different_texts(before, after)
+
+
+def _feedthrough_text(inputs: str | Sequence[str] | None) -> str:
+    return "no direct feedthrough" if inputs is not None and not inputs else shown(inputs)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from cosim.scenario.swapping.port_comparison import (
     ComponentCapabilities,
     LinearBehavior,
     compare_components,
+    different_texts,
     propose,
 )
 
@@ -90,27 +91,43 @@ def test_sizes_are_compared_in_one_unit():
         assert row.verdict == ("differs" if another else "ok")
 
 
-def first_order(a, *, gain):
+def first_order(a, *, gain, error=0.0):
     """x' = a x + u, y = gain x."""
-    return LinearSystem(np.array([[a]]), np.eye(1), gain * np.eye(1), np.zeros((1, 1)), error=0.0)
+    matrices = [np.array([[value]]) for value in (a, 1.0, gain, 0.0)]
+    return LinearBehavior(LinearSystem(*matrices, error))
 
 
-def test_gain_and_poles_are_compared_within_their_error():
+def test_responses_and_poles_are_compared_within_their_error():
     """x' = -2 x + u, y = 4 x: gain 2, pole -2.
 
-    A difference of 1e-7 is seen unless the numbers are wrong by that.
+    A difference of 1e-7 is seen, of small gains too, unless the numbers are wrong by that.
     """
     interface = Interface((Signal("u"),), (Signal("y"),))
-    exact = LinearBehavior.of(first_order(-2.0, gain=4.0))
-    close = LinearBehavior.of(first_order(-2.0 - 1e-7, gain=4.0))
-    assert exact.gain == pytest.approx(2.0, abs=1e-15)
-    assert exact.poles == pytest.approx(-2.0, abs=1e-15)
-    for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
-        behavior = LinearBehavior(close.poles, close.gain, error)
-        other = ComparedComponent(interface, ABLE, linear=behavior)
-        found = verdicts(ComparedComponent(interface, ABLE, linear=exact), other)
-        assert found["y", "static gain"] == found["", "poles"] == verdict
-    assert LinearBehavior.of(first_order(0.0, gain=1.0)).gain is None
+    rate = 2.0 * 2.0**0.5
+    for gain in (4.0, 4e-12):
+        exact = first_order(-2.0, gain=gain)
+        assert exact.poles == pytest.approx(-2.0, abs=1e-15)
+        assert exact.rate == pytest.approx(rate)
+        for frequency in (0.0, rate):
+            expected = gain / (2.0 + 1j * frequency)
+            assert exact.response(frequency).values == pytest.approx(expected, rel=1e-14)
+        for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
+            close = first_order(-2.0 - 1e-7, gain=gain, error=error)
+            other = ComparedComponent(interface, ABLE, linear=close)
+            found = verdicts(ComparedComponent(interface, ABLE, linear=exact), other)
+            assert found["y", "static gain"] == found["", "poles"] == verdict
+            # at another rate only where static gains tell nothing
+            response = "ok" if verdict == "ok" else None
+            assert found.get(("y", f"response at {rate:.3g} rad/s")) == response
+    assert first_order(0.0, gain=1.0).response(0.0) is None
+    assert first_order(0.0, gain=1.0).rate == 1.0
+
+
+def test_numbers_that_differ_have_texts_that_do():
+    """With as many digits as that takes."""
+    assert different_texts(0.1, 0.2) == ("0.1", "0.2")
+    assert different_texts(1 / 3, 1 / 3 + 1e-8) == ("0.333333333", "0.333333343")
+    assert different_texts({"u -> y": [1.0, 2.0]}, None) == ("u -> y 2.23607 at 63.4349 deg", "-")
 
 
 def test_a_row_shows_what_its_port_stands_for():

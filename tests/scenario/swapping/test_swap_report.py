@@ -5,6 +5,8 @@ The report has what stops the run, too, and which ports may have been meant.
 
 import ast
 import json
+import math
+import textwrap
 import tomllib
 from collections import Counter
 from contextlib import ExitStack
@@ -76,7 +78,115 @@ def test_an_exported_plant_differs_in_nothing(folder):
         pytest.approx([-1.5, -(3**0.5) / 2]),
         pytest.approx([-1.5, 3**0.5 / 2]),
     ]
-    assert rows["y", "static gain"] == pytest.approx([-4 / 3, 2 / 3])  # D - C A^-1 B of (28)
+    # D - C A^-1 B of (28)
+    assert rows["y", "static gain"] == pytest.approx({"u -> y": -4 / 3, "delta -> y": 2 / 3})
+
+
+TWO_INPUTS = """
+    [scenario]
+    name = "two-inputs"
+    stop = 2.0
+    step = 0.01
+
+    [models.two]
+    A = [[0.0, 1.0], [-4.0, -2.0]]
+    B = [[0.0, 0.0], [1.0, 0.5]]
+    C = [[1.0, 0.0], [0.0, 1.0]]
+    disturbances = [1]
+
+    [components]
+    plant = { kind = "descriptor", model = "two", x0 = [0.0, 0.0] }
+    u = { kind = "constant", value = 1.0 }
+    delta = { kind = "sine", amplitude = 1.0, rate = 3.0 }
+    sum = { kind = "gain", K = [[1.0, 1.0]] }
+
+    [connections]
+    "sum.u" = "plant.y"
+    "plant.u" = "u.y"
+    "plant.delta" = "delta.y"
+    """
+
+
+@pytest.fixture(scope="module")
+def two_inputs(tmp_path_factory):
+    """Write a plant of two inputs and two outputs, and its FMU; return the scenario."""
+    folder = tmp_path_factory.mktemp("two")
+    path = folder / "two.toml"
+    path.write_text(textwrap.dedent(TWO_INPUTS))
+    export_component(str(path), "plant", folder / "two.fmu")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("maps", "differences"),
+    [
+        ({}, {}),
+        (
+            {"plant.u": "delta", "plant.delta": "u"},
+            {"y": {"u -> y[0]": (0.25, 0.125), "delta -> y[0]": (0.125, 0.25)}},
+        ),
+        (
+            {"plant.y": "[y[1],y[0]]"},
+            {
+                "y": {
+                    "u -> y[0]": (0.25, 0.0),
+                    "delta -> y[0]": (0.125, 0.0),
+                    "u -> y[1]": (0.0, 0.25),
+                    "delta -> y[1]": (0.0, 0.125),
+                }
+            },
+        ),
+    ],
+    ids=["as they are", "inputs exchanged", "outputs exchanged"],
+)
+def test_exchanged_ports_differ_element_by_element(two_inputs, maps, differences):
+    """Their sizes, types and sorted gains are those of the ports that they stand in for."""
+    scenario = cosim.load(two_inputs).edit(swap={"plant": two_inputs.with_suffix(".fmu")}, map=maps)
+    (found,) = compare_swaps(scenario).reports.values()
+    rows = {(row.port, row.aspect): row for row in found.rows}
+    for port, entries in differences.items():
+        row = rows[port, "static gain"]
+        assert row.verdict == "differs"
+        assert row.before == pytest.approx({name: old for name, (old, _) in entries.items()})
+        assert row.after == pytest.approx({name: new for name, (_, new) in entries.items()})
+    wrong = {row.port for row in found.rows if row.connected and row.verdict == "differs"}
+    assert wrong == set(differences)
+    warnings = " ".join(found.warnings)
+    for entries in differences.values():
+        for name, (old, new) in entries.items():
+            assert f"{name} {new:g} (was {old:g})" in warnings
+
+
+def test_exchanged_dynamics_differ_at_a_rate_where_static_gains_do_not(tmp_path):
+    """Two lags of gain 1, in 1 s and 0.1 s: at a rate between them only one of them answers."""
+    text = """
+        [scenario]
+        name = "lags"
+        stop = 1.0
+        step = 0.01
+        [models.lags]
+        A = [[-1.0, 0.0], [0.0, -10.0]]
+        B = [[1.0, 0.0], [0.0, 10.0]]
+        C = [[1.0, 0.0], [0.0, 1.0]]
+        disturbances = [1]
+        [components]
+        plant = { kind = "descriptor", model = "lags", x0 = [0.0, 0.0] }
+        """
+    path = tmp_path / "lags.toml"
+    path.write_text(textwrap.dedent(text))
+    export_component(str(path), "plant", tmp_path / "lags.fmu")
+    maps = {"plant.y": "[y[1],y[0]]", "plant.u": "delta", "plant.delta": "u"}
+    scenario = cosim.load(path).edit(swap={"plant": tmp_path / "lags.fmu"}, map=maps)
+    (found,) = compare_swaps(scenario).reports.values()
+    rows = {row.aspect: row for row in found.rows if row.port == "y"}
+    assert rows["static gain"].verdict == "ok"
+    rate = math.sqrt(2.0 * 10.0)
+    row = rows[f"response at {rate:.3g} rad/s"]
+    assert row.verdict == "differs"
+    slow, fast = (1.0 / (1.0 + 1j * rate * time_constant) for time_constant in (1.0, 0.1))
+    assert complex(*row.before["u -> y[0]"]) == pytest.approx(slow)
+    assert complex(*row.after["u -> y[0]"]) == pytest.approx(fast)
+    assert row.before.keys() == {"u -> y[0]", "delta -> y[1]"}
 
 
 def test_another_interface_type_and_start_are_listed_and_warned_of_in_one_line(folder, tmp_path):
