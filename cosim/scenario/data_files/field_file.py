@@ -1,10 +1,13 @@
 """Field data: samples with times of their own, from CSV, Parquet and MCAP files.
 
 The first line of a CSV file, or the names of the columns of a Parquet file, say what the columns
-are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``, ``x_a[1]``. An empty cell and NaN say
-that nothing was measured; all else that is no finite number is refused, and so are times that do
-not ascend. The offset of the times is subtracted before they are rounded: a time stamp in ns since
-1970 has more digits than a double.
+are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``, ``x_a[1]``; a field of a Parquet file may
+have its unit in its metadata, too. The times are the index that pandas wrote, else the column of a
+name such as ``t``, ``time`` or ``Timestamp``, or of time stamps, else the first one, which is said.
+Times are numbers, dates (ISO 8601) or durations as pandas writes them (``0 days 00:00:00.02``). An
+empty cell and NaN say that nothing was measured; all else that is no finite number is refused, and
+so are times that do not ascend. The offset of the times is subtracted before they are rounded: a
+time stamp in ns since 1970 has more digits than a double.
 
 A message tells where a file is wrong, and of what stands there only the times.
 """
@@ -12,12 +15,15 @@ A message tells where a file is wrong, and of what stands there only the times.
 from __future__ import annotations
 
 import csv
+import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from decimal import Decimal
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, TypeAlias
@@ -28,6 +34,7 @@ from cosim.arrays import NAN
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
+from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.csv_file import LARGEST, MOST_COLUMNS, is_number, read_lines
 from cosim.scenario.data_files.recorded_fields import (
     MCAP,
@@ -43,6 +50,10 @@ PARQUET: Final = ".parquet"
 _SEPARATORS: Final = ("\t", ";", "|", ",")
 _HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
 _NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
+_TIMES: Final = re.compile(
+    r"(t|(?i:times?|time_?stamps?|date|date_?time|(elapsed|simulation|log)_?time))(_(?P<unit>[mun]?s|min|h))?"
+)
+_UNNAMED: Final = re.compile(r"__index_level_\d+__")  # as pandas names an index without a name
 _BYTES: Final = 8  # of a number
 
 
@@ -63,8 +74,10 @@ def read_field_data(
     path : str or Path
         Of a file whose name ends in .parquet or .mcap, or of a CSV file.
     time : str, optional
-        Name of the column of the times; by default the first. Of an MCAP "log_time", which is the
-        default, "publish_time", or a field of the messages, such as "header.stamp".
+        Name of the column of the times; by default the index that pandas wrote, the column that is
+        named as times are (``t``, ``time``, ``timestamp``, ``date``, ...), or the first. Of an MCAP
+        "log_time", which is the default, "publish_time", or a field of the messages, such as
+        "header.stamp".
     time_unit : str, optional
         Unit of the times; by default the one in the name of their column, or s.
     offset : float or "first", optional
@@ -94,7 +107,7 @@ def read_field_data(
     else:
         table = _CsvTable(path, separator, decimal)
     headers = _Headers(table)
-    clock = headers.named(time) if time is not None else headers.all[0]
+    clock = headers.named(time) if time is not None else headers.clock()
     chosen = headers.signals(clock, columns)
     stamps = _TimeStamps(table, offset or 0.0, _seconds(table, clock, time_unit))
     values: dict[int, list[float]] = {}
@@ -108,7 +121,8 @@ def read_field_data(
     for name, parts in chosen.items():
         stacked = np.array([values[part.position] for part in parts]).T
         signals.append(FieldSignal(name, _unit_of(table, name, parts), stacked))
-    return FieldData(table.label, np.array(stamps.t), tuple(signals))
+    notes = () if time is not None else headers.notes(clock)
+    return FieldData(table.label, np.array(stamps.t), tuple(signals), notes)
 
 
 def _read_recorded(
@@ -167,24 +181,91 @@ class _Header:
             return _Header(text, None, position)
         return _Header(match["name"], "1" if unit in _NO_UNIT else unit, position)
 
+    @property
+    def _times(self) -> re.Match[str] | None:
+        return _TIMES.fullmatch(re.sub("[ -]", "_", self.name))
+
+    @property
+    def is_named_as_times(self) -> bool:
+        """Whether it is named ``t``, ``Time``, ``time_ms``, ``Timestamp`` or the like; no ``T``."""
+        return self._times is not None
+
+    @property
+    def time_unit(self) -> str | None:
+        """The unit of times at the end of the name, as in ``time_ms``."""
+        match = self._times
+        return None if match is None else match["unit"]
+
 
 class _Headers:
     """The columns of a table that have a name."""
 
     def __init__(self, table: _FieldTable) -> None:
         self._label = table.label
+        self._table = table
         self._written = [name.strip() for name in table.names]
         self.all: list[_Header] = []
         for position, text in enumerate(self._written):
             if text:
-                self.all.append(_Header.parse(text, position))
-        if len(self.all) < 2:
+                header = _Header.parse(text, position)
+                self.all.append(self._with_unit(header, table.unit(position)))
+        # pandas writes an index without a name as a first column without one
+        self._unnamed = [] if not self._written or self._written[0] else [_Header("", None, 0)]
+        if len(self._unnamed + self.all) < 2:
             raise UsageError(
                 f"{table.label}: expected at least two named columns (times and samples), got "
                 f"{len(self.all)}{table.hint}"
             )
         if all(is_number(header.name) for header in self.all):
             raise UsageError(f"{table.label}: expected column names in line 1, got numbers")
+
+    def _with_unit(self, header: _Header, declared: str | None) -> _Header:
+        """Return a column with the unit that is declared beside its name."""
+        if declared is None:
+            return header
+        unit = "1" if declared in _NO_UNIT else declared
+        if header.unit not in (None, unit):
+            raise UsageError(
+                f"{self._label}, column {self._written[header.position]!r}: expected one unit, got "
+                f"{header.unit!r} in its name and {unit!r} in its metadata"
+            )
+        return replace(header, unit=unit)
+
+    def clock(self) -> _Header:
+        """Return the column of the times, where none is selected.
+
+        Raises
+        ------
+        UsageError
+            If several may be it.
+        """
+        candidates = self._candidates()
+        if len(candidates) > 1:
+            names = ", ".join(repr(header.name) for header in candidates)
+            raise UsageError(
+                f"{self._label}: expected one column of times, got {names}; select one by time"
+            )
+        return [*candidates, *self._unnamed, *self.all][0]
+
+    def _candidates(self) -> list[_Header]:
+        named = [header for header in self.all if header.is_named_as_times]
+        index = [header for header in self.all if header.name in self._table.index]
+        with_names = [header for header in index if not _UNNAMED.fullmatch(header.name)]
+        if len(with_names) > 1:
+            return [header for header in with_names if header in named] or with_names
+        stamps = [header for header in self.all if self._table.has_stamps(header.position)]
+        return with_names or named or stamps or index
+
+    def notes(self, clock: _Header) -> tuple[str, ...]:
+        """Return what is to be known where nothing says which column has the times."""
+        if self._candidates():
+            return ()
+        if self._table.stamp_unit(clock) is not None:
+            return ()
+        return (
+            f"{self._label}: the times are those of the first column, {clock.name!r}, as no column "
+            "is named t, time or the like; time selects another",
+        )
 
     def named(self, name: str) -> _Header:
         """Return a column, by its name or by all that its header says."""
@@ -231,7 +312,13 @@ def _unit_of(table: _FieldTable, name: str, parts: Sequence[_Header]) -> str | N
 
 def _seconds(table: _FieldTable, clock: _Header, unit: str | None) -> Decimal:
     """Return the unit of the times in s."""
-    name = unit or clock.unit or table.time_unit(clock)
+    own = table.stamp_unit(clock)
+    if own is not None and unit is not None:
+        raise UsageError(
+            f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is {unit!r}, "
+            "got dates or durations, which have their unit; leave out time_unit"
+        )
+    name = own or unit or clock.unit or clock.time_unit or "s"
     meaning = base_unit(name)
     second = base_unit("s")
     assert second is not None
@@ -269,6 +356,37 @@ class _TimeStamps:
         self._last = place
 
 
+_DURATION: Final = re.compile(
+    r"(?:(?P<days>-?\d+) days?)?\s*(?:\+?(?P<h>\d+):(?P<min>\d\d):(?P<s>\d\d(?:\.\d+)?))?"
+)
+_DATE: Final = re.compile(
+    r"(?P<day>\d{4}-\d\d-\d\d)(?:[T ](?P<time>\d\d:\d\d(?::\d\d)?)(?P<fraction>\.\d+)?"
+    r"(?P<zone>Z|[+-]\d\d:?\d\d)?)?"
+)
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def _nanoseconds(text: str) -> Decimal | None:
+    """Return a duration, or a date since 1970, in ns; None: it is neither."""
+    date = _DATE.fullmatch(text)
+    if date is not None:
+        try:
+            day = datetime.fromisoformat(
+                f"{date['day']}T{date['time'] or '00:00'}{date['zone'] or 'Z'}"
+            )
+        except ValueError:
+            return None
+        since = day - _EPOCH
+        seconds = 86400 * since.days + since.seconds + Decimal(date["fraction"] or 0)
+        return seconds * NANOSECONDS
+    duration = _DURATION.fullmatch(text)
+    if duration is None or not text:
+        return None
+    hours = 24 * int(duration["days"] or 0) + int(duration["h"] or 0)
+    minutes = 60 * hours + int(duration["min"] or 0)
+    return (60 * minutes + Decimal(duration["s"] or 0)) * NANOSECONDS
+
+
 # --- files ---
 
 
@@ -279,8 +397,21 @@ class _FieldTable(Protocol):
     names: Sequence[str]
     hint: str
 
-    def time_unit(self, clock: _Header) -> str:
-        """Return the unit of the times, where the name of their column has none."""
+    @property
+    def index(self) -> Collection[str]:
+        """The columns that were the index of a frame."""
+        ...
+
+    def unit(self, position: int) -> str | None:
+        """Return the unit that is declared beside the name of a column."""
+        ...
+
+    def has_stamps(self, position: int) -> bool:
+        """Return whether the type of a column is that of dates or durations."""
+        ...
+
+    def stamp_unit(self, clock: _Header) -> str | None:
+        """Return the unit of dates or durations; None: the times are numbers."""
         ...
 
     def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
@@ -336,10 +467,26 @@ class _CsvTable:
             if any(cell.strip() for cell in cells):
                 yield f"line {number}", cells
 
-    def time_unit(self, clock: _Header) -> str:
-        return "s"
+    @property
+    def index(self) -> Collection[str]:
+        return ()
+
+    def unit(self, position: int) -> str | None:
+        return None
+
+    def has_stamps(self, position: int) -> bool:
+        return False
+
+    def stamp_unit(self, clock: _Header) -> str | None:
+        rows = self._rows()
+        next(rows)
+        _, cells = next(rows, ("", []))
+        if clock.position >= len(cells):
+            return None  # read says so
+        return None if _nanoseconds(cells[clock.position].strip()) is None else "ns"
 
     def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+        has_stamps = self.stamp_unit(clock) is not None
         rows = self._rows()
         next(rows)
         for place, cells in rows:
@@ -347,14 +494,27 @@ class _CsvTable:
                 raise UsageError(
                     f"{self.label}, {place}: expected {len(self.names)} cells, got {len(cells)}"
                 )
-            stamp = self._number(cells, clock.position, place)
-            if not stamp:
-                raise UsageError(
-                    f"{self._at(clock.position, place)}: expected a time, got an empty cell"
-                )
-            stamps.add(Decimal(stamp), place)
+            stamps.add(self._stamp(cells, clock.position, place, has_stamps=has_stamps), place)
             for position, column in values.items():
                 column.append(self._measured(cells, position, place))
+
+    def _stamp(
+        self, cells: Sequence[str], position: int, place: str, *, has_stamps: bool
+    ) -> Decimal:
+        """Return a time: a number, or the nanoseconds of a date or duration."""
+        text = cells[position].strip()
+        if has_stamps and text:
+            nanoseconds = _nanoseconds(text)
+            if nanoseconds is None:
+                raise UsageError(
+                    f"{self._at(position, place)}: expected a date or duration as in the rows "
+                    "before, got other text"
+                )
+            return nanoseconds
+        number = self._number(cells, position, place)
+        if not number:
+            raise UsageError(f"{self._at(position, place)}: expected a time, got an empty cell")
+        return Decimal(number)
 
     def _measured(self, cells: Sequence[str], position: int, place: str) -> float:
         number = self._number(cells, position, place)
@@ -421,10 +581,30 @@ class _ParquetTable:
         except (self._arrow.ArrowException, OSError) as error:
             raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
-    def time_unit(self, clock: _Header) -> str:
-        column = self._schema.field(clock.position).type
+    @cached_property
+    def index(self) -> Collection[str]:
+        written = (self._schema.metadata or {}).get(b"pandas")
+        if written is None:
+            return ()
+        try:
+            columns = json.loads(written)["index_columns"]
+            return [column for column in columns if isinstance(column, str)]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            return ()  # of another tool
+
+    def unit(self, position: int) -> str | None:
+        written = (self._schema.field(position).metadata or {}).get(b"unit")
+        return None if written is None else str(written.decode("utf-8", "replace")).strip() or None
+
+    def has_stamps(self, position: int) -> bool:
+        column = self._schema.field(position).type
         types = self._arrow.types
-        return str(column.unit) if types.is_timestamp(column) or types.is_duration(column) else "s"
+        return bool(types.is_timestamp(column) or types.is_duration(column))
+
+    def stamp_unit(self, clock: _Header) -> str | None:
+        if not self.has_stamps(clock.position):
+            return None
+        return str(self._schema.field(clock.position).type.unit)
 
     def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
         for row, stamp in enumerate(self._column(clock.position, is_time=True), start=1):
@@ -445,7 +625,7 @@ class _ParquetTable:
         """Return the numbers of a column, None where there is none."""
         types = self._arrow.types
         column_type = self._schema.field(position).type
-        is_stamp = is_time and (types.is_timestamp(column_type) or types.is_duration(column_type))
+        is_stamp = is_time and self.has_stamps(position)
         if not (types.is_integer(column_type) or types.is_floating(column_type) or is_stamp):
             raise UsageError(
                 f"{self.label}: column {self.names[position]!r}: expected numbers, got type "

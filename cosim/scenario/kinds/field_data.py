@@ -50,8 +50,9 @@ class FieldDataKind(PlantKind):
     )
     time: str | None = Field(
         None,
-        description='column of the times; default: the first; MCAP: "log_time" (default), '
-        '"publish_time", or a field such as "header.stamp"',
+        description="column of the times; default: the index that pandas wrote, the column named "
+        'as times are, such as "t", "Time [s]" or "timestamp", or the first; MCAP: "log_time" '
+        '(default), "publish_time", or a field such as "header.stamp"',
     )
     time_unit: UnitName | None = Field(
         None, description="unit of the times; default: from the column name, as in t [ms], or s"

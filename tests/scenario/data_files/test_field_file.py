@@ -9,6 +9,8 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
+from cosim.log.conversion.choice import LogChoice
+from cosim.log.conversion.files import convert
 from cosim.report.inspection import describe_samples
 from cosim.scenario.data_files import field_file
 from cosim.scenario.data_files.field_file import read_field_data
@@ -57,6 +59,99 @@ def test_the_same_samples_are_read_from_every_form(tmp_path):
         rtol = 1e-8 if "[h]" in text else 1e-15
         np.testing.assert_allclose(data.t, T[:count], rtol=rtol, err_msg=text)
         np.testing.assert_array_equal(data.signals[-1].values[:, 0], Y[:count], err_msg=text)
+
+
+RAMP = 0.5 * np.arange(4)
+BY_NAME = [
+    "position,z,Time [s]\n1,5,0\n2,6,0.5\n3,7,1\n4,8,1.5\n",
+    "y,time,z\n1,0,5\n2,0.5,6\n3,1,7\n4,1.5,8\n",
+    "T,time_ms\n1,0\n2,500\n3,1000\n4,1500\n",
+    "y,Time Stamp\n1,2024-01-01\n2,2024-01-01 00:00:00.5\n"
+    "3,2024-01-01T00:00:01.000000000Z\n4,2024-01-01 01:00:01.5+01:00\n",
+    ",y\n0 days 00:00:00,1\n0 days 00:00:00.500000,2\n0 days 00:00:01,3\n0 days 00:00:01.5,4\n",
+]
+
+
+def test_the_times_are_in_the_column_that_is_named_so(tmp_path):
+    """Wherever it stands; T is a temperature."""
+    for text in BY_NAME:
+        offset = "first" if "2024" in text else None
+        data = read_field_data(written(tmp_path, text), offset=offset)
+        assert data.t.tolist() == RAMP.tolist(), text
+        assert data.signals[0].values[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
+        assert data.diagnostics == ()
+
+
+def test_the_first_column_is_that_of_the_times_if_no_name_says_so(tmp_path):
+    """And this is said, unless it was selected."""
+    path = written(tmp_path, "when,y\n0,1\n1,2\n")
+    (note,) = read_field_data(path).diagnostics
+    assert "first column, 'when'" in note
+    assert "time selects another" in note
+    assert read_field_data(path, time="when").diagnostics == ()
+
+
+def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path):
+    path = written(tmp_path, "timestamp,time,y\n0,5,1\n1,6,2\n")
+    with pytest.raises(UsageError, match=r"one column of times, got 'timestamp', 'time';.*by time"):
+        read_field_data(path)
+    assert read_field_data(path, time="time").t.tolist() == [5.0, 6.0]
+
+
+def test_a_frame_of_pandas_gives_its_index(tmp_path):
+    """Whatever is named like a time beside it; an index of no name only where nothing else is."""
+    pandas = pytest.importorskip("pandas")
+    values = {"y": [1.0, 2.0, 3.0, 4.0], "date": [7.0, 7.0, 8.0, 8.0]}
+    frame = pandas.DataFrame(values, index=pandas.Index(RAMP, name="instant"))
+    frame.to_parquet(tmp_path / "named.parquet")
+    frame.set_index(pandas.to_timedelta(RAMP, "s")).to_parquet(tmp_path / "durations.parquet")
+    frame.set_index(pandas.to_timedelta(RAMP, "s"))[["y"]].to_csv(tmp_path / "durations.csv")
+    frame[["y"]].set_index(pandas.Index(RAMP)).to_parquet(tmp_path / "unnamed.parquet")
+    frame.rename(columns={"date": "t"}).assign(t=RAMP).to_parquet(
+        tmp_path / "both.parquet", index=False
+    )
+    for name in (
+        "named.parquet",
+        "durations.csv",
+        "unnamed.parquet",
+        "both.parquet",
+    ):
+        data = read_field_data(tmp_path / name)
+        assert data.t.tolist() == RAMP.tolist(), name
+        assert data["y"][:, 0].tolist() == values["y"]
+    with pytest.raises(UsageError, match=r"increasing times.*select another column by time"):
+        read_field_data(tmp_path / "durations.parquet")  # that named date
+
+
+def test_a_log_written_as_a_table_is_read_as_it_was(tmp_path):
+    """By `to_pandas` and by `cosim convert`, whose fields have units."""
+    pytest.importorskip("pandas")
+    log = cosim.run("closed-loop", set={"scenario.stop": 0.1}, out=tmp_path / "a.mcap")
+    name = "plant.x_a[1]"
+    log.to_pandas().to_parquet(tmp_path / "frame.parquet")
+    convert(LogChoice.of(log), tmp_path / "converted.parquet")
+    for path in (tmp_path / "frame.parquet", tmp_path / "converted.parquet"):
+        data = read_field_data(path)
+        assert data.t.tolist() == log.t.tolist()
+        np.testing.assert_array_equal(data["plant.x_a"][:, 1], log[name])
+
+
+def test_a_field_of_parquet_may_have_its_unit_beside_it(tmp_path):
+    """As `cosim convert` writes it; another one in the name is refused."""
+    pyarrow = pytest.importorskip("pyarrow")
+    for name, unit, expected in (("y", b"mm", "mm"), ("y [mm]", b"mm", "mm"), ("y", b"-", "1")):
+        fields = [
+            pyarrow.field("t", pyarrow.float64(), metadata={"unit": "ms"}),
+            pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}),
+        ]
+        path = parquet(tmp_path, {"t": T, name: Y}, pyarrow.schema(fields))
+        data = read_field_data(path)
+        assert [(signal.name, signal.unit) for signal in data.signals] == [("y", expected)]
+        np.testing.assert_allclose(data.t, T * 1e-3, rtol=1e-15)
+    fields[1] = pyarrow.field("y [m]", pyarrow.float64(), metadata={"unit": "mm"})
+    path = parquet(tmp_path, {"t": T, "y [m]": Y}, pyarrow.schema(fields))
+    with pytest.raises(UsageError, match=r"'y \[m\]': expected one unit, got 'm'.*'mm'"):
+        read_field_data(path)
 
 
 def test_units_and_elements_come_from_the_names_of_the_columns(tmp_path):
@@ -135,11 +230,11 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
         read_field_data(path)
 
 
-def parquet(folder, columns, name="field.parquet"):
+def parquet(folder, columns, schema=None, name="field.parquet"):
     pyarrow = pytest.importorskip("pyarrow")
     writer = pytest.importorskip("pyarrow.parquet")
     path = folder / name
-    writer.write_table(pyarrow.table(columns), path)
+    writer.write_table(pyarrow.table(columns, schema=schema), path)
     return path
 
 
