@@ -30,6 +30,10 @@ Values = TypeVar("Values", float, NDArray[np.float64])
 
 BASE: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _ONE: Final = Fraction(1)
+_INCH: Final = Fraction("0.0254")  # m
+_POUND: Final = Fraction("0.45359237")  # kg
+_GRAVITY: Final = Fraction("9.80665")  # m/s2
+_MERCURY: Final = Fraction("13595.1") * _GRAVITY  # Pa/m, a column of it as manometers take it
 _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "1": (_ONE, {}),
     "%": (Fraction(1, 100), {}),
@@ -60,8 +64,69 @@ _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "T": (_ONE, {"kg": 1, "s": -2, "A": -1}),
     "degC": (_ONE, {"K": 1}),
     "degF": (Fraction(5, 9), {"K": 1}),
+    "d": (Fraction(86_400), {"s": 1}),
+    "in": (_INCH, {"m": 1}),
+    "ft": (12 * _INCH, {"m": 1}),
+    "yd": (36 * _INCH, {"m": 1}),
+    "mi": (63_360 * _INCH, {"m": 1}),
+    "nmi": (Fraction(1852), {"m": 1}),
+    "kn": (Fraction(1852, 3600), {"m": 1, "s": -1}),
+    "lb": (_POUND, {"kg": 1}),
+    "kgf": (_GRAVITY, {"kg": 1, "m": 1, "s": -2}),
+    "lbf": (_POUND * _GRAVITY, {"kg": 1, "m": 1, "s": -2}),
+    "psi": (_POUND * _GRAVITY / _INCH**2, {"kg": 1, "m": -1, "s": -2}),
+    "atm": (Fraction(101_325), {"kg": 1, "m": -1, "s": -2}),
+    "Torr": (Fraction(101_325, 760), {"kg": 1, "m": -1, "s": -2}),
+    "mmHg": (_MERCURY / 1000, {"kg": 1, "m": -1, "s": -2}),
+    "inHg": (_MERCURY * _INCH, {"kg": 1, "m": -1, "s": -2}),
+    "cal": (Fraction("4.184"), {"kg": 1, "m": 2, "s": -2}),
+    "BTU": (Fraction("1055.05585262"), {"kg": 1, "m": 2, "s": -2}),
+    "hp": (550 * 12 * _INCH * _POUND * _GRAVITY, {"kg": 1, "m": 2, "s": -3}),
+    "PS": (75 * _GRAVITY, {"kg": 1, "m": 2, "s": -3}),
+    "VA": (_ONE, {"kg": 1, "m": 2, "s": -3}),
+    "var": (_ONE, {"kg": 1, "m": 2, "s": -3}),
+    "Ah": (Fraction(3600), {"A": 1, "s": 1}),
+    "Vs": (_ONE, {"kg": 1, "m": 2, "s": -2, "A": -1}),
+    "As": (_ONE, {"A": 1, "s": 1}),
+    "Ws": (_ONE, {"kg": 1, "m": 2, "s": -2}),
+    "Nms": (_ONE, {"kg": 1, "m": 2, "s": -1}),
+    "cP": (Fraction(1, 1000), {"kg": 1, "m": -1, "s": -1}),
+    "cSt": (Fraction(1, 10**6), {"m": 2, "s": -1}),
+    "ppm": (Fraction(1, 10**6), {}),
+    "ppb": (Fraction(1, 10**9), {}),
 }
 _TIMES_PI: Final = ("deg", "rev", "rpm")
+# other spellings of a symbol, which take its prefixes
+_SPELLINGS: Final[Mapping[str, str]] = {
+    "ohm": "Ohm", "ohms": "Ohm", "sec": "s", "second": "s", "seconds": "s", "minute": "min",
+    "minutes": "min", "hr": "h", "hour": "h", "hours": "h", "day": "d", "days": "d", "r": "rev",
+    "meter": "m", "metre": "m", "inch": "in", "knot": "kn", "liter": "l", "litre": "l",
+    "lbm": "lb", "kp": "kgf", "Btu": "BTU", "VAr": "var", "degree": "deg", "degrees": "deg",
+    "radian": "rad", "radians": "rad",
+}  # fmt: skip
+_WORDS: Final[Mapping[str, str]] = {
+    "mph": "mi/h", "kph": "km/h", "kmh": "km/h", "rps": "rev/s", "U/min": "rev/min",
+    "Celsius": "degC", "Fahrenheit": "degF",
+}  # fmt: skip
+_SIGNS: Final = str.maketrans(
+    {
+        "\N{DEGREE SIGN}": "deg",
+        "\N{DEGREE CELSIUS}": "degC",
+        "\N{DEGREE FAHRENHEIT}": "degF",
+        "\N{OHM SIGN}": "Ohm",
+        "\N{GREEK CAPITAL LETTER OMEGA}": "Ohm",
+        "\N{KELVIN SIGN}": "K",
+        "\N{MIDDLE DOT}": ".",
+        "\N{DOT OPERATOR}": ".",
+        "\N{MULTIPLICATION SIGN}": ".",
+        "\N{SUPERSCRIPT ONE}": "1",
+        "\N{SUPERSCRIPT TWO}": "2",
+        "\N{SUPERSCRIPT THREE}": "3",
+        "\N{SUPERSCRIPT FOUR}": "4",
+        "\N{SUPERSCRIPT MINUS}": "-",
+        "\N{MINUS SIGN}": "-",
+    }
+)
 _ICE_POINT: Final = Fraction(27315, 100)  # K at 0 degC and at 32 degF
 _OFFSETS: Final = {
     "degC": float(_ICE_POINT),
@@ -73,6 +138,7 @@ _PREFIX: Final = {
     "u": Fraction(1, 10**6),
     "m": Fraction(1, 1000),
     "c": Fraction(1, 100),
+    "d": Fraction(1, 10),
     "h": Fraction(100),
     "k": Fraction(1000),
     "M": Fraction(10**6),
@@ -81,11 +147,13 @@ _PREFIX: Final = {
 _MICRO: Final = {"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"}  # they look the same
 # only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min, no kt (knot)
 _PREFIXED: Final[Mapping[str, str]] = {
-    "m": "pnumck", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
+    "m": "pnumcdk", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
     "Hz": "mkMG", "N": "umkM", "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum",
     "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum", "H": "num", "Wb": "m", "T": "num",
-    "l": "um", "L": "um", "Nm": "mkM", "Wh": "kMG",
+    "l": "umcd", "L": "umcd", "Nm": "mkM", "Wh": "kMG", "Ah": "mk", "VA": "kM", "var": "kM",
+    "cal": "k", "lbf": "k", "As": "m", "Vs": "m", "Ws": "k",
 }  # fmt: skip
+_JOINED: Final = re.compile("(Nms?|Vs|As|Ws|VA)$")  # nobody knows what Nm2 is a square of
 _DENOMINATOR: Final = re.compile(r"/\(([^()/]+)\)")  # in W/(m2.K)
 _ROUNDED: Final = 1e-9  # definitions of one name differ only by the digits that were written
 
@@ -219,11 +287,12 @@ def unknown_unit(name: str) -> str:
 
 def base_unit(unit: str) -> BaseUnit | None:
     """Return the meaning of the name of a unit; None where a part of it is not known."""
+    text = _plain_text(unit)
     exponents = dict.fromkeys(BASE, 0)
     factor = _ONE
     pi_power = 0
     sign = 1
-    for part in re.split(r"([./*])", _DENOMINATOR.sub(_one_by_one, unit)):
+    for part in re.split(r"([./*])", _DENOMINATOR.sub(_one_by_one, text)):
         if part in (".", "*", "/"):
             sign = -1 if part == "/" else 1
             continue
@@ -239,8 +308,17 @@ def base_unit(unit: str) -> BaseUnit | None:
     size = _rounded(factor, pi_power)
     if size is None:
         return None
-    offset = _OFFSETS.get(unit.strip(), 0.0)
+    offset = _OFFSETS.get(text, 0.0)
     return BaseUnit(tuple(exponents.values()), size, offset)
+
+
+def _plain_text(unit: str) -> str:
+    """Return the text of a unit in letters, digits and the signs of a product."""
+    text = unit.strip().translate(_SIGNS).replace("**", "^")
+    text = re.sub(r"\^\((-?\d)\)", r"^\1", text)  # s^(-1)
+    text = re.sub(r"\bkgm(?=2?\b)", "kg.m", text)
+    text = re.sub(r"(?<=\w)\s+(?=[^\W\d])", ".", text)  # N m
+    return _WORDS.get(text, text)
 
 
 def _one_by_one(denominator: re.Match[str]) -> str:
@@ -261,16 +339,17 @@ def _parse_factor(part: str) -> tuple[_Symbol, int] | None:
     """Read one factor of a unit, like ``mm``, ``s2`` or ``s^-1``: its symbol and its exponent."""
     match = re.fullmatch(r"([A-Za-z\u00b5\u03bc]+|1|%)\^?(-?\d)?", part.strip())
     symbol = _parse_symbol(match[1]) if match else None
-    if match is None or symbol is None:
+    if match is None or symbol is None or (match[2] and _JOINED.search(match[1])):
         return None
     return symbol, int(match[2] or 1)
 
 
 def _parse_symbol(name: str) -> _Symbol | None:
+    name = _SPELLINGS.get(name, name)
     if name in _DERIVED or name in BASE:
         return _plain_symbol(name)
     prefix = _MICRO.get(name[:1], name[:1])
-    symbol = name[1:]
+    symbol = _SPELLINGS.get(name[1:], name[1:])
     if prefix not in _PREFIXED.get(symbol, ""):
         return None
     plain = _plain_symbol(symbol)

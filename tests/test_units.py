@@ -30,6 +30,30 @@ TABLE = {  # factor to the base unit, and the base unit itself
     "kWh": (3.6e6, "J"), "W/(m2.K)": (1.0, "W/m2/K"), "kJ/(kg*K)": (1e3, "m2/s2/K"),
     "m3/(h.bar)": (1.0 / 3.6e8, "m3/s/Pa"),
 }  # fmt: skip
+IN_USE = {  # as FMUs, measuring systems and spreadsheets write them
+    "psi": (si.psi, "Pa"), "atm": (si.atm, "Pa"), "Torr": (si.torr, "Pa"),
+    "mmHg": (133.322387415, "Pa"), "inHg": (3386.388640341, "Pa"), "in": (si.inch, "m"),
+    "inch": (si.inch, "m"), "ft": (si.foot, "m"), "yd": (si.yard, "m"), "mi": (si.mile, "m"),
+    "nmi": (si.nautical_mile, "m"), "mph": (si.mph, "m/s"), "kph": (si.kmh, "m/s"),
+    "kmh": (si.kmh, "m/s"), "kn": (si.knot, "m/s"), "knot": (si.knot, "m/s"),
+    "ft/s": (si.foot, "m/s"), "lb": (si.pound, "kg"), "lbm": (si.pound, "kg"),
+    "lbf": (si.lbf, "N"), "klbf": (1e3 * si.lbf, "N"), "kgf": (si.kgf, "N"), "kp": (si.kgf, "N"),
+    "lbf.ft": (si.lbf * si.foot, "J"), "cal": (si.calorie, "J"), "kcal": (1e3 * si.calorie, "J"),
+    "BTU": (si.Btu, "J"), "Btu/h": (si.Btu / 3600.0, "W"), "hp": (si.hp, "W"),
+    "PS": (75.0 * si.kgf, "W"), "day": (si.day, "s"), "d": (si.day, "s"), "hr": (si.hour, "s"),
+    "sec": (1.0, "s"), "msec": (1e-3, "s"), "r/min": (2.0 * si.pi / 60.0, "rad/s"),
+    "U/min": (2.0 * si.pi / 60.0, "rad/s"), "rps": (2.0 * si.pi, "rad/s"), "Ah": (3600.0, "C"),
+    "mAh": (3.6, "C"), "VA": (1.0, "W"), "kVA": (1e3, "W"), "var": (1.0, "W"), "kvar": (1e3, "W"),
+    "MVAr": (1e6, "W"), "cP": (1e-3, "Pa.s"), "cSt": (1e-6, "m2/s"), "ohm": (1.0, "V/A"),
+    "kohm": (1e3, "V/A"), "\N{OHM SIGN}": (1.0, "V/A"), "m\u03a9": (1e-3, "V/A"),
+    "ppm": (1e-6, "1"), "ppb": (1e-9, "1"), "N\u00b7m": (1.0, "J"), "N m": (1.0, "J"),
+    "kg m2 / s2": (1.0, "J"), "m\u00b2": (1.0, "m2"), "kg\u22c5m\u00b2": (1.0, "kg.m2"),
+    "s\u207b\u00b9": (1.0, "Hz"), "m**2": (1.0, "m2"), "s^(-1)": (1.0, "Hz"), "Vs": (1.0, "Wb"),
+    "As": (1.0, "C"), "mAs": (1e-3, "C"), "Ws": (1.0, "J"), "Nms": (1.0, "J.s"),
+    "kgm": (1.0, "kg.m"), "kgm2": (1.0, "kg.m2"), "dm": (0.1, "m"), "cl": (1e-5, "m3"),
+    "\N{DEGREE SIGN}": (si.degree, "rad"), "\N{DEGREE SIGN}/s": (si.degree, "rad/s"),
+    "W/\N{DEGREE SIGN}C": (1.0, "W/K"), "in2": (si.inch**2, "m2"), "psi/s": (si.psi, "Pa/s"),
+}  # fmt: skip
 
 
 def test_names_are_exact():
@@ -41,6 +65,18 @@ def test_names_are_exact():
         expected = BaseUnit(plain.exponents, factor, 0.0)
         if computed != expected or plain.factor != 1.0:
             wrong[name] = (computed, expected)
+    assert wrong == {}
+
+
+def test_names_in_use_are_known():
+    """To the digits of scipy's constants."""
+    wrong = {}
+    for name, (factor, base) in IN_USE.items():
+        computed = base_unit(name)
+        plain = base_unit(base)
+        same = computed is not None and computed.exponents == plain.exponents
+        if not same or computed.factor != pytest.approx(factor, rel=1e-12):
+            wrong[name] = (computed, factor, base)
     assert wrong == {}
 
 
@@ -63,8 +99,9 @@ def test_an_ambiguous_unit_is_not_read():
         "W/()",
         "kkg",
         "mmin",
-        "ft",
         "kt",
+        "dB",
+        "Nm2",
         "m%",
         "m99",
         "",
@@ -101,6 +138,9 @@ def test_values_are_converted_by_definition():
     assert between("degF", "degC")(212.0) == pytest.approx(100.0, abs=1e-13)
     assert between("degC", "degF")(0.0) == pytest.approx(32.0, abs=1e-13)
     assert between("%", "1")(50.0) == 0.5
+    for celsius in ("\N{DEGREE SIGN}C", "\N{DEGREE CELSIUS}", "Celsius"):
+        assert between(celsius, "K")(100.0) == 373.15
+    assert between("\N{DEGREE SIGN}F", "\N{DEGREE SIGN}C")(212.0) == pytest.approx(100.0, abs=1e-13)
 
 
 def test_an_angle_is_no_number():

@@ -17,6 +17,7 @@ from cosim.errors import GraphError
 from cosim.units import Conversion, Unit, conversion
 
 SourceText: TypeAlias = str | Port | Sequence[str | Port]
+AS_IS: Final = "as is"  # the unit of a connection that converts nothing
 ONE_SOURCE: Final = "an input has one source (add signals with a 'sum')"
 
 
@@ -33,7 +34,8 @@ class Connection:
     offset : float
         In the unit reached.
     unit : str or None
-        Unit reached by gain and offset; None: that of each source.
+        Unit reached by gain and offset; None: that of each source; ``"as is"``: that of the input,
+        whatever the sources declare.
 
     Attributes
     ----------
@@ -131,6 +133,8 @@ def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit
     """
     if connection.unit is None:
         return source.measure
+    if connection.unit == AS_IS:
+        return target.measure
     for signal in (source, target):
         if signal.unit == connection.unit:
             return signal.measure

@@ -280,30 +280,27 @@ def test_values_are_converted_between_units():
 
 def test_a_definition_tells_what_a_name_does_not():
     """Also for the unit that a connection names: it is that of the port with this name."""
-    feet = constant([3.0], unit="ft")
+    feet = constant([3.0], unit="furlong")
     sink = Delay(1)
     sink.interface = Interface((Signal("u", 1, "m"),), sink.interface.outputs)
-    unknown = Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
-    assert unknown.warnings == [
-        (
-            "d",
-            "c.y -> d.u: 'ft' is not known, so values in 'ft' are taken as 'm', as they are",
-        )
-    ]
-    with pytest.raises(GraphError, match="unit = 'yd': 'yd' is not known"):
-        Graph({"c": feet, "d": sink}, {"d.u": Connection("c.y", 2.0, unit="yd")})
+    with pytest.raises(GraphError, match=r"'furlong' is not known.*to 'm'.*unit = \"as is\""):
+        Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
+    as_is = Connection("c.y", unit="as is")
+    assert conversions_of({"c": feet, "d": sink}, {"d.u": as_is}) == {}
+    with pytest.raises(GraphError, match="unit = 'rod': 'rod' is not known"):
+        Graph({"c": feet, "d": sink}, {"d.u": Connection("c.y", 2.0, unit="rod")})
     feet.interface = Interface(
-        (), (Signal("y", 1, "ft", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),)
+        (), (Signal("y", 1, "furlong", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),)
     )
     assert conversions_of({"c": feet, "d": sink}, {"d.u": "c.y"}) == {
         "d.u": Conversion(0.3048, 0.0, 0.0, 1.0)
     }
-    named = Connection("c.y", 2.0, unit="ft")
+    named = Connection("c.y", 2.0, unit="furlong")
     assert conversions_of({"c": feet, "d": sink}, {"d.u": named}) == {
         "d.u": Conversion(0.3048, 0.0, 0.0, 1.0)
     }
     sink.interface = Interface((Signal("u", 1, "s"),), sink.interface.outputs)
-    with pytest.raises(GraphError, match=r"unit 'ft' \(m\) cannot drive unit 's'"):
+    with pytest.raises(GraphError, match=r"unit 'furlong' \(m\) cannot drive unit 's'"):
         Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-from cosim.core.connections import ONE_SOURCE, Connection, conversion_of, unit_reached
+from cosim.core.connections import AS_IS, ONE_SOURCE, Connection, conversion_of, unit_reached
 from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.core.structure.ports import ConnectionEnd, Ports, undriven_parts, unknown_component
@@ -174,14 +174,21 @@ def _one_conversion(
 
 def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> Iterator[str]:
     reached = unit_reached(connection, source, target)
-    used = connection.unit in (None, source.unit, target.unit)
+    used = connection.unit in (None, AS_IS, source.unit, target.unit)
     if not used and reached.si is None:
         yield f"unit = {connection.unit!r}: {unknown_unit(str(connection.unit))}"
+    elif unknown := unknown_units(reached, target.measure):
+        yield (
+            f"{unknown}, so values in {reached.name!r} cannot be converted to {target.unit!r}; "
+            f'{{ from = {connection.label!r}, unit = "{AS_IS}" }} takes them as they are'
+        )
     elif conversion(reached, target.measure) is None:
         yield (
             f"unit {_unit_text(reached)} cannot drive unit {_unit_text(target.measure)}; convert "
             f"with {{ from = {connection.label!r}, gain = ..., unit = {target.unit!r} }}"
         )
+    if connection.unit == AS_IS:
+        return
     if _is_identity(connection) and not _same_unit(source.measure, reached):
         yield (
             f"the source has unit {source.unit!r}; unit = {connection.unit!r} requires a gain; "
@@ -204,8 +211,6 @@ def unit_warnings(
         for port in connection.sources:
             reached = unit_reached(connection, ports.output(port).signal, target)
             units.append(reached)
-            for text in incomparable(reached, target.measure):
-                yield to.component, f"{port} -> {to}: {text}"
         if target.unit is None and not _all_same(units):
             names = ", ".join(_unit_text(unit) for unit in units)
             yield (
@@ -240,16 +245,12 @@ def element_warnings(
                 )
 
 
-def incomparable(reached: Unit, target: Unit) -> Iterator[str]:
-    """Yield, where one of two declared units is not known, what is done with values."""
-    if reached.name is None or target.name is None or comparable(reached, target):
-        return
-    unknown = [repr(unit.name) for unit in (reached, target) if unit.si is None]
-    verb = "are" if len(unknown) > 1 else "is"
-    yield (
-        f"{' and '.join(unknown)} {verb} not known, so values in {reached.name!r} are taken as "
-        f"{target.name!r}, as they are"
-    )
+def unknown_units(first: Unit, second: Unit) -> str:
+    """Return which of two declared units that cannot be compared are not known; empty: none."""
+    if first.name is None or second.name is None or comparable(first, second):
+        return ""
+    unknown = [repr(unit.name) for unit in (first, second) if unit.si is None]
+    return f"{' and '.join(unknown)} {'are' if len(unknown) > 1 else 'is'} not known"
 
 
 def _all_same(units: Sequence[Unit]) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Signal
-from cosim.core.structure.connection_checks import incomparable
+from cosim.core.structure.connection_checks import unknown_units
 from cosim.errors import GraphError, nearest
 from cosim.scenario.document.problems import Problem
 from cosim.scenario.document.schema import File, truth_ports
@@ -149,5 +149,9 @@ def _check_unit(
             f"{estimate!r} has unit {unit.name!r}, its true value {str(port)!r} has unit "
             f"{true_unit.name!r}; expected compatible units"
         )
-    for text in incomparable(true_unit, unit):
-        warn(Port.parse(estimate).component, f"{estimate}, its truth {port}: {text}")
+    if unknown := unknown_units(true_unit, unit):
+        warn(
+            Port.parse(estimate).component,
+            f"{estimate}, its truth {port}: {unknown}, so values in {true_unit.name!r} are taken "
+            f"as {unit.name!r}, as they are",
+        )

@@ -213,19 +213,20 @@ def test_an_unknown_unit_is_refused_where_it_is_written(units):
     check_refused(cases, lambda changes: cosim.run(units, set=changes), ScenarioError)
 
 
-def test_a_unit_that_an_fmu_declares_is_not_refused_for_being_unknown(tmp_path):
-    """It may drive any input; a warning says that nothing was converted. Its name may be used."""
+def test_a_unit_of_an_fmu_that_is_not_known_drives_another_one_as_it_is_if_that_is_said(tmp_path):
+    """Else the connection is refused, with the way out."""
     plain = tmp_path / "plain.fmu"
     path = tmp_path / "widgets.fmu"
     export_component("academic", "plant", plain)
     rewritten(plain, path, ("<Real />", '<Real unit="widget"/>'))
     file = tmp_path / "fmu.toml"
     file.write_text(FMU.format(path=path))
-    log = cosim.run(file, out=tmp_path / "fmu.mcap")
+    with pytest.raises(ScenarioError, match=r"'widget' is not known.*'mm'.*unit = \"as is\""):
+        cosim.run(file)
+    as_is = {"from": "plant.y", "unit": "as is"}
+    log = cosim.run(file, set={"connections.readout.u": as_is}, out=tmp_path / "fmu.mcap")
     assert log["readout.u"].tobytes() == log["plant.y"].tobytes()
-    text = "plant.y -> readout.u: 'widget' is not known, so values in 'widget' are taken as 'mm'"
-    assert any(text in message.text for message in log.messages())
-    named = {"from": "plant.y", "gain": 2.0, "unit": "widget"}
+    named = {"from": "plant.y", "gain": 2.0, "unit": "mm"}
     again = cosim.run(file, set={"connections.readout.u": named})
     assert (again["readout.u"] == 2.0 * again["plant.y"]).all()
 
