@@ -33,6 +33,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from cosim.log.contents.environment import environment
 from tests.bench.masters.cases import CONTENDERS, FLOOR, Case, FmuCase
 from tests.bench.masters.core_cases import core_cases
 from tests.bench.masters.environments import Result, Unavailable, run
@@ -140,7 +141,8 @@ def cases() -> list[Case]:
 
 def table(pairings: Iterable[Pairing]) -> Table:
     """Return the result."""
-    shown = Table("case", "contender", "keeps", title="time of a communication step", box=SIMPLE)
+    shown = Table("case", "contender", "keeps", box=SIMPLE)
+    shown.title = f"time of a communication step, {environment()['processor']}"
     for heading in ("us a step", "beside", "us a step", "ratio", "error", "bits", "steps"):
         shown.add_column(heading, justify="right")
     last = ""

@@ -109,16 +109,6 @@ static int32_t compare_units(Unit a, Unit b) { return a.sse == b.sse ? 0 : COSIM
 
 #endif
 
-/* Whether numbers are rounded to the nearest, and subnormal ones are computed: by arithmetic, as
- * reading the unit's control word waits for all arithmetic before it. */
-static inline bool computes_as_usual(void)
-{
-    static const double NUMBERS[] = {1.0, 0x1p-55, 0x1p-1022, 0x1.4p-1022};
-    const volatile double *read = NUMBERS; /* volatile: computed at every call */
-    const double one = read[0], quarter_bit = read[1], least = read[2], more = read[3];
-    return one + quarter_bit == one - quarter_bit && least + (more - least) > least;
-}
-
 /* --- what all threads share --- */
 
 enum { STREAMS = 3 };
@@ -129,7 +119,6 @@ enum { SIGNALS = sizeof numbers / sizeof numbers[0] };
 
 typedef struct {
     Unit unit;
-    bool usual; /* whether it computes as usual */
     char locale[100], folder[4096]; /* empty: not known, and left alone */
 #ifndef _WIN32
     struct sigaction handlers[SIGNALS];
@@ -215,7 +204,6 @@ void cosim_process_save(void *state, int32_t shared)
 {
     State *saved = state;
     saved->unit = read_unit();
-    saved->usual = computes_as_usual();
     if (shared)
         read_shared(saved);
 }
@@ -232,9 +220,7 @@ int32_t cosim_process_restore(const void *state, int32_t shared)
 
 /* --- steps --- */
 
-enum { BETWEEN = 32 }; /* calls, of which only the last one reads the unit whatever it computes */
-
-static int32_t compare_and_put_back(cosim_guarded *self, double t, int32_t status)
+static int32_t put_back(cosim_guarded *self, double t, int32_t status)
 {
     const Unit before = ((const State *)self->process)->unit, now = read_unit();
     const int32_t changes = compare_units(now, before);
@@ -248,17 +234,6 @@ static int32_t compare_and_put_back(cosim_guarded *self, double t, int32_t statu
         return status;
     self->distrusted = status == COSIM_OK;
     return COSIM_NO_VALUE;
-}
-
-/* Put the unit back after a call that returned `status`. What else is in it than the way in which
- * numbers are computed, exceptions that end the process, is looked at less often. */
-static inline int32_t put_back(cosim_guarded *self, double t, int32_t status)
-{
-    const State *before = self->process;
-    if (before->usual && computes_as_usual() && read_x87() == before->unit.x87 &&
-        ++self->calls % BETWEEN)
-        return status;
-    return compare_and_put_back(self, t, status);
 }
 
 int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const double *u0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctypes import Structure, c_double, c_int32, c_size_t, c_uint32, c_void_p
+from ctypes import Structure, c_double, c_int32, c_size_t, c_void_p
 from typing import Final
 
 from cosim.native.library import address, declare, library
@@ -30,7 +30,6 @@ class GuardedStruct(Structure):
         ("changes", c_int32),
         ("time", c_double),
         ("distrusted", c_int32),
-        ("calls", c_uint32),
     )
 
 
