@@ -101,7 +101,8 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     if not reports.refusals:
         for component, text in reports.warnings:
             print_line(f"warning: {component}: {text}", error=True)
-        print_line("dry run: no problems found")
+        different = f"the scenario can run; rows that differ: {reports.different}"
+        print_line(f"dry run: {different if reports.different else 'no problems found'}")
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:

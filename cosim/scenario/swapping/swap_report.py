@@ -71,8 +71,8 @@ class SwapReport:
 
     @property
     def warnings(self) -> list[str]:
-        """What differs or cannot be compared on connected ports, and in the whole."""
-        rows = [row for row in self.rows if row.connected]
+        """What differs or cannot be compared on connected ports, of outputs, and in the whole."""
+        rows = [row for row in self.rows if row.connected or _is_response(row)]
         different = [row for row in rows if row.verdict == "differs" and not _is_added(row)]
         differences = [_change_text(row) for row in different]
         units = [_change_text(row) for row in rows if self._is_taken_as_it_is(row)]
@@ -120,9 +120,14 @@ def _is_added(row: ComparedAspect) -> bool:
     return row.aspect == "causality" and row.before is None
 
 
+def _is_response(row: ComparedAspect) -> bool:
+    """Return whether a row compares what an output does, which the log has, connected or not."""
+    return isinstance(row.before, Mapping) and isinstance(row.after, Mapping)
+
+
 def _change_text(row: ComparedAspect) -> str:
     subject = f"{row.label} {row.aspect}".strip()
-    if isinstance(row.before, Mapping) and isinstance(row.after, Mapping):
+    if _is_response(row):
         return f"{subject} {_entry_changes(row.before, row.after)}"
     before, after = _aspect_texts(row.aspect, row.before, row.after)
     recorded = row.aspect == "kind" and row.after in ("recording", "field-data")
@@ -234,6 +239,12 @@ class SwapReports:
         """Why the scenario cannot run: its problems, or that of its initialization."""
         failures = [self.failure] if self.failure else []
         return [*self.problems, *failures]
+
+    @property
+    def different(self) -> int:
+        """How many aspects of all components differ."""
+        rows = [row for report in self.reports.values() for row in report.rows]
+        return sum(row.verdict == "differs" for row in rows)
 
     @property
     def hints(self) -> list[str]:

@@ -20,6 +20,7 @@ from cosim.cli import main
 from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
+from cosim.report.tables.comparison import print_dry_run
 from cosim.scenario.building.build import build_context, parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
@@ -155,6 +156,19 @@ def test_exchanged_ports_differ_element_by_element(two_inputs, maps, differences
     for entries in differences.values():
         for name, (old, new) in entries.items():
             assert f"{name} {new:g} (was {old:g})" in warnings
+
+
+def test_an_output_that_nothing_reads_is_compared_too(two_inputs, capsys):
+    """The log has it. The dry run does not say that there is no problem."""
+    maps = {"plant.u": "delta", "plant.delta": "u"}
+    scenario = cosim.load(two_inputs).edit(swap={"plant": two_inputs.with_suffix(".fmu")}, map=maps)
+    reports = compare_swaps(scenario)
+    (report,) = reports.reports.values()
+    assert not any(row.connected for row in report.rows if row.port == "x")
+    assert "x static gain u -> x[0] 0.125 (was 0.25)" in " ".join(report.warnings)
+    assert reports.different == sum(row.verdict == "differs" for row in report.rows) > 0
+    print_dry_run(reports, as_json=False)
+    assert "no problems" not in capsys.readouterr().out
 
 
 def test_exchanged_dynamics_differ_at_a_rate_where_static_gains_do_not(tmp_path):
