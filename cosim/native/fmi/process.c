@@ -220,12 +220,12 @@ int32_t cosim_process_restore(const void *state, int32_t shared)
 
 /* --- steps --- */
 
-static int32_t put_back(cosim_guarded *self, double t, int32_t status)
+/* Put back what a call that returned `status` changed; not inlined, as it is rare. */
+__attribute__((noinline)) static int32_t put_back_changes(cosim_guarded *self, double t,
+                                                          int32_t status, Unit now)
 {
-    const Unit before = ((const State *)self->process)->unit, now = read_unit();
+    const Unit before = ((const State *)self->process)->unit;
     const int32_t changes = compare_units(now, before);
-    if (!changes)
-        return status;
     write_unit(before, now);
     if (!self->changes)
         self->time = t;
@@ -234,6 +234,14 @@ static int32_t put_back(cosim_guarded *self, double t, int32_t status)
         return status;
     self->distrusted = status == COSIM_OK;
     return COSIM_NO_VALUE;
+}
+
+static inline int32_t put_back(cosim_guarded *self, double t, int32_t status)
+{
+    const Unit now = read_unit();
+    if (!compare_units(now, ((const State *)self->process)->unit))
+        return status;
+    return put_back_changes(self, t, status, now);
 }
 
 int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const double *u0,
