@@ -84,6 +84,7 @@ class AveragedModel:
             prepares=True,
             rollback=True,
             native=True,
+            continuous=True,
         )
 
     def increments(self, h: float, held: Mask) -> dict[str, Matrix]:

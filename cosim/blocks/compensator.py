@@ -362,5 +362,11 @@ def _interface(gains: CompensatorGains, options: CompensatorOptions) -> Interfac
     inputs.append(Signal("r", p, role="input", connection="optional"))
     names = tuple(signal.name for signal in inputs)
     return Interface(
-        tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True, native=True
+        tuple(inputs),
+        tuple(outputs),
+        delayed=names,
+        prepares=True,
+        rollback=True,
+        native=True,
+        continuous=True,
     )

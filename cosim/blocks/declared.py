@@ -17,6 +17,7 @@ from cosim.core.contracts import (
     linearized,
     prepare,
     prepare_substeps,
+    take_latest,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
@@ -82,6 +83,10 @@ class Declared:
     def __init__(self, component: Component, interface: Interface) -> None:
         self.interface = interface
         self._component = component
+
+    def take_latest(self, latest: Mask) -> None:
+        """Say it to the component."""
+        take_latest(self._component, latest)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""

@@ -319,5 +319,11 @@ def sampling_interface(inputs: Sequence[Signal], outputs: Sequence[Signal]) -> I
     """Return the interface of an identifier that takes samples at the beginning of a step."""
     names = tuple(signal.name for signal in inputs)
     return Interface(
-        tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True, native=True
+        tuple(inputs),
+        tuple(outputs),
+        delayed=names,
+        prepares=True,
+        rollback=True,
+        native=True,
+        continuous=True,
     )

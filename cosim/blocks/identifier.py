@@ -102,4 +102,6 @@ def regression_interface(recovery: Recovery) -> Interface:
     regressor = optional_input("regressor", recovery.n_eta + 1)
     theta = estimate("theta", recovery.n_theta)
     eta = estimate("eta", recovery.n_eta)
-    return Interface((regressor,), (theta, eta), prepares=True, rollback=True, native=True)
+    return Interface(
+        (regressor,), (theta, eta), prepares=True, rollback=True, native=True, continuous=True
+    )

@@ -66,6 +66,7 @@ class LimitedIntegrator:
             native=True,
             linearizable=True,
             substeps=True,
+            continuous=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

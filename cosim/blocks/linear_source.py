@@ -34,7 +34,7 @@ class LinearSource:
     ) -> None:
         self._step = linear_source_step(programs, responses)
         y = Signal("y", len(programs), unit)
-        self.interface = Interface(outputs=(y,), rollback=True, native=True)
+        self.interface = Interface(outputs=(y,), rollback=True, native=True, continuous=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""

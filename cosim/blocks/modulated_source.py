@@ -50,7 +50,9 @@ class ModulatedSource:
         y = Signal("y", self._n_y, unit)
         fed = tuple(signal.name for signal in inputs)
         is_native = source.interface.native
-        self.interface = Interface(inputs, (y,), {"y": fed}, rollback=True, native=is_native)
+        self.interface = Interface(
+            inputs, (y,), {"y": fed}, rollback=True, native=is_native, continuous=True
+        )
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""

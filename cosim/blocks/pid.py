@@ -185,6 +185,7 @@ class Pid:
             native=True,
             linearizable=True,
             substeps=period is None,
+            continuous=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

@@ -123,6 +123,8 @@ class PortMap:
         outputs = tuple(port.signal for port in self.outputs)
         own_delayed = set(self.component.delayed)
         delayed = [port.signal.name for port in self.inputs if port.sources.keys() <= own_delayed]
+        once = set(self.component.one_value)
+        one_value = [port.signal.name for port in self.inputs if port.sources.keys() & once]
         return replace(
             self.component,
             inputs=inputs,
@@ -133,6 +135,7 @@ class PortMap:
             lagging=self._shown_of(self.component.lagging),
             jumping=self._shown_of(self.component.jumping),
             left_limits=self._shown_of(self.component.left_limits),
+            one_value=tuple(one_value),
         )
 
     def _shown_of(self, outputs: Collection[str]) -> tuple[str, ...]:

@@ -79,7 +79,9 @@ class Regressor:
         mu = Signal("mu", len(terms), optional=True, description=_MU)
         # without a delay of 0 all that mu depends on has passed
         fed = [signal.name for signal in inputs] if 0 in steps else []
-        self.interface = Interface(inputs, (mu,), {"mu": tuple(fed)}, rollback=True, native=True)
+        self.interface = Interface(
+            inputs, (mu,), {"mu": tuple(fed)}, rollback=True, native=True, continuous=True
+        )
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""
@@ -139,6 +141,7 @@ class ElementRegressors:
             {"mu": tuple(sorted(fed))},
             rollback=True,
             native=True,
+            continuous=True,
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:

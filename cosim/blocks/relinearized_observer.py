@@ -124,7 +124,12 @@ class RelinearizedObserver:
         # the point of the next design, and so all of it, follows from y
         feedthrough = dict.fromkeys((signal.name for signal in interface.outputs), inputs)
         self.interface = Interface(
-            interface.inputs, interface.outputs, feedthrough, prepares=True, rollback=True
+            interface.inputs,
+            interface.outputs,
+            feedthrough,
+            prepares=True,
+            rollback=True,
+            continuous=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

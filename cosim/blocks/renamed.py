@@ -19,6 +19,7 @@ from cosim.core.contracts import (
     linearized,
     prepare,
     prepare_substeps,
+    take_latest,
 )
 from cosim.core.linearization import Linearized
 from cosim.native.blocks.wrapping import ports_step
@@ -40,6 +41,10 @@ class Renamed:
         self.interface = replace(ports.interface, prepares=True)
         self._component = component
         self._ports = ports
+
+    def take_latest(self, latest: Mask) -> None:
+        """Say it to the component, of its own inputs."""
+        take_latest(self._component, self._ports.component_mask(latest))
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component; the arrays of its design have no ports."""

@@ -66,7 +66,7 @@ class Replay:
                 "= 0"
             )
         recorded = channel.interface
-        shown = Interface((), recorded.outputs, {})
+        shown = Interface((), recorded.outputs, {}, continuous=recorded.continuous)
         if inputs:
             whole = _with_unrecorded(recording, channel) if unrecorded else recorded
             signals = tuple(_shown(channel, signal, constant) for signal in whole.inputs)
@@ -80,6 +80,7 @@ class Replay:
             linearizable=False,
             keeps_events=False,
             locates_events=False,
+            one_value=(),
             left_limits=_jumping(recorded, self._limits),
             substeps=True,  # in a loop the recorded ones are taken
         )

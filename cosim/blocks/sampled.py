@@ -8,7 +8,16 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, linearized, prepare
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Native,
+    Rollback,
+    Stopped,
+    linearized,
+    prepare,
+    take_latest,
+)
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError, steps_text
@@ -94,6 +103,14 @@ class Sampled:
         self._hold = hold
         self._own_h = 0.0
         self._memory = SampledMemory(interface.n_u, interface.n_y)
+
+    def take_latest(self, latest: Mask) -> None:
+        """Say it to the component, of its own step."""
+        take_latest(self._component, latest)
+
+    def take_latest(self, latest: Mask) -> None:
+        """Say it to the component."""
+        take_latest(self._component, latest)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""

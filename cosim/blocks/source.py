@@ -46,7 +46,7 @@ class Expression:
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
         y = Signal("y", len(texts), unit, variability, type=signal_type)
-        self.interface = Interface(outputs=(y,), rollback=True, native=True)
+        self.interface = Interface(outputs=(y,), rollback=True, native=True, continuous=True)
         self._step = expression_step(self.programs)
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -179,7 +179,7 @@ class Table:
         self._step = table_step(self.t, self.y, slopes, hold=hold, extrapolate=extrapolate)
         size = y.shape[1]
         signal = Signal("y", size, unit, "discrete" if hold else "continuous")
-        self.interface = Interface(outputs=(signal,), rollback=True, native=True)
+        self.interface = Interface(outputs=(signal,), rollback=True, native=True, continuous=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,6 +181,22 @@ class Eventful(Protocol):
         ...
 
 
+@runtime_checkable
+class OneValue(Protocol):
+    """For components with inputs that have, or may have, one value over a step."""
+
+    def take_latest(self, latest: Mask) -> None:
+        """Take which inputs have their latest known value over a step, before ``prepare``.
+
+        Parameters
+        ----------
+        latest : Mask, shape (n_u,)
+            What drives these may jump inside of a step: they get the value at its end. The others
+            that are not held get the mean of both ends.
+        """
+        ...
+
+
 class Transfer(Protocol):
     """Hands the state of a component over to its successor, which saves states otherwise.
 
@@ -240,6 +256,12 @@ def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
     if not component.interface.linearizable:
         return None
     return cast(Linearizable, component).linearized(t, u)
+
+
+def take_latest(component: Component, latest: Mask) -> None:
+    """Say to a component which inputs have their latest known value over a step, if it asks."""
+    if isinstance(component, OneValue):
+        component.take_latest(latest)
 
 
 def left_limits(component: Component, t: Vector) -> Mapping[int, Vector]:

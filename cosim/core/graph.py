@@ -63,11 +63,16 @@ class Graph:
     coupling : {"gauss-seidel", "jacobi", "newton"}
         How the components of a loop advance: one after the other, together, or again and again
         until all inputs at the end of a step are what drives them then (second order).
-    input_interpolation : {"linear", "zero-order", "latest"}
+    input_interpolation : {"linear", "zero-order", "latest"}, optional
         "linear": continuous signals are interpolated linearly inside a step. "zero-order": every
         input holds its value from the start of the step, as in most masters; first order only.
         "latest": it holds the latest value of its source, that at the end of the step where the
-        source has advanced before (the classic Gauss-Seidel); first order only.
+        source has advanced before (the classic Gauss-Seidel); first order only. Left out: "linear";
+        but inputs that can have one value only over a step get the latest known one, in place of
+        the mean of both ends, where what drives them is not continuous by construction and no loop
+        solves for its inputs ("newton", iterations, substeps).
+    means : collection of str
+        Components whose inputs that have one value over a step get the mean all the same.
     iterations : int
         How often a loop takes a step, each time with what the last one gave for the inputs at its
         end, with "gauss-seidel" or "jacobi".
@@ -96,6 +101,8 @@ class Graph:
         The inputs, or elements of them, that nothing drives, and the values that they keep.
     held : dict of component name to Mask, shape (n_u,)
         Which input elements have a zero-order hold.
+    latest : dict of component name to Mask, shape (n_u,)
+        Which have their latest known value over a step, where they can have one only.
     initializations : int
         How often the components were initialized.
     watched : frozenset of component names
@@ -117,7 +124,8 @@ class Graph:
         connections: Mapping[str, SourceText | Connection] | Mapping[Port, Connection],
         *,
         coupling: Coupling = "gauss-seidel",
-        input_interpolation: InputInterpolation = "linear",
+        input_interpolation: InputInterpolation | None = None,
+        means: Collection[str] = (),
         iterations: int = 1,
         periods: Mapping[str, int] | None = None,
         substeps: SubstepTolerance | None = None,
@@ -131,9 +139,10 @@ class Graph:
         self.program_caches: ProgramCaches | None = None
         self.components = checked_components(components)
         check_choice("coupling", coupling, COUPLINGS)
-        check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
+        interpolation = "linear" if input_interpolation is None else input_interpolation
+        check_choice("input_interpolation", interpolation, INTERPOLATIONS)
         self.periods = checked_periods({} if periods is None else periods, self.components)
-        check_iterations(iterations, coupling, input_interpolation)
+        check_iterations(iterations, coupling, interpolation)
         self.iterations = iterations
         self.substeps = substeps
         self.coupling = coupling
@@ -146,12 +155,16 @@ class Graph:
         self.unconnected = self._checked.unconnected
         self._parts = self._checked.parts
         self._sources = self._checked.sources
+        self._means = frozenset(means)
+        asked = input_interpolation is not None or substeps is not None
+        asked = asked or coupling == "newton" or iterations > 1
         self._variabilities = Variabilities(
             self.ports,
             self.connections,
             self._parts,
             self._sources,
-            zero_order=input_interpolation != "linear",
+            zero_order=interpolation != "linear",
+            means=frozenset(self.components) if asked else self._means,
         )
         self._jumping = JumpingOutputs(self.ports.channels, self._variabilities)
         self.layout = self.layout.with_left_limits(self._columns_of(self._jumping.ports))
@@ -162,7 +175,7 @@ class Graph:
             wires_of_inputs = self._wires_of(name)
             wires.update(wires_of_inputs)
             self._members[name] = self._member(name, wires_of_inputs)
-        method = LoopMethod(coupling, input_interpolation, iterations, substeps)
+        method = LoopMethod(coupling, interpolation, iterations, substeps)
         builder = StageBuilder(
             self._members,
             self._checked,
@@ -177,6 +190,7 @@ class Graph:
         self.initializations = 0
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
+        self.latest: dict[str, Mask] = {}
         for stage in self.stages:
             loop = frozenset(member.name for member in stage.members)
             for member in stage.members:
@@ -186,6 +200,9 @@ class Graph:
                     extrapolated -= frozenset(member.channel.interface.delayed)
                 self.held[member.name] = self._variabilities.held(
                     member.channel, extrapolated, loop, self._torn
+                )
+                self.latest[member.name] = self._variabilities.latest(
+                    member.channel, self.held[member.name]
                 )
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
@@ -208,12 +225,10 @@ class Graph:
         check_step(step_ns)
         taken: Mapping[str, Design] = {} if recorded is None else recorded
         check_recorded_designs(taken, self.components)
-        h = step_ns / 1e9
         designs: dict[str, Design] = {}
         for name, member in self._members.items():
             recorded_design = taken.get(name, {})
-            lengths = self._lengths(name, step_ns)
-            designs[name] = member.component.prepare(h, self.held[name], recorded_design, lengths)
+            designs[name] = self._prepare(name, member.component, step_ns, recorded_design)
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
@@ -258,9 +273,7 @@ class Graph:
         recorded : Design
             To use instead of computing it; empty: it is computed.
         """
-        guarded = self._members[name].component
-        lengths = self._lengths(name, step_ns)
-        return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
+        return self._prepare(name, self._members[name].component, step_ns, recorded)
 
     def prepare_variant(
         self,
@@ -297,7 +310,13 @@ class Graph:
                 f"component {name!r}: its state cannot be passed on: it does not declare rollback "
                 "(save and restore)"
             )
-        guarded = GuardedComponent(channel, component)
+        return self._prepare(name, GuardedComponent(channel, component), step_ns, recorded)
+
+    def _prepare(
+        self, name: str, guarded: GuardedComponent, step_ns: int, recorded: Design
+    ) -> Design:
+        """Prepare a component that is in a place, or may come there."""
+        guarded.take_latest(self.latest[name])
         lengths = self._lengths(name, step_ns)
         return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
 
@@ -408,6 +427,7 @@ class Graph:
             self.connections,
             coupling=coupling,
             input_interpolation=self.input_interpolation,
+            means=self._means,
             iterations=1 if coupling == "newton" else self.iterations,
             periods=self.periods,
             substeps=self.substeps,
@@ -471,6 +491,19 @@ class Graph:
         for stage in self.stages:
             warnings += stage.warnings
         return warnings
+
+    @property
+    def mean_inputs(self) -> dict[str, list[str]]:
+        """The connected inputs that get the mean of both ends of a step, by component."""
+        means: dict[str, list[str]] = {}
+        for channel in self.layout.channels:
+            name = channel.name
+            moves = ~self.held[name] & ~self.latest[name]
+            columns = channel.interface.input_columns()
+            for signal in channel.interface.one_value:
+                if moves[columns[signal]].any() and self._sources[name][signal]:
+                    means.setdefault(name, []).append(signal)
+        return means
 
     def variability(self, output: Port) -> Variability:
         """Return the variability of an output.

@@ -142,6 +142,7 @@ class Linear:
             native=True,
             linearizable=True,
             substeps=True,
+            continuous=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

@@ -38,6 +38,8 @@ class Linearized:
         Communication steps that its inputs are late; then there is no state.
     offset : int
         Communication steps until the first step of its own begins.
+    latest : Mask, shape (n_u,), optional
+        The inputs of which a step takes the value at its end, in place of the mean; left out: none.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class Linearized:
     shown_every: int = 0
     delay: int = 0
     offset: int = 0
+    latest: Mask | None = None
 
     def __post_init__(self) -> None:
         n_x = len(self.A)

@@ -233,6 +233,12 @@ class Interface:
     substeps : bool
         Whether it may be advanced over parts of a communication step
         (:class:`cosim.core.contracts.PreparableSubsteps`).
+    continuous : bool
+        Whether its continuous outputs are so by construction, as those of an integrated system: no
+        jump hides between two communication points, so that the mean of both is one of the signal.
+    one_value : tuple of input names
+        Continuous inputs that have one value over a whole step: the component has ``take_latest``
+        (:class:`cosim.core.contracts.OneValue`).
 
     Raises
     ------
@@ -256,6 +262,8 @@ class Interface:
     substeps: bool = False
     keeps_events: bool = False
     locates_events: bool = False
+    continuous: bool = False
+    one_value: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -279,7 +287,7 @@ class Interface:
         jumps = (self.jumping, self.left_limits)
         events = (self.keeps_events, self.locates_events)
         others = (self.restarts, self.lagging, *jumps, self.substeps, *events)
-        return Interface, (*values, *methods, *others)
+        return Interface, (*values, *methods, *others, self.continuous, self.one_value)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

@@ -321,6 +321,8 @@ class DescribedFmu:
             description.interface,
             rollback=capabilities.saves_state,
             substeps=interface_type == "me" or capabilities.variable_step,
+            continuous=interface_type == "me",
+            one_value=description.one_value_inputs if interface_type == "cs" else (),
         )
         self.metadata = _metadata(archive, interface_type)
         self._refusal = FmuError(f"{archive.path}: only its description was read")

@@ -291,6 +291,20 @@ class Description:
         return self.references("input").where(_can_be_interpolated)
 
     @property
+    def one_value_inputs(self) -> tuple[str, ...]:
+        """The continuous inputs that have one value over a step in co-simulation."""
+        moves = ~self.discrete_inputs
+        if self.capabilities["cs"].interpolates_inputs:
+            moves &= ~self.interpolated_inputs
+        names = []
+        first = 0
+        for signal, _ in self.ports("input"):
+            if moves[first : first + signal.size].any():
+                names.append(signal.name)
+            first += signal.size
+        return tuple(names)
+
+    @property
     def n_states(self) -> int:
         """Number of continuous state elements."""
         return self.unnamed_states + sum(self[name].size for name in self.states)

@@ -20,6 +20,8 @@ from cosim.scenario.kinds.base import Sampling
 InputCourse: TypeAlias = Literal[
     "linear",
     "linear over period",
+    "mean",
+    "latest",
     "zero-order hold",
     "sampled",
     "delayed",
@@ -73,9 +75,11 @@ class ScheduledConnection:
         Ports, or elements of them.
     course : str
         What the input has within a communication step: "linear" interpolation, or a "zero-order
-        hold". Of a component with a period: "linear over period", or "sampled", with a zero-order
-        hold over the period. In a loop also: "extrapolated" from the start of the step; "delayed",
-        so that only its value there counts; "solved" for in every step.
+        hold". Of co-simulation without input derivatives: the "mean" of both ends, or the "latest"
+        value known where its source may jump inside of a step. Of a component with a period:
+        "linear over period", or "sampled", with a zero-order hold over the period. In a loop also:
+        "extrapolated" from the start of the step; "delayed", so that only its value there counts;
+        "solved" for in every step.
     is_feedback : bool
         It leads to a component of its loop that advances before.
     """
@@ -252,7 +256,8 @@ def _by_sources(
 ) -> Iterator[ScheduledConnection]:
     end = graph.ports.input(to)
     first = end.columns.start - end.channel.inputs.start
-    is_held = bool(graph.held[to.component][first : first + end.size].all())
+    elements = slice(first, first + end.size)
+    is_held = bool(graph.held[to.component][elements].all())
     late: frozenset[str] = frozenset()
     if loop is not None:
         late = loop.extrapolated.get(to.component, frozenset())
@@ -262,6 +267,8 @@ def _by_sources(
         }
         is_feedback = is_inside and end.signal.name in late
         course = _own_course(sampling, is_held=is_held)
+        if end.signal.name in end.channel.interface.one_value and course.startswith("linear"):
+            course = "latest" if graph.latest[to.component][elements].any() else "mean"
         if loop is not None and is_inside and _is_solved(loop, end.port):
             course = "solved"
         elif course == "sampled":

@@ -1,5 +1,6 @@
 """The FMUs of ``c/small2.c``: linear systems of first order, and the parts of a nonlinear loop."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from tests.fmi.compiled import compile_fmu, with_description
@@ -12,6 +13,7 @@ CAN = {
     "steps": 'canHandleVariableCommunicationStepSize="true"',
     "once": 'canBeInstantiatedOnlyOncePerProcess="true"',
 }
+USED: Mapping[str, float] = {"A": -1.0, "D": 1.0}  # y = u
 # the pair of ``test_coupled.py``
 ONE = {"A": -0.9, "B": 0.5, "C": 3.0, "D": 1.0, "x": 1.0}
 TWO = {"A": -1.0, "B": 10.0, "C": -31.0, "D": -0.9, "x": 1.0}
@@ -31,8 +33,8 @@ def able(fmu: Path, target: Path, *can: str, **values: float) -> Path:
 def xml(*can: str, **values: float) -> str:
     """Describe it; a linear system has u and y, the others their own inputs and outputs."""
     kind = values.get("KIND", 0.0)
-    inputs = {0.0: "u", 1.0: "u", 2.0: "uv"}[kind]
-    outputs = {0.0: "xy", 1.0: "yz", 2.0: "y"}[kind]
+    inputs = {0.0: "u", 1.0: "u", 2.0: "uv", 3.0: ""}[kind]
+    outputs = {0.0: "xy", 1.0: "yz", 2.0: "y", 3.0: "y"}[kind]
     scalars = []
     unknowns = []
     feeds = kind != 0.0 or values.get("D", 1.0) != 0.0

@@ -118,7 +118,8 @@ def test_feedthrough_without_D_is_first_order_and_reported(opened, version):
         difference = error[:, Y] - error[:, X]
         assert difference == pytest.approx(-SLOPE * h / 2, abs=ROUNDING)
     assert opened(version).component.notes == (
-        "lag: y lags the inputs by up to one step (the FMU has no directional derivatives)",
+        "lag: y lags inputs with a zero-order hold, or set to a mean, by up to one step (the FMU "
+        "has no directional derivatives)",
     )
 
 
@@ -193,8 +194,8 @@ def test_an_fmu_that_never_asks_for_inputs_gets_their_mean(opened, can):
     warning = (
         "lag: asked for no inputs in the step from t = 0.0 s, though it says it can "
         "(providesIntermediateUpdate): they kept their value from the start of that "
-        "step; from then on it gets their mean, and the direct feedthrough to outputs belongs to "
-        "that"
+        "step; from then on it gets one value of them over a step, and the direct feedthrough to "
+        "outputs belongs to that"
     )
     assert fmu.drain() == [(0.0, "warning", "", warning)]
     assert np.array_equal(run(fmu), y)
@@ -249,7 +250,7 @@ def test_slopes_that_are_refused_at_once_begin_the_run_again_with_means(opened, 
     assert np.array_equal(run(fmu), expected)
     (message,) = [text for _, level, _, text in fmu.drain() if level == "warning"]
     assert "SetRealInputDerivatives returned 3 (error)" in message
-    assert "the run began again with a new instance, which gets the mean of both ends" in message
+    assert "the run began again with a new instance, which gets one value of its inputs" in message
     assert np.array_equal(run(fmu, blocks=3), expected)
     assert fmu.drain() == []
 

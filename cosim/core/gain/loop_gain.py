@@ -206,7 +206,8 @@ class LinearizedLoops:
     def _model(self, loop: Stage) -> LoopModel:
         width = self.graph.layout.width
         h = self.clock.step_ns / NANOSECONDS
-        model = loop_model(loop, self.linearized, self.graph.held, h=h, width=width)
+        masks = (self.graph.held, self.graph.latest)
+        model = loop_model(loop, self.linearized, *masks, h=h, width=width)
         parts = self._substeps(loop)
         return model.refined(parts) if parts > 1 else model
 

@@ -115,6 +115,7 @@ def loop_model(
     loop: Stage,
     linearized: Mapping[str, Linearized],
     held: Mapping[str, Mask],
+    latest: Mapping[str, Mask],
     *,
     h: float,
     width: int,
@@ -125,10 +126,11 @@ def loop_model(
     for kind, members in loop.program:
         if kind in CHANGING:
             operations += [(kind, numbers[member.name]) for member in members]
+    names = [member.name for member in loop.members]
     return LoopModel(
-        tuple(linearized[member.name] for member in loop.members),
+        tuple(replace(linearized[name], latest=latest[name]) for name in names),
         _wiring(loop.members, width),
-        tuple(held[member.name] for member in loop.members),
+        tuple(held[name] for name in names),
         tuple(operations),
         h,
         _torn(loop),

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.linearization import Linearized
 from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
 
@@ -123,17 +123,22 @@ def member_step(linearized: Linearized, h: float, held: Mask, phase: Phase) -> M
 
 def _dynamics(linearized: Linearized, h: float, held: Mask) -> _Dynamics:
     at_start = held | (linearized.input_use == "start")
-    discrete = _discretized(linearized, h, at_start)
+    moving = np.full(len(held), 0.5 if linearized.input_use == "mean" else 0.0)
+    if linearized.latest is not None:
+        moving[linearized.latest] = 0.0
+    share = np.where(at_start, 1.0, moving)
+    discrete = _discretized(linearized, h, at_start, share)
     D = linearized.D
     follows = linearized.follows[:, np.newaxis]
     # What does not follow belongs to the input that the step took.
-    share = np.where(at_start, 1.0, 0.5 if linearized.input_use == "mean" else 0.0)
     D0 = np.where(follows, 0.0, D * share)
     D1 = np.where(follows, D, D * (1.0 - share))
     return _Dynamics(linearized, discrete, D0, D1)
 
 
-def _discretized(linearized: Linearized, h: float, at_start: Mask) -> DiscretizedDynamics:
+def _discretized(
+    linearized: Linearized, h: float, at_start: Mask, share: Vector
+) -> DiscretizedDynamics:
     A = linearized.A
     B = linearized.B
     if linearized.is_discrete:
@@ -141,8 +146,7 @@ def _discretized(linearized: Linearized, h: float, at_start: Mask) -> Discretize
     if linearized.input_use != "mean":
         return first_order_hold(A, B, h, at_start)
     discrete = first_order_hold(A, B, h, np.ones(len(at_start), np.bool_))
-    half = np.where(at_start, 0.0, 0.5)
-    return DiscretizedDynamics(discrete.Ad, discrete.B0 * (1.0 - half), discrete.B0 * half)
+    return DiscretizedDynamics(discrete.Ad, discrete.B0 * share, discrete.B0 * (1.0 - share))
 
 
 def _direct(dynamics: _Dynamics) -> MemberStep:

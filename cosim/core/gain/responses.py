@@ -42,7 +42,14 @@ class Returning(Component, Rollback[State], Protocol[State]):
 
 
 def linearized_by_responses(
-    component: Returning[State], t: float, h: float, u: Vector, *, held: Mask, use: InputUse
+    component: Returning[State],
+    t: float,
+    h: float,
+    u: Vector,
+    *,
+    held: Mask,
+    latest: Mask,
+    use: InputUse,
 ) -> Linearized | None:
     """Linearize a component at its state; None: there is no linear system that does what it does.
 
@@ -60,8 +67,10 @@ def linearized_by_responses(
         Inputs at ``t``.
     held : Mask, shape (n_u,)
         Which inputs have a zero-order hold.
+    latest : Mask, shape (n_u,)
+        Which of the others have their value at the end over a step.
     use : InputUse
-        How the others are taken through a step.
+        How the rest is taken through a step.
 
     Raises
     ------
@@ -86,7 +95,7 @@ def linearized_by_responses(
         return None
     A, B, C, D = realized
     follows = trial.follows(D)
-    linearized = Linearized(A, B, C, D, input_use=use, corrected=follows)
+    linearized = Linearized(A, B, C, D, input_use=use, corrected=follows, latest=latest)
     return linearized if trial.confirms(linearized, held) else None
 
 

@@ -199,6 +199,7 @@ def reduced_interface(interface: Interface, names: Collection[str]) -> Interface
         lagging=tuple(name for name in interface.lagging if name in names),
         jumping=tuple(name for name in interface.jumping if name in names),
         left_limits=tuple(name for name in interface.left_limits if name in names),
+        one_value=tuple(name for name in interface.one_value if name in names),
     )
 
 

@@ -31,6 +31,7 @@ from cosim.core.contracts import (
     linearized,
     prepare,
     prepare_substeps,
+    take_latest,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Channel
@@ -133,6 +134,10 @@ class GuardedComponent:
         if self._seconds is not None:
             self._seconds[self.name] += float(self._native_seconds[0])
             self._native_seconds[0] = 0.0
+
+    def take_latest(self, latest: Mask) -> None:
+        """Say to the component which inputs have their latest known value over a step."""
+        take_latest(self._component, read_only(latest))
 
     def prepare(
         self, h: float, held: Mask, recorded: Design, lengths: tuple[float, ...] = ()
@@ -392,6 +397,10 @@ class Timed:
         began = perf_counter()
         yield
         self._seconds[self._name] += perf_counter() - began
+
+    def take_latest(self, latest: Mask) -> None:
+        """Pass on."""
+        take_latest(self._component, latest)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""

@@ -259,6 +259,8 @@ class StageBuilder:
             return True
         lagging: set[Port] = set()
         for member in members:
+            if self._variabilities.takes_latest(member.channel):
+                return True
             lagging.update(Port(member.name, name) for name in member.channel.interface.lagging)
         driving = driving_outputs([member.name for member in members], self._sources)
         return not lagging.isdisjoint(driving)

@@ -44,6 +44,8 @@ class Variabilities:
         The outputs that drive each input.
     zero_order : bool
         Whether every input has a zero-order hold, whatever drives it.
+    means : frozenset of str
+        Components whose inputs that have one value over a step get the mean, whatever drives them.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class Variabilities:
         sources: Sources,
         *,
         zero_order: bool,
+        means: frozenset[str],
     ) -> None:
         self._ports = ports
         self._channels = ports.channels
@@ -61,6 +64,8 @@ class Variabilities:
         self._parts = parts
         self._sources = sources
         self._zero_order = zero_order
+        self._means = means
+        self._stepped: frozenset[Port] = frozenset()
         self._by_output = self._variabilities()
 
     def of(self, output: Port) -> Variability:
@@ -142,6 +147,35 @@ class Variabilities:
         mask = np.array(held, dtype=np.bool_)
         mask.setflags(write=False)
         return mask
+
+    def latest(self, channel: Channel, held: Mask) -> Mask:
+        """Return which input elements, where they have one value over a step, have that at its end.
+
+        What drives them is not continuous by construction, so that the mean may be no value of it:
+        a co-simulation FMU, a component in Python, a static part behind one. Those of ``held``,
+        shape (n_u,), do not move.
+        """
+        mask = np.zeros(channel.interface.n_u, np.bool_)
+        inputs = () if channel.name in self._means else channel.interface.inputs
+        for signal in inputs:
+            for part in self._parts[Port(channel.name, signal.name)]:
+                end = self._ports.input(part)
+                first = end.columns.start - channel.inputs.start
+                sources = [self._ports.output(port) for port in self._connections[part].sources]
+                steps = [source.port in self._stepped for source in sources]
+                elements = np.repeat(steps, [source.size for source in sources])
+                if self._connections[part].matrix.ndim == 2:  # each may be a sum of all sources
+                    elements = np.full(end.size, any(steps))
+                mask[first : first + end.size] = elements
+        mask &= ~held
+        mask.setflags(write=False)
+        return mask
+
+    def takes_latest(self, channel: Channel) -> bool:
+        """Return whether a component has such inputs with one value, unless extrapolated."""
+        latest = self.latest(channel, self.held(channel, frozenset(), frozenset()))
+        columns = channel.interface.input_columns()
+        return any(latest[columns[name]].any() for name in channel.interface.one_value)
 
     def _held_elements(
         self, to: Port, size: int, loop: frozenset[str], solved: frozenset[Port]
@@ -289,6 +323,9 @@ class Variabilities:
         discrete += [port for port in inherited if self._starts_apart(port)]
         for port in _reached(discrete, followed, inheriting):
             variabilities[port] = "discrete"
+        channels = self._channels
+        jumping = [p for p in continuous if not channels[p.component].interface.continuous]
+        self._stepped = frozenset(_reached(discrete + jumping, followed, inheriting))
         # Last, as one continuous signal is enough.
         for port in _reached(continuous, followed, inheriting):
             variabilities[port] = "continuous"

@@ -75,6 +75,7 @@ class CoSimulation:
             left_limits=jumping_outputs(description) if self._capabilities.event_mode else (),
             locates_events=self._capabilities.event_mode or self._capabilities.early_return,
             keeps_events=self._capabilities.event_mode and not self._capabilities.saves_state,
+            one_value=description.one_value_inputs,
         )
         self._in_events: frozenset[str] = frozenset()
         if self._capabilities.event_mode:
@@ -92,6 +93,12 @@ class CoSimulation:
         if not self._stepper.interpolates:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
         self._tuned: list[TunedParameters] = []
+        self._latest = np.zeros(self.interface.n_u, np.bool_)
+
+    def take_latest(self, latest: Mask) -> None:
+        """Take which inputs have their latest known value over a step."""
+        self._latest = latest
+        self._stepper.take_latest(latest)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs have a zero-order hold; nothing is designed.
@@ -132,9 +139,9 @@ class CoSimulation:
         verb = "lag" if len(names) > 1 else "lags"
         if not all(self.interface.knows(name) for name in names):
             verb = "may lag"
-        inputs = "the inputs"
-        if self._stepper.interpolates:
-            inputs = "inputs with a zero-order hold"
+        inputs = "inputs with a zero-order hold"
+        if not self._stepper.interpolates:
+            inputs += ", or set to a mean,"
         why = "the FMU has no directional derivatives"
         if self._feedthrough:
             why = "directional derivatives are for real variables"
@@ -293,7 +300,8 @@ class CoSimulation:
             return None
         self._tries = True
         try:
-            return linearized_by_responses(self, t, self._h, u, held=self._held, use=use)
+            masks = {"held": self._held, "latest": self._latest}
+            return linearized_by_responses(self, t, self._h, u, **masks, use=use)
         finally:
             self._tries = False
 

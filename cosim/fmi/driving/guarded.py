@@ -16,6 +16,7 @@ from cosim.core.contracts import (
     Stopped,
     first_event,
     left_limits,
+    take_latest,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
@@ -150,6 +151,10 @@ class Guarded:
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
         return self._component.notes
+
+    def take_latest(self, latest: Mask) -> None:
+        """Pass on."""
+        take_latest(self._component, latest)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""

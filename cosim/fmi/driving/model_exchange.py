@@ -122,6 +122,7 @@ class ModelExchange:
             left_limits=jumping_outputs(instance.description) if self._may_have_events else (),
             locates_events=self._may_have_events,
             keeps_events=self._may_have_events and not self._capabilities.saves_state,
+            continuous=True,
         )
         self._integrator.keeps_left = bool(self.interface.left_limits)
         self._left_limits = LeftLimits()

@@ -129,6 +129,6 @@ class StepInputs:
             "interpolation",
             f"asked for no inputs in the step from t = {t} s, though it says it can "
             "(providesIntermediateUpdate): they kept their value from the start of "
-            "that step; from then on it gets their mean, and the direct feedthrough to outputs "
-            "belongs to that",
+            "that step; from then on it gets one value of them over a step, and the direct "
+            "feedthrough to outputs belongs to that",
         )

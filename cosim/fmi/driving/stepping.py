@@ -10,7 +10,8 @@ the step)::
         an FMU that interpolates: set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step
                                   its outputs belong to u_end = u(s1)
                                   (an input that cannot be interpolated there: as below)
-        any other:                set inputs (u(s0) + u(s1))/2; do_step
+        any other:                set inputs (u(s0) + u(s1))/2, or u1 where the mean would be none
+                                  of the signal's values; do_step
                                   its outputs belong to u_end = that
                                   (the same again after an early return, so that their integral up
                                   to s1 is right)
@@ -168,12 +169,14 @@ class Stepper:
         state = place(np.zeros(n_y + n_u + self._event_inputs.size))
         self.outputs, self.inputs, self._event_values = np.split(state, (n_y, n_y + n_u))
         self._held = place(np.zeros(n_u, np.bool_))
-        self._scratch = place(np.zeros(3 * n_u + n_y))
+        self._latest = place(np.zeros(n_u, np.bool_))
+        self._scratch = place(np.zeros(4 * n_u + n_y))
         struct = self._struct
         struct.n_u = n_u
         struct.n_y = n_y
         struct.n_event = self._event_inputs.size
         struct.held = self._held.ctypes.data
+        struct.latest = self._latest.ctypes.data
         struct.ramped = self._step_inputs.ramped.ctypes.data
         struct.event_columns = self._event_inputs.columns.ctypes.data
         struct.inner_step = self._inner_step.address
@@ -276,6 +279,10 @@ class Stepper:
         self._held[:] = held | self._instance.description.discrete_inputs
         self._some_held = bool(self._held.any())
 
+    def take_latest(self, latest: Mask) -> None:
+        """Set which inputs that have one value over a step have that at its end."""
+        self._latest[:] = latest & ~self._instance.description.discrete_inputs
+
     def begin(self, u: Vector, y: Vector) -> None:
         """Begin anew, with these inputs and outputs; the FMU is in initialization mode."""
         self._clocks.begin(y)
@@ -301,8 +308,8 @@ class Stepper:
             t,
             "interpolation",
             f"{reason}, though it says that it interpolates inputs (canInterpolateInputs): the run "
-            "began again with a new instance, which gets the mean of both ends of a step as its "
-            "input, and the direct feedthrough to outputs belongs to that",
+            "began again with a new instance, which gets one value of its inputs over a step, and "
+            "the direct feedthrough to outputs belongs to that",
         )
         self._step_inputs.can_interpolate = False
         self._keep_fmu_state(None)
@@ -386,23 +393,28 @@ class Stepper:
             self.inner_steps = self._struct.inner_steps
             return True
         if begun != UNREAD:
-            change = u1 - u0
-            if self._some_held:
-                change[self._held] = 0.0
-                u1 = np.where(self._held, u0, u1)
-            ramp = InputRamp(t, h, u0, u1, change)
             end: StepEnd | None = None
             if begun == STEPPED:
                 end = self._instance.end_of_step(t, h, self._struct.do_step.status)
             else:
                 self.handle_point_event(t, u0)
             self._clocks.begin_step()
-            if self._advance(ramp, 0.0, 1.0, 0, end) < 1.0:
+            if self._advance(self._ramp(t, h, u0, u1), 0.0, 1.0, 0, end) < 1.0:
                 return False
         self.outputs[:] = self._clocks.outputs()
         self._struct.stepped = True
         self.inner_steps = self._inner_step.observe(self.outputs, self.inputs)
         return True
+
+    def _ramp(self, t: float, h: float, u0: Vector, u1: Vector) -> InputRamp:
+        """Return the inputs over a step from ``u0`` to ``u1``, as far as they move."""
+        latest = self._latest & ~self._step_inputs.ramped if self.interpolates else self._latest
+        u0 = np.where(latest, u1, u0)
+        change = u1 - u0
+        if self._some_held:
+            change[self._held] = 0.0
+            u1 = np.where(self._held, u0, u1)
+        return InputRamp(t, h, u0, u1, change)
 
     def _advance(
         self,

@@ -38,7 +38,7 @@ static double input_at(const Ramp *ramp, double s, int32_t i)
     return s != 0.0 ? ramp->u0[i] + s * ramp->change[i] : ramp->u0[i];
 }
 
-/* Inputs that are interpolated at `s`, the others at the mean. */
+/* Inputs that are interpolated at `s`, the others at their one value. */
 static void interpolated_at(const Component *c, const Ramp *ramp, double s, double *u)
 {
     for (int32_t i = 0; i < c->n_u; ++i)
@@ -131,12 +131,14 @@ static int32_t do_step(Component *c, double t, double h)
 RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const double *u0,
                                 const double *u1)
 {
-    double *end = c->scratch, *change = end + c->n_u, *inputs = change + c->n_u;
+    double *begin = c->scratch, *end = begin + c->n_u, *change = end + c->n_u;
+    double *inputs = change + c->n_u;
     for (int32_t i = 0; i < c->n_u; ++i) {
-        change[i] = c->held[i] ? 0.0 : u1[i] - u0[i];
+        begin[i] = c->latest[i] && !c->ramped[i] ? u1[i] : u0[i];
         end[i] = c->held[i] ? u0[i] : u1[i];
+        change[i] = c->held[i] ? 0.0 : u1[i] - begin[i];
     }
-    const Ramp ramp = {t0, h, u0, end, change};
+    const Ramp ramp = {t0, h, begin, end, change};
     interpolated_at(c, &ramp, 0.0, inputs);
     const int32_t status = cosim_fmu_set(c->fmu, &c->step_inputs, inputs);
     if (status != COSIM_OK)
@@ -156,18 +158,20 @@ RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const do
     return COSIM_OK;
 }
 
-/* The mean of both ends of a step. */
+/* The mean of both ends of a step, or the value at its end. */
 static inline void mean_inputs(const Component *c, const double *u0, const double *u1)
 {
     double *inputs = c->inputs;
-    const volatile uint8_t *held = c->held; /* volatile: vectorizing does not pay for a few */
+    /* volatile: vectorizing does not pay for a few */
+    const volatile uint8_t *held = c->held, *latest = c->latest;
     for (int32_t i = 0; i < c->n_u; ++i) {
-        const double change = held[i] ? 0.0 : u1[i] - u0[i];
-        inputs[i] = u0[i] + 0.5 * change;
+        const double begin = latest[i] ? u1[i] : u0[i];
+        const double change = held[i] ? 0.0 : u1[i] - begin;
+        inputs[i] = begin + 0.5 * change;
     }
 }
 
-/* Set inputs to the mean of both ends of a step, and call do_step. */
+/* Set inputs to one value over a step, and call do_step. */
 static int32_t do_step_with_means(Component *c, double t0, double h, const double *u0,
                                   const double *u1)
 {
@@ -246,14 +250,16 @@ static inline int32_t plain_step(Component *c, int32_t version, double t0, doubl
 static inline void ramp_inputs(const Component *c, const double *u0, const double *u1,
                                double *begin, double *change)
 {
-    const volatile uint8_t *held = c->held, *ramped = c->ramped; /* volatile: as of inputs */
+    /* volatile: as of inputs */
+    const volatile uint8_t *held = c->held, *latest = c->latest, *ramped = c->ramped;
     for (int32_t i = 0; i < c->n_u; ++i) {
         const bool is_held = held[i];
         const bool is_ramped = ramped[i];
-        change[i] = is_held ? 0.0 : u1[i] - u0[i];
-        const double mean = u0[i] + 0.5 * change[i];
+        const double first = latest[i] && !is_ramped ? u1[i] : u0[i];
+        change[i] = is_held ? 0.0 : u1[i] - first;
+        const double mean = first + 0.5 * change[i];
         const double end = is_held ? u0[i] : u1[i];
-        begin[i] = is_ramped ? u0[i] : mean;
+        begin[i] = is_ramped ? first : mean;
         c->inputs[i] = is_ramped ? end : mean;
     }
 }

@@ -46,6 +46,7 @@ typedef struct {
     double first_event; /* inside the last step; infinity: none, as in every compiled one */
     cosim_fmu_call *get_state; /* NULL: no state is saved before a step */
     const uint8_t *held;       /* (n_u) keeps its value over a step */
+    const uint8_t *latest;     /* (n_u) has the value at the end over a step, where it has one */
     /* the state: as in StepperState; one array behind the other */
     double *outputs, *inputs, *event_inputs;
     cosim_inner_step *inner_step;
@@ -58,7 +59,7 @@ typedef struct {
     const intptr_t *unknowns, *knowns; /* columns of the outputs and inputs of D */
     const uint8_t *ramped; /* (n_u) has its value, not its mean, where slopes are set */
     const intptr_t *event_columns; /* (n_event) inputs that are set in events */
-    double *scratch;               /* (3 n_u + n_y) */
+    double *scratch;               /* (4 n_u + n_y) */
     cosim_co_simulation_copy *copy;
     int32_t has_left; /* outputs had other values before an event at the end: never here */
 } cosim_co_simulation;

@@ -56,7 +56,7 @@ class CoSimulationStruct(Structure):
         *((name, c_int32) for name in ("plain", "initialized", "interpolates", "stepped", "ended")),
         *((name, c_int32) for name in ("n_u", "n_y", "n_event", "note")),
         *((name, c_double) for name in ("next_event", "first_event")),
-        *((name, c_void_p) for name in ("get_state", "held", "outputs", "inputs")),
+        *((name, c_void_p) for name in ("get_state", "held", "latest", "outputs", "inputs")),
         *((name, c_void_p) for name in ("event_inputs", "inner_step")),
         ("inner_steps", c_int64),
         ("feedthrough", DirectionalStruct),

@@ -19,6 +19,8 @@ BOX: Final = (0.56, 0.66)  # of a component, of these
 STYLES: Final[Mapping[InputCourse, tuple[str, str]]] = {  # color, line
     "linear": ("#444444", "-"),
     "linear over period": ("#444444", "-."),
+    "mean": ("#444444", "-."),
+    "latest": ("#444444", ":"),
     "zero-order hold": ("#1f6fb2", ":"),
     "sampled": ("#1f6fb2", "-."),
     "delayed": ("#1f6fb2", "--"),

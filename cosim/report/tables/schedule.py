@@ -35,6 +35,8 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
 COURSES = {
     "linear": "linear interpolation",
     "linear over period": "linear interpolation over its period",
+    "mean": "mean of both ends",
+    "latest": "latest value, which may have jumped",
     "zero-order hold": "zero-order hold",
     "sampled": "zero-order hold of its samples",
     "delayed": "delayed, so its value at the start of the step is exact",

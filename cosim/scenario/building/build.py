@@ -556,12 +556,14 @@ class Builder:
 
     def _graph(self) -> Graph:
         settings = self.scenario.file.scenario
+        specs = self.scenario.specs
         return Graph(
             self.components,
             self.scenario.connections,
             coupling=settings.coupling,
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
+            means=[n for n in specs if getattr(specs[n], "input_interpolation", "") == "linear"],
             periods=self.periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,

@@ -22,7 +22,7 @@ def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
     method: list[Any] = [settings.coupling, settings.iterations]
     if settings.substeps is not None:
         method.append(settings.substeps.model_dump())
-    values = [tables, settings.step, settings.input_interpolation, *method]
+    values = [tables, settings.step, settings.input_interpolation or "linear", *method]
     text = json.dumps(values, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

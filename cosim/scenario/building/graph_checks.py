@@ -42,7 +42,7 @@ def _how(source: Port, jumping: Sequence[Port]) -> str:
 
 def held_disturbances(scenario: Scenario, graph: Graph, step_ns: int) -> Iterator[tuple[str, str]]:
     """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
-    if graph.input_interpolation != "linear":
+    if graph.input_interpolation not in (None, "linear"):
         return
     delay = 0.5 * step_ns / 1e9
     for stage in graph.stages:

@@ -136,10 +136,11 @@ class Settings(TomlTable):
         1,
         description='iterations per step with "gauss-seidel" or "jacobi"',
     )
-    input_interpolation: Literal["linear", "zero-order", "latest"] = Field(
-        "linear",
+    input_interpolation: Literal["linear", "zero-order", "latest"] | None = Field(
+        None,
         description='inputs within a step: "linear" interpolation, "zero-order" hold from its '
-        'start, or hold of the "latest" values (classic Gauss-Seidel)',
+        'start, or hold of the "latest" values (classic Gauss-Seidel); default: "linear", and the '
+        "latest where a co-simulation FMU takes one value from a source that may jump",
     )
     substeps: SubstepTable | None = Field(
         None,

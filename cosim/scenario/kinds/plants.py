@@ -187,7 +187,10 @@ class FmuKind(PlantKind, PeriodicKind):
 
     input_interpolation: Literal["linear", "zero-order"] | None = Field(
         None,
-        description='inputs over a period: "linear" interpolation (default) or "zero-order" hold',
+        description='inputs within a step, or a period: "linear" (of co-simulation without input '
+        'derivatives: the mean of both ends), or over a period "zero-order" hold; default: '
+        '"linear", and the latest value where co-simulation without input derivatives follows '
+        "what may jump",
     )
 
     @property
@@ -196,10 +199,10 @@ class FmuKind(PlantKind, PeriodicKind):
 
     def with_period(self, component: Component, n: int) -> Component:
         hold = self.input_interpolation == "zero-order"
-        if self.period is None and self.input_interpolation is not None:
+        if self.period is None and hold:
             raise UsageError(
-                f"input_interpolation: expected together with period, got "
-                f"{self.input_interpolation!r} and no period"
+                'input_interpolation: expected "linear" where there is no period, got '
+                '"zero-order"; with the communication step as its period it holds its inputs'
             )
         return component if n == 1 and not hold else Sampled(component, n, hold=hold)
 

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
 
 UNTIL = "until"
+MEANS = (
+    "every step sets {} to the mean of both of its ends, which are what the log has (no input "
+    "derivatives)"
+)
 
 
 def terminated(
@@ -163,6 +167,9 @@ class MessageRecorder(PassingRecorder):
         """
         super().begin(plan)
         for name, text in _start_values(self._experiment):
+            self._recorder.message(self._reached_ns, "info", name, text)
+        for name, inputs in self._experiment.graph.mean_inputs.items():
+            text = MEANS.format(", ".join(inputs))
             self._recorder.message(self._reached_ns, "info", name, text)
         for name, text in self._experiment.warnings:
             self._recorder.message(self._reached_ns, "warning", name, text)

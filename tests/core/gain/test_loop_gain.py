@@ -198,7 +198,8 @@ def rows_and_maps(graph):
     clock = Clock(6.0, 0.01)
     loops = loops_of(graph, clock)
     (loop,) = (stage for stage in graph.stages if stage.is_loop)
-    model = loop_model(loop, loops.linearized, graph.held, h=clock.step, width=graph.layout.width)
+    masks = (graph.held, graph.latest)
+    model = loop_model(loop, loops.linearized, *masks, h=clock.step, width=graph.layout.width)
     maps = one_step_maps(model)
     rows = outputs_of(graph, clock, [member.name for member in loop.members])
     state = []

@@ -2,10 +2,12 @@
 
 import pytest
 
+from cosim.blocks.arithmetic import sum_of
 from cosim.blocks.source import constant
+from cosim.core.connections import Connection
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
-from tests.core.parts import Scripted, integrator
+from tests.core.parts import Scripted, integrator, times
 
 
 def test_an_element_that_nothing_drives_has_no_zero_order_hold():
@@ -21,3 +23,28 @@ def test_the_masks_of_a_graph_are_read_only():
     graph = Graph({"s": constant([1.0]), "a": integrator()}, {"a.u": "s.y"})
     with pytest.raises(ValueError, match="read-only"):
         graph.held["a"][0] = True
+
+
+def test_what_is_continuous_by_construction_is_known_behind_static_parts_too():
+    """Of a component in Python nothing is known; behind a gain, in a sum, in a vector neither."""
+    parts = {
+        "own": integrator(),
+        "user": Scripted([0.0] * 3),
+        "gain": times(2.0),
+        "sum": sum_of([1.0, 1.0]),
+        "s": constant([1.0]),
+        "reader": Scripted([0.0] * 3),
+    }
+    parts["reader"].interface = Interface((Signal("u", 5), Signal("v")), (Signal("y"),))
+    connections = {
+        "own.u": "s.y",
+        "gain.u": "user.y",
+        "sum.u1": "own.y",
+        "sum.u2": "user.y",
+        "reader.u": ["own.y", "user.y", "gain.y", "sum.y", "s.y"],
+        "reader.v": Connection(["own.y", "user.y"], gain=[[1.0, 1.0]]),
+    }
+    graph = Graph(parts, connections)
+    assert graph.latest["reader"].tolist() == [False, True, True, True, False, True]
+    for means in ({"means": ["reader"]}, {"coupling": "newton"}, {"input_interpolation": "linear"}):
+        assert not Graph(parts, connections, **means).latest["reader"].any()

@@ -3,6 +3,7 @@
  * KIND 0: x' = A x + B u, y = C x + D u, with an inner step that is exact for inputs on a line.
  * KIND 1: y and z with u + y + z = 0, 2 u - 3 y + 2 z = 9.
  * KIND 2: y with y^2 + u^2 + v^2 = 5, y > 0.
+ * KIND 3: y = 1, and 5 from the step on that ends behind 0.45 s.
  * SAYS 1: a message in every step. With COUNTS, KIND 0 has in y how many instances there were in
  * this process before, which the binary knows and not the instance. */
 #include "fmi2Functions.h"
@@ -14,7 +15,7 @@
 enum { U, V, X, Y, Z, A, B, C, D, KIND, SAYS, VALUES };
 
 typedef struct {
-    double value[VALUES], slope;
+    double value[VALUES], slope, end;
     const fmi2CallbackFunctions *functions;
     int steps; /* in initialization outputs follow inputs at once, later only in steps */
 } Instance;
@@ -35,7 +36,8 @@ static void show(Instance *instance)
         p[Y] = -9.0 / 5.0;
         p[Z] = 9.0 / 5.0 - p[U];
         break;
-    default: p[Y] = sqrt(5.0 - p[U] * p[U] - p[V] * p[V]);
+    case 2: p[Y] = sqrt(5.0 - p[U] * p[U] - p[V] * p[V]); break;
+    default: p[Y] = instance->end > 0.45 ? 5.0 : 1.0;
     }
 }
 
@@ -132,6 +134,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
         p[U] += slope * h;
         instance->slope = 0.0;
     }
+    instance->end = t + h;
     show(instance);
     return fmi2OK;
 }
