@@ -17,7 +17,7 @@ from cosim.core.contracts import (
     linearized,
     prepare,
     prepare_substeps,
-    take_latest,
+    take_wiring,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
@@ -84,9 +84,9 @@ class Declared:
         self.interface = interface
         self._component = component
 
-    def take_latest(self, latest: Mask) -> None:
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Say it to the component."""
-        take_latest(self._component, latest)
+        take_wiring(self._component, latest, in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""

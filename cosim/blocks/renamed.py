@@ -19,7 +19,7 @@ from cosim.core.contracts import (
     linearized,
     prepare,
     prepare_substeps,
-    take_latest,
+    take_wiring,
 )
 from cosim.core.linearization import Linearized
 from cosim.native.blocks.wrapping import ports_step
@@ -42,9 +42,10 @@ class Renamed:
         self._component = component
         self._ports = ports
 
-    def take_latest(self, latest: Mask) -> None:
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Say it to the component, of its own inputs."""
-        take_latest(self._component, self._ports.component_mask(latest))
+        masks = map(self._ports.component_mask, (latest, in_loop))
+        take_wiring(self._component, *masks)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component; the arrays of its design have no ports."""

@@ -16,7 +16,7 @@ from cosim.core.contracts import (
     Stopped,
     linearized,
     prepare,
-    take_latest,
+    take_wiring,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
@@ -104,13 +104,13 @@ class Sampled:
         self._own_h = 0.0
         self._memory = SampledMemory(interface.n_u, interface.n_y)
 
-    def take_latest(self, latest: Mask) -> None:
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Say it to the component, of its own step."""
-        take_latest(self._component, latest)
+        take_wiring(self._component, latest, in_loop)
 
-    def take_latest(self, latest: Mask) -> None:
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Say it to the component."""
-        take_latest(self._component, latest)
+        take_wiring(self._component, latest, in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""

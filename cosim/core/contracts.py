@@ -182,17 +182,19 @@ class Eventful(Protocol):
 
 
 @runtime_checkable
-class OneValue(Protocol):
-    """For components with inputs that have, or may have, one value over a step."""
+class Wired(Protocol):
+    """For components that need to know what drives their inputs, as those of FMUs do."""
 
-    def take_latest(self, latest: Mask) -> None:
-        """Take which inputs have their latest known value over a step, before ``prepare``.
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+        """Take what drives the inputs, before ``prepare``.
 
         Parameters
         ----------
         latest : Mask, shape (n_u,)
-            What drives these may jump inside of a step: they get the value at its end. The others
-            that are not held get the mean of both ends.
+            What drives these may jump inside of a step: where they have one value over it, it is
+            that at its end. The others that are not held have the mean of both ends.
+        in_loop : Mask, shape (n_u,)
+            These are driven from a loop of its own without any discrete output.
         """
         ...
 
@@ -258,10 +260,10 @@ def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
     return cast(Linearizable, component).linearized(t, u)
 
 
-def take_latest(component: Component, latest: Mask) -> None:
-    """Say to a component which inputs have their latest known value over a step, if it asks."""
-    if isinstance(component, OneValue):
-        component.take_latest(latest)
+def take_wiring(component: Component, latest: Mask, in_loop: Mask) -> None:
+    """Say to a component what drives its inputs, if it asks; see :class:`Wired`."""
+    if isinstance(component, Wired):
+        component.take_wiring(latest, in_loop)
 
 
 def left_limits(component: Component, t: Vector) -> Mapping[int, Vector]:

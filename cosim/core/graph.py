@@ -191,6 +191,7 @@ class Graph:
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
         self.latest: dict[str, Mask] = {}
+        self._in_loop: dict[str, Mask] = {}
         for stage in self.stages:
             loop = frozenset(member.name for member in stage.members)
             for member in stage.members:
@@ -204,6 +205,7 @@ class Graph:
                 self.latest[member.name] = self._variabilities.latest(
                     member.channel, self.held[member.name]
                 )
+                self._in_loop[member.name] = self._variabilities.in_loop(member.channel, loop)
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that.
@@ -316,7 +318,7 @@ class Graph:
         self, name: str, guarded: GuardedComponent, step_ns: int, recorded: Design
     ) -> Design:
         """Prepare a component that is in a place, or may come there."""
-        guarded.take_latest(self.latest[name])
+        guarded.take_wiring(self.latest[name], self._in_loop[name])
         lengths = self._lengths(name, step_ns)
         return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
 

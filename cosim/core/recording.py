@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, Final, Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from cosim.instants import duration, last_nanosecond
 
 EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
+INNER_STEP: Final = "inner step"  # of a component: category of a message, key of the results
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
 

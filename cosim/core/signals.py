@@ -237,8 +237,8 @@ class Interface:
         Whether its continuous outputs are so by construction, as those of an integrated system: no
         jump hides between two communication points, so that the mean of both is one of the signal.
     one_value : tuple of input names
-        Continuous inputs that have one value over a whole step: the component has ``take_latest``
-        (:class:`cosim.core.contracts.OneValue`).
+        Continuous inputs that have one value over a whole step: the component has ``take_wiring``
+        (:class:`cosim.core.contracts.Wired`).
 
     Raises
     ------

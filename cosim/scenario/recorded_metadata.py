@@ -10,7 +10,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorded.partial import partial_of
 from cosim.core.recorded.signals import find_signal
-from cosim.core.recording import Recording
+from cosim.core.recording import INNER_STEP, Recording
 from cosim.core.signals import Channel
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
@@ -202,12 +202,16 @@ def recorded_state_changes(recording: Recording) -> dict[str, tuple[StateChangeR
 def first_order_loops(recording: Recording) -> list[str]:
     """Return the loops of a run whose error is one of first order in the communication step.
 
+    Where a component keeps an inner step, whatever the communication step is, there is no order.
+
     Raises
     ------
     LogError
         If they cannot be understood.
     """
-    return _of_run(recording, "first_order_loops", "[]", _LOOPS)
+    loops = _of_run(recording, "first_order_loops", "[]", _LOOPS)
+    keeping = _checked(_LOOPS, recording.results.get(INNER_STEP, []), "results on inner steps")
+    return [loop for loop in loops if not set(keeping).intersection(loop.split())]
 
 
 def until_came_true(recording: Recording) -> bool | None:

@@ -583,7 +583,7 @@ def test_an_inner_step_that_ignores_ours_is_reported(opened, version):
     for u in (sine, lambda t: np.ones((len(t), 2))):
         fmu = opened(version, inner=0.01)
         run(fmu, step=1e-3, stop=0.2, u=u)
-        assert fmu.drain() == [(0.1, "warning", "", warning)]
+        assert fmu.drain() == [(0.1, "warning", "inner step", warning)]
         run(fmu, step=1e-3, stop=0.2, u=u)
         assert fmu.drain() == []
 

@@ -1,6 +1,7 @@
 """Outputs that change at every n-th step only: because of an inner step, and for other reasons."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -9,10 +10,11 @@ from cosim.fmi.driving.inner_step import InnerStep
 
 def detections(outputs, inputs, watch=None):
     """Return (number of the step, n) where an inner step is detected."""
-    watch = watch or InnerStep(np.array([0]), 1)
+    inputs = np.reshape(inputs, (len(outputs), -1))
+    watch = watch or InnerStep(np.array([0]), inputs.shape[1])
     detected = []
     for k, (y, u) in enumerate(zip(outputs, inputs, strict=True)):
-        n = watch.observe(np.array([y]), np.array([u]))
+        n = watch.observe(np.array([y]), u)
         if n:
             detected.append((k, n))
     return detected
@@ -49,6 +51,25 @@ def test_nothing_else_is_taken_for_one(subtests):
     ):
         with subtests.test(number=number):
             assert detections(outputs.astype(float), inputs.astype(float)) == []
+
+
+@pytest.mark.parametrize(("outside", "found"), [(STILL, True), (STEPS // 10, False)])
+def test_an_input_from_a_loop_of_its_own_hides_nothing(outside, found):
+    """It changes with the output, as it follows it; another input every tenth step is a reason."""
+    outputs = np.exp(-0.1 * (STEPS // 10))
+    inputs = np.column_stack([-outputs, outside])
+    assert detections(outputs, inputs) == []
+    watch = InnerStep(np.array([0]), 2)
+    watch.in_loop[0] = True
+    assert detections(outputs, inputs, watch) == [(90, 10)] * found
+    assert watch.is_shared == found
+
+
+def test_an_inner_step_beside_a_loop_that_moves_is_its_own():
+    watch = InnerStep(np.array([0]), 1)
+    watch.in_loop[:] = True
+    assert detections(np.exp(-0.1 * (STEPS // 10)), MOVING, watch) == [(90, 10)]
+    assert not watch.is_shared
 
 
 def test_the_history_can_be_restored():

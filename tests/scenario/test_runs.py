@@ -778,6 +778,37 @@ def test_diagnostics_of_an_fmu_are_in_the_log(tmp_path):
     assert message.text.startswith("lag: its outputs change at every 10th communication step only")
 
 
+def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
+    """Both change at every 10th step only, together with their inputs: no order of an error then."""
+    lag.able(lag.build(tmp_path, "2"), tmp_path / "lag.fmu", "2")
+    scenario = tmp_path / "loop.toml"
+    scenario.write_text(
+        """
+        scenario = { name = "loop", stop = 0.2, step = 1e-3 }
+        [components]
+        a = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01, x = 1.0 } }
+        b = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01 } }
+        [connections]
+        "a.u" = { from = "b.x", gain = -1.0 }
+        "b.u" = "a.x"
+        """,
+        encoding="utf-8",
+    )
+    log = cosim.run(scenario)
+    found = [m for m in log.messages() if "inner step" in m.text]
+    assert [(m.level, m.source) for m in found] == [("warning", "a"), ("warning", "b")]
+    for message in found:
+        assert (
+            "at every 10th communication step only, with its inputs from its loop" in message.text
+        )
+        assert "an inner step of 0.01 s" in message.text
+    assert len(np.unique(log["b.x"])) == 21
+    assert summarize(log).loops == ()
+    fine = cosim.run(scenario, set={"components.a.start": {}, "components.b.start": {}})
+    assert [m for m in fine.messages() if "inner step" in m.text] == []
+    assert summarize(fine).loops == ("gauss-seidel a b (a)",)
+
+
 def test_the_message_of_a_failing_fmu_has_the_time_of_its_step(tmp_path):
     """That is where the run ended, inside its block."""
     with pytest.raises(RunError, match="out of petrol"):

@@ -31,7 +31,7 @@ from cosim.core.contracts import (
     linearized,
     prepare,
     prepare_substeps,
-    take_latest,
+    take_wiring,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Channel
@@ -135,9 +135,9 @@ class GuardedComponent:
             self._seconds[self.name] += float(self._native_seconds[0])
             self._native_seconds[0] = 0.0
 
-    def take_latest(self, latest: Mask) -> None:
-        """Say to the component which inputs have their latest known value over a step."""
-        take_latest(self._component, read_only(latest))
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+        """Say to the component what drives its inputs."""
+        take_wiring(self._component, read_only(latest), read_only(in_loop))
 
     def prepare(
         self, h: float, held: Mask, recorded: Design, lengths: tuple[float, ...] = ()
@@ -398,9 +398,9 @@ class Timed:
         yield
         self._seconds[self._name] += perf_counter() - began
 
-    def take_latest(self, latest: Mask) -> None:
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Pass on."""
-        take_latest(self._component, latest)
+        take_wiring(self._component, latest, in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""

@@ -155,19 +155,38 @@ class Variabilities:
         a co-simulation FMU, a component in Python, a static part behind one. Those of ``held``,
         shape (n_u,), do not move.
         """
+        stepped = frozenset[Port]() if channel.name in self._means else self._stepped
+        mask = self.driven_by(channel, stepped) & ~held
+        mask.setflags(write=False)
+        return mask
+
+    def driven_by(self, channel: Channel, outputs: Collection[Port]) -> Mask:
+        """Return which input elements of a component some outputs drive, alone or with others."""
         mask = np.zeros(channel.interface.n_u, np.bool_)
-        inputs = () if channel.name in self._means else channel.interface.inputs
-        for signal in inputs:
+        for signal in channel.interface.inputs if outputs else ():
             for part in self._parts[Port(channel.name, signal.name)]:
                 end = self._ports.input(part)
                 first = end.columns.start - channel.inputs.start
                 sources = [self._ports.output(port) for port in self._connections[part].sources]
-                steps = [source.port in self._stepped for source in sources]
-                elements = np.repeat(steps, [source.size for source in sources])
+                driven = [source.port in outputs for source in sources]
+                elements = np.repeat(driven, [source.size for source in sources])
                 if self._connections[part].matrix.ndim == 2:  # each may be a sum of all sources
-                    elements = np.full(end.size, any(steps))
+                    elements = np.full(end.size, any(driven))
                 mask[first : first + end.size] = elements
-        mask &= ~held
+        return mask
+
+    def in_loop(self, channel: Channel, loop: frozenset[str]) -> Mask:
+        """Return which input elements of a component its loop drives alone, without any hold.
+
+        None where an output in the loop is discrete, or where there is no loop.
+        """
+        driving = {
+            port for name in loop for port in chain.from_iterable(self._sources[name].values())
+        }
+        inside = {port for port in driving if port.component in loop}
+        if any(self.of(port) == "discrete" for port in inside):
+            inside = set()
+        mask = self.driven_by(channel, inside) & ~self.driven_by(channel, driving - inside)
         mask.setflags(write=False)
         return mask
 

@@ -15,6 +15,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.gain.responses import linearized_by_responses
 from cosim.core.linearization import InputUse, Linearized
+from cosim.core.recording import INNER_STEP
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
@@ -95,10 +96,10 @@ class CoSimulation:
         self._tuned: list[TunedParameters] = []
         self._latest = np.zeros(self.interface.n_u, np.bool_)
 
-    def take_latest(self, latest: Mask) -> None:
-        """Take which inputs have their latest known value over a step."""
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+        """Take what drives the inputs; see :class:`cosim.core.contracts.Wired`."""
         self._latest = latest
-        self._stepper.take_latest(latest)
+        self._stepper.take_wiring(latest, in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs have a zero-order hold; nothing is designed.
@@ -314,12 +315,16 @@ class CoSimulation:
     def _report_inner_step(self, t: float, h: float) -> None:
         n = self._stepper.inner_steps
         if n:
-            inner_step = f"{n * h:.12g} s"
+            together, who = "", "it seems"
+            if self._stepper.shares_inner_step:
+                together, who = ", with its inputs from its loop", "it, or another one there, seems"
             self._diagnostics.add(
                 t,
-                "inner step",
-                f"its outputs change at every {_ordinal(n)} communication step only: it seems to "
-                f"keep an inner step of {inner_step} and to ignore the communication step of {h} s",
+                INNER_STEP,
+                f"its outputs change at every {_ordinal(n)} communication step only{together}: "
+                f"{who} to keep an inner step of {n * h:.12g} s and to ignore the communication "
+                f"step of {h} s",
+                INNER_STEP,
             )
 
     def drain(self) -> list[Message]:

@@ -17,15 +17,15 @@ class Diagnostics:
         self._new: list[tuple[str, Message]] = []  # with their topics
         self._count = 0  # of all warnings so far
 
-    def add(self, t: float | None, topic: str, warning: str) -> None:
+    def add(self, t: float | None, topic: str, warning: str, category: str = "") -> None:
         """Add a warning, unless there was one on that topic before.
 
-        ``t`` [s] is when; None: that is not known.
+        ``t`` [s] is when; None: that is not known. ``category``: what programs know it by.
         """
         if topic not in self._topics:
             self._topics.add(topic)
             self._count += 1
-            message = Message(t, "warning", "", f"{self._name}: {warning}")
+            message = Message(t, "warning", category, f"{self._name}: {warning}")
             self._new.append((topic, message))
 
     def discard(self) -> None:

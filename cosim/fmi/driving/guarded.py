@@ -16,7 +16,7 @@ from cosim.core.contracts import (
     Stopped,
     first_event,
     left_limits,
-    take_latest,
+    take_wiring,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
@@ -152,9 +152,9 @@ class Guarded:
         """What is to be known about the results."""
         return self._component.notes
 
-    def take_latest(self, latest: Mask) -> None:
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Pass on."""
-        take_latest(self._component, latest)
+        take_wiring(self._component, latest, in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""

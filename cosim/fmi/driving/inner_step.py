@@ -5,7 +5,9 @@ one only, n > 1. What looks alike is distinguished:
 
 * at rest: nothing ever changes;
 * it follows an input that itself changes at every n-th step only, directly or with a delay: only
-  intervals count in which the inputs change in every step, or in none;
+  intervals count in which the inputs change in every step, or in none. Those from a loop of its own
+  without any discrete output need not: what moves nobody but each other has no such reason, so one
+  component of the loop keeps an inner step at least;
 * rounding, slow decay towards a rest: a change counts from ``RELATIVE`` of the value on;
 * a switch between two values (a pulse): a change back to the value before the last one does not
   count.
@@ -27,7 +29,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.native.fmi.co_simulation import InnerStepStruct
 from cosim.native.library import library
-from cosim.native.memory import place_struct
+from cosim.native.memory import place, place_struct
 
 
 class StepHistory(NamedTuple):
@@ -38,8 +40,10 @@ class StepHistory(NamedTuple):
     outputs_before: Vector | None = None  # their last change
     steps: int = 0  # since the last change
     input_changes: int = 0  # how many of them had other inputs than the step before
+    outside_changes: int = 0  # and how many had others that are not from its own loop
     period: int = 0  # steps between the last two changes
     repeats: int = 0  # how often in a row that period came again
+    is_shared: bool = False  # inputs from the loop changed with the outputs then
 
 
 @final
@@ -56,6 +60,8 @@ class InnerStep:
     Attributes
     ----------
     columns : array of int
+    in_loop : Mask, shape (n_u,)
+        The inputs that are driven from a loop of its own without any discrete output; to be filled.
     """
 
     def __init__(self, columns: NDArray[np.intp], n_u: int) -> None:
@@ -63,10 +69,12 @@ class InnerStep:
         self._outputs = np.zeros(len(columns))
         self._inputs = np.zeros(n_u)
         self._outputs_before = np.zeros(len(columns))
+        self.in_loop = place(np.zeros(n_u, np.bool_))
         self._struct = place_struct(InnerStepStruct)
         self._struct.columns = columns.ctypes.data
         self._struct.n = len(columns)
         self._struct.n_u = n_u
+        self._struct.in_loop = self.in_loop.ctypes.data
         self._struct.outputs = self._outputs.ctypes.data
         self._struct.inputs = self._inputs.ctypes.data
         self._struct.outputs_before = self._outputs_before.ctypes.data
@@ -89,8 +97,10 @@ class InnerStep:
             self._outputs_before.copy() if struct.changed else None,
             struct.steps,
             struct.input_changes,
+            struct.outside_changes,
             struct.period,
             struct.repeats,
+            bool(struct.is_shared),
         )
 
     @history.setter
@@ -104,8 +114,15 @@ class InnerStep:
         struct.changed = _restore(self._outputs_before, history.outputs_before)
         struct.steps = history.steps
         struct.input_changes = history.input_changes
+        struct.outside_changes = history.outside_changes
         struct.period = history.period
         struct.repeats = history.repeats
+        struct.is_shared = history.is_shared
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether what was detected may be of another component of its loop."""
+        return bool(self._struct.is_shared)
 
     def observe(self, outputs: Vector, inputs: Vector) -> int:
         """Return n, once, where the outputs change at every n-th step only; else 0.

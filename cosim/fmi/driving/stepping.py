@@ -279,9 +279,18 @@ class Stepper:
         self._held[:] = held | self._instance.description.discrete_inputs
         self._some_held = bool(self._held.any())
 
-    def take_latest(self, latest: Mask) -> None:
-        """Set which inputs that have one value over a step have that at its end."""
+    @property
+    def shares_inner_step(self) -> bool:
+        """Whether the inner step that showed may be another one's of its loop."""
+        return self._inner_step.is_shared
+
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+        """Set which inputs, where they have one value over a step, have that at its end.
+
+        ``in_loop``: which come from a loop of its own without any discrete output.
+        """
         self._latest[:] = latest & ~self._instance.description.discrete_inputs
+        self._inner_step.in_loop[:] = in_loop
 
     def begin(self, u: Vector, y: Vector) -> None:
         """Begin anew, with these inputs and outputs; the FMU is in initialization mode."""

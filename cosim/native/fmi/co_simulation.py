@@ -21,9 +21,10 @@ class InnerStepStruct(Structure):
 
     _fields_ = (
         ("columns", c_void_p),
-        *((name, c_int32) for name in ("n", "n_u", "watches", "begun", "changed")),
-        *((name, c_int64) for name in ("steps", "input_changes", "period", "repeats")),
-        *((name, c_void_p) for name in ("outputs", "inputs", "outputs_before")),
+        *((name, c_int32) for name in ("n", "n_u", "watches", "begun", "changed", "is_shared")),
+        *((name, c_int64) for name in ("steps", "input_changes", "outside_changes")),
+        *((name, c_int64) for name in ("period", "repeats")),
+        *((name, c_void_p) for name in ("in_loop", "outputs", "inputs", "outputs_before")),
     )
 
 

@@ -30,6 +30,20 @@ static bool is_significant(const cosim_inner_step *s, const double *outputs)
     return changed && !switched_back;
 }
 
+/* Whether an input is not as before; of those from its own loop too, or of the others alone. */
+static bool has_changed(const cosim_inner_step *s, const double *inputs, bool of_loop)
+{
+    for (int32_t i = 0; i < s->n_u; ++i)
+        if ((of_loop || !s->in_loop[i]) && memcmp(inputs + i, s->inputs + i, sizeof *inputs))
+            return true;
+    return false;
+}
+
+static bool is_always_or_never(int64_t changes, int64_t steps)
+{
+    return changes == 0 || changes == steps;
+}
+
 static void keep_inputs(cosim_inner_step *s, const double *inputs)
 {
     memcpy(s->inputs, inputs, (size_t)s->n_u * sizeof *inputs);
@@ -52,22 +66,26 @@ int64_t cosim_inner_step_observe(cosim_inner_step *s, const double *outputs, con
         return 0;
     }
     const int64_t steps = s->steps + 1;
-    const bool input_changed = memcmp(inputs, s->inputs, (size_t)s->n_u * sizeof *inputs) != 0;
-    const int64_t input_changes = s->input_changes + input_changed;
+    const int64_t input_changes = s->input_changes + has_changed(s, inputs, true);
+    const int64_t outside_changes = s->outside_changes + has_changed(s, inputs, false);
     keep_inputs(s, inputs);
     if (is_watched_as_before(s, outputs)) {
         s->steps = steps;
         s->input_changes = input_changes;
+        s->outside_changes = outside_changes;
         return 0;
     }
+    const bool is_own = is_always_or_never(input_changes, steps);
     int64_t repeats = 0;
-    if (steps == s->period && (input_changes == 0 || input_changes == steps))
+    if (steps == s->period && (is_own || is_always_or_never(outside_changes, steps)))
         repeats = s->repeats + is_significant(s, outputs);
+    s->is_shared = repeats && (s->is_shared || !is_own);
     memcpy(s->outputs_before, s->outputs, (size_t)s->n * sizeof *outputs);
     keep_outputs(s, outputs);
     s->changed = 1;
     s->steps = 0;
     s->input_changes = 0;
+    s->outside_changes = 0;
     s->period = steps;
     s->repeats = repeats;
     if (repeats < (steps == 1 ? CHANGES_IN_A_ROW : REPEATS))

@@ -13,7 +13,7 @@ from cosim.core.conditions import until_text
 from cosim.core.contracts import Block, Stopped
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorders import close, end_of_run, error_text
-from cosim.core.recording import MessageLevel, Plan, Recorder
+from cosim.core.recording import INNER_STEP, MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
@@ -88,6 +88,7 @@ class MessageRecorder(PassingRecorder):
         self._experiment = experiment
         self._reached_ns = experiment.clock.start_ns
         self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
+        self._inner_steps: list[str] = []  # components that seem to keep one
         self._last: Vector | None = None
         self._assessor = Assessor(experiment.graph, experiment.identified)
 
@@ -124,6 +125,8 @@ class MessageRecorder(PassingRecorder):
             self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
         self._record_until(error)
         self._record_substeps()
+        if self._inner_steps:
+            self._recorder.result({INNER_STEP: self._inner_steps})
         if self._last is not None:
             labels = self._experiment.graph.labels()
             last = {}
@@ -215,7 +218,9 @@ class MessageRecorder(PassingRecorder):
             if time_ns > until_ns:
                 ahead.append(message)
                 continue
-            labelled = f"{category}: {text}" if category else text
+            if category == INNER_STEP:
+                self._inner_steps.append(name)
+            labelled = text if category in ("", INNER_STEP) else f"{category}: {text}"
             self._recorder.message(time_ns, level, name, labelled)
         if ahead:
             self._ahead[name] = ahead
