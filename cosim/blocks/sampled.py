@@ -105,10 +105,6 @@ class Sampled:
         self._memory = SampledMemory(interface.n_u, interface.n_y)
 
     def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
-        """Say it to the component, of its own step."""
-        take_wiring(self._component, latest, in_loop)
-
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Say it to the component."""
         take_wiring(self._component, latest, in_loop)
 
@@ -231,6 +227,10 @@ class Decimated:
         self._component = component
         self._n = n
         self._memory = DecimatedMemory(self.interface.n_y)
+
+    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+        """Say it to the component."""
+        take_wiring(self._component, latest, in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""

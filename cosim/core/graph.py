@@ -194,6 +194,7 @@ class Graph:
         self._in_loop: dict[str, Mask] = {}
         for stage in self.stages:
             loop = frozenset(member.name for member in stage.members)
+            moving = self._variabilities.moving_in(loop)
             for member in stage.members:
                 extrapolated = stage.extrapolated.get(member.name, frozenset())
                 if coupling != "jacobi":
@@ -205,7 +206,9 @@ class Graph:
                 self.latest[member.name] = self._variabilities.latest(
                     member.channel, self.held[member.name]
                 )
-                self._in_loop[member.name] = self._variabilities.in_loop(member.channel, loop)
+                self._in_loop[member.name] = self._variabilities.driven_by(
+                    member.channel, moving, alone=True
+                )
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that.

@@ -60,11 +60,13 @@ def rows_of(graph):
 
 
 @pytest.mark.fast(
-    "can4-newton-zero-order", "can1-jacobi-linear", "can6-newton-linear", "can3-newton-linear"
+    "can0-gauss-seidel-None", "can3-jacobi-linear", "can8-newton-linear", "can6-newton-zero-order"
 )
 @pytest.mark.parametrize(
     ("can", "coupling", "interpolation"),
     [
+        ((), "gauss-seidel", None),
+        (("D",), "gauss-seidel", None),
         ((), "gauss-seidel", "linear"),
         ((), "jacobi", "linear"),
         (("slopes", "D"), "jacobi", "linear"),

@@ -779,7 +779,7 @@ def test_diagnostics_of_an_fmu_are_in_the_log(tmp_path):
 
 
 def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
-    """Both change at every 10th step only, together with their inputs: no order of an error then."""
+    """Both change at every 10th step only, with their inputs: no order of an error then."""
     lag.able(lag.build(tmp_path, "2"), tmp_path / "lag.fmu", "2")
     scenario = tmp_path / "loop.toml"
     scenario.write_text(

@@ -137,7 +137,7 @@ class GuardedComponent:
 
     def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
         """Say to the component what drives its inputs."""
-        take_wiring(self._component, read_only(latest), read_only(in_loop))
+        take_wiring(self._component, latest, in_loop)
 
     def prepare(
         self, h: float, held: Mask, recorded: Design, lengths: tuple[float, ...] = ()

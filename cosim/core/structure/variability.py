@@ -160,8 +160,10 @@ class Variabilities:
         mask.setflags(write=False)
         return mask
 
-    def driven_by(self, channel: Channel, outputs: Collection[Port]) -> Mask:
-        """Return which input elements of a component some outputs drive, alone or with others."""
+    def driven_by(
+        self, channel: Channel, outputs: Collection[Port], *, alone: bool = False
+    ) -> Mask:
+        """Return which input elements of a component some outputs drive, with others or alone."""
         mask = np.zeros(channel.interface.n_u, np.bool_)
         for signal in channel.interface.inputs if outputs else ():
             for part in self._parts[Port(channel.name, signal.name)]:
@@ -171,24 +173,19 @@ class Variabilities:
                 driven = [source.port in outputs for source in sources]
                 elements = np.repeat(driven, [source.size for source in sources])
                 if self._connections[part].matrix.ndim == 2:  # each may be a sum of all sources
-                    elements = np.full(end.size, any(driven))
+                    elements = np.full(end.size, all(driven) if alone else any(driven))
                 mask[first : first + end.size] = elements
-        return mask
-
-    def in_loop(self, channel: Channel, loop: frozenset[str]) -> Mask:
-        """Return which input elements of a component its loop drives alone, without any hold.
-
-        None where an output in the loop is discrete, or where there is no loop.
-        """
-        driving = {
-            port for name in loop for port in chain.from_iterable(self._sources[name].values())
-        }
-        inside = {port for port in driving if port.component in loop}
-        if any(self.of(port) == "discrete" for port in inside):
-            inside = set()
-        mask = self.driven_by(channel, inside) & ~self.driven_by(channel, driving - inside)
         mask.setflags(write=False)
         return mask
+
+    def moving_in(self, loop: frozenset[str]) -> frozenset[Port]:
+        """Return the outputs that components drive each other with; none where one is discrete."""
+        driving: set[Port] = set()
+        for name in loop:
+            driving.update(chain.from_iterable(self._sources[name].values()))
+        inside = frozenset(port for port in driving if port.component in loop)
+        is_held = any(self.of(port) == "discrete" for port in inside)
+        return frozenset() if is_held else inside
 
     def takes_latest(self, channel: Channel) -> bool:
         """Return whether a component has such inputs with one value, unless extrapolated."""
