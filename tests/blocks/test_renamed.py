@@ -81,6 +81,7 @@ def test_all_names_of_an_interface_are_shown_anew():
         lagging=("p", "q"),
         jumping=("p", "q"),
         left_limits=("p", "q"),
+        one_value=("a", "b"),
     )
     shown = map_ports(own, renamings({"u": ["a"], "y": ["p"]})).interface
     names = {"a": "u", "b": "b", "p": "y", "q": "q"}

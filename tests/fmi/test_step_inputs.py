@@ -20,6 +20,7 @@ from cosim.core.stages.substep_control import SubstepTolerance
 from cosim.errors import UsageError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
+from cosim.report.verification import verify
 from tests.core.parts import InPython, integrator, times
 from tests.fmi import small
 from tests.fmi.small import USED
@@ -174,3 +175,12 @@ def test_a_recording_of_an_fmu_is_no_more_continuous_than_the_fmu(fmu, tmp_path)
 def test_a_zero_order_hold_needs_a_period(fmu, tmp_path):
     with pytest.raises(UsageError, match=r"b.*input_interpolation: expected \"linear\""):
         ran(fmu, tmp_path, key=', input_interpolation = "zero-order"')
+
+
+@pytest.mark.parametrize("key", ["", LINEAR])
+def test_a_log_replays_with_the_same_values(fmu, tmp_path, key):
+    """Run again and verified; also where the FMU that is read is taken from the log."""
+    log = ran(fmu, tmp_path, key=key)
+    again = cosim.replay(log, rerun=True, allow_code=True)
+    assert again["b.y"].tobytes() == log["b.y"].tobytes()
+    assert verify(log, again).passed

@@ -563,11 +563,16 @@ class Builder:
             coupling=settings.coupling,
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
-            means=[n for n in specs if getattr(specs[n], "input_interpolation", "") == "linear"],
+            means=[name for name, spec in specs.items() if asks_for_means(spec)],
             periods=self.periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,
         )
+
+
+def asks_for_means(spec: Kind) -> bool:
+    """Return whether inputs with one value over a step get their mean, whatever drives them."""
+    return getattr(spec, "input_interpolation", None) == "linear"
 
 
 def _problem_of(error: CosimError) -> Problem:

@@ -28,7 +28,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
 from cosim.native.numerics.program_cache import ProgramCaches
-from cosim.scenario.building.build import Builder
+from cosim.scenario.building.build import Builder, asks_for_means
 from cosim.scenario.building.common_designs import CommonDesigns, setting_designs, with_settings
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
@@ -227,7 +227,9 @@ class KeptBuild:
         component = with_units(component, spec.units)
         period = spec.period_steps(name, context.step_ns)
         component = spec.with_period(component, period)
+        before = self._scenario.specs[name]
         is_same = spec.recorded_period(period) == self._periods[name]
+        is_same = is_same and asks_for_means(spec) == asks_for_means(before)
         if is_same and component.interface == self._components[name].interface:
             return component
         return None

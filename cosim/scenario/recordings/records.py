@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 from cosim.core.connections import Connection
 from cosim.core.gain.loop_gain import LoopGain
@@ -19,6 +19,8 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.recordings.viewer_panels import viewer_panels
 from cosim.units import Conversion
+
+MEANS: Final = "means"  # inputs that get the mean of both ends of a step
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
@@ -57,6 +59,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     records = {"cosim.run": run, "cosim.connections": connections}
     if experiment.setting_designs:
         records[SETTINGS] = dict(experiment.setting_designs)
+    means = experiment.graph.mean_inputs
     for name in scenario.specs:
         table = scenario.tree["components"][name]
         metadata = experiment.metadata.get(name, {})
@@ -65,6 +68,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "metadata": json.dumps(metadata),
             "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
         }
+        if experiment.graph.members[name].channel.interface.one_value:
+            records[f"cosim.component.{name}"][MEANS] = json.dumps(means.get(name, []))
     return records
 
 

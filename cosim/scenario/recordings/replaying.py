@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from contextlib import ExitStack
 from dataclasses import replace
@@ -30,6 +31,7 @@ from cosim.scenario.recorded_tables import CodeRecord
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
+from cosim.scenario.recordings.records import MEANS
 from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps, replay_changes
 from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
 
@@ -188,13 +190,18 @@ def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
     Raises
     ------
     LogError
-        If an input is held that was interpolated, or the other way round.
+        If an input is held that was interpolated, or the other way round; or an FMU gets the mean
+        of one over a step that had the latest value.
     """
     masks = source.held
+    all_means = experiment.graph.mean_inputs
     for name in experiment.scenario.specs:
         if name in experiment.recorded:
             continue
-        if not np.array_equal(masks[name], experiment.graph.held[name]):
+        means = component_metadata(source, name).get(MEANS)  # older logs tell nothing
+        own_means = json.dumps(all_means.get(name, []))
+        has_other_mask = not np.array_equal(masks[name], experiment.graph.held[name])
+        if has_other_mask or means not in (None, own_means):
             raise LogError(
                 f"{source.label}: {name!r} cannot be computed as in the run: how its inputs "
                 "change within a step depends on signals that the log does not have"
