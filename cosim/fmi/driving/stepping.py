@@ -277,7 +277,6 @@ class Stepper:
     def hold(self, held: Mask) -> None:
         """Set which inputs keep their value over a step, beside the discrete ones."""
         self._held[:] = held | self._instance.description.discrete_inputs
-        self._some_held = bool(self._held.any())
 
     @property
     def shares_inner_step(self) -> bool:
@@ -418,12 +417,8 @@ class Stepper:
     def _ramp(self, t: float, h: float, u0: Vector, u1: Vector) -> InputRamp:
         """Return the inputs over a step from ``u0`` to ``u1``, as far as they move."""
         latest = self._latest & ~self._step_inputs.ramped if self.interpolates else self._latest
-        u0 = np.where(latest, u1, u0)
-        change = u1 - u0
-        if self._some_held:
-            change[self._held] = 0.0
-            u1 = np.where(self._held, u0, u1)
-        return InputRamp(t, h, u0, u1, change)
+        change = np.where(self._held | latest, 0.0, u1 - u0)
+        return InputRamp(t, h, np.where(latest, u1, u0), np.where(self._held, u0, u1), change)
 
     def _advance(
         self,

@@ -134,9 +134,10 @@ RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const do
     double *begin = c->scratch, *end = begin + c->n_u, *change = end + c->n_u;
     double *inputs = change + c->n_u;
     for (int32_t i = 0; i < c->n_u; ++i) {
-        begin[i] = c->latest[i] && !c->ramped[i] ? u1[i] : u0[i];
+        const bool is_latest = c->latest[i] && !c->ramped[i];
+        begin[i] = is_latest ? u1[i] : u0[i];
         end[i] = c->held[i] ? u0[i] : u1[i];
-        change[i] = c->held[i] ? 0.0 : u1[i] - begin[i];
+        change[i] = c->held[i] || is_latest ? 0.0 : u1[i] - u0[i];
     }
     const Ramp ramp = {t0, h, begin, end, change};
     interpolated_at(c, &ramp, 0.0, inputs);
@@ -166,7 +167,7 @@ static inline void mean_inputs(const Component *c, const double *u0, const doubl
     const volatile uint8_t *held = c->held, *latest = c->latest;
     for (int32_t i = 0; i < c->n_u; ++i) {
         const double begin = latest[i] ? u1[i] : u0[i];
-        const double change = held[i] ? 0.0 : u1[i] - begin;
+        const double change = held[i] | latest[i] ? 0.0 : u1[i] - u0[i];
         inputs[i] = begin + 0.5 * change;
     }
 }
@@ -255,8 +256,9 @@ static inline void ramp_inputs(const Component *c, const double *u0, const doubl
     for (int32_t i = 0; i < c->n_u; ++i) {
         const bool is_held = held[i];
         const bool is_ramped = ramped[i];
-        const double first = latest[i] && !is_ramped ? u1[i] : u0[i];
-        change[i] = is_held ? 0.0 : u1[i] - first;
+        const bool is_latest = latest[i] && !is_ramped;
+        const double first = is_latest ? u1[i] : u0[i];
+        change[i] = is_held || is_latest ? 0.0 : u1[i] - u0[i];
         const double mean = first + 0.5 * change[i];
         const double end = is_held ? u0[i] : u1[i];
         begin[i] = is_ramped ? first : mean;

@@ -138,9 +138,7 @@ def test_an_fmu_without_dependencies_is_warned_of(foreign2):
     """Unknown feedthrough is reported, not guessed."""
     run = cosim.run("academic", swap={"plant": foreign2}, set={**FOREIGN2, "scenario.stop": 0.01})
     warnings = json.loads(run.metadata["cosim.run"]["warnings"])
-    assert any(name == "plant" and "may lag inputs" in text for name, text in warnings), (
-        warnings
-    )
+    assert any(name == "plant" and "may lag inputs" in text for name, text in warnings), warnings
 
 
 def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
