@@ -43,11 +43,15 @@ class ForcedOutputs:
     known: KnownInput
     interval: NDArray[np.integer] | None
 
-    def respond(self, lines: Matrix, held: Matrix) -> Matrix:
-        """Compute the outputs, shape (N, n_y), for signals at the states, each (N, n)."""
+    def respond(self, lines: Matrix, held: Matrix, direct: Matrix | None = None) -> Matrix:
+        """Compute the outputs, shape (N, n_y), for signals at the states, each (N, n).
+
+        ``direct``, shape (N, n_y), is on the outputs themselves.
+        """
         zeros = np.zeros((len(lines), self.model.outputs))
+        y = zeros if direct is None else -direct
         forcing = np.hstack([lines, held])
-        return -residual_of(self.model, self.known, u=forcing, y=zeros, interval=self.interval)
+        return -residual_of(self.model, self.known, u=forcing, y=y, interval=self.interval)
 
 
 def forced_outputs(plant: DisturbedPlant, data: DataSet) -> ForcedOutputs:

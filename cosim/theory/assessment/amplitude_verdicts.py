@@ -23,15 +23,19 @@ def amplitude_verdicts(
     return tuple(_of_data_set(assessment, index) for index in range(len(assessment.problem.data)))
 
 
-def _of_data_set(assessment: Assessment, index: int) -> tuple[ParameterVerdict, ...]:
+def constants_of(assessment: Assessment, index: int) -> tuple[ComponentConstants, ...]:
+    """Compute amplitudes and phases of all components in data set number ``index``."""
     families = assessment.problem.families
     t_1 = float(assessment.problem.data[index].t[0])
     consistency = assessment.consistency
     moved = np.concatenate([consistency.bias, consistency.amplitude_bias[index]])
-    of_components = component_constants(assessment.fit, index, families, t_1=t_1, moved=moved)
+    return component_constants(assessment.fit, index, families, t_1=t_1, moved=moved)
+
+
+def _of_data_set(assessment: Assessment, index: int) -> tuple[ParameterVerdict, ...]:
     verdicts = []
     first = 0
-    for i, constants in enumerate(of_components):
+    for i, constants in enumerate(constants_of(assessment, index)):
         count = len(constants.family.parameters)
         parameters = assessment.parameters[first : first + count]
         own = parameters or (assessment.terms[i],)

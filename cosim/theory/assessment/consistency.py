@@ -148,7 +148,7 @@ def examine(fitted: FittedModel) -> Consistency:
     fit = fitted.fit
     stated = fitted.problem.stated
     order = fitted.problem.generators.order
-    tested = [_TestedFit(fitted, index) for index in range(len(fitted.problem.data))]
+    tested = [TestedFit(fitted, index) for index in range(len(fitted.problem.data))]
     rounding = max(one.rounding for one in tested)
     tests = []
     for one in tested:
@@ -171,10 +171,16 @@ def examine(fitted: FittedModel) -> Consistency:
     )
 
 
-class _TestedFit:
+class TestedFit:
     """The fit of one data set near its minimum, and the directions of a wrong model beside it.
 
     Directions are computed of every so many samples.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+    index : int
+        Of the data set.
     """
 
     def __init__(self, fitted: FittedModel, index: int) -> None:
@@ -200,27 +206,46 @@ class _TestedFit:
         longest = len(data.t) if noise.order else MOST_SAMPLES
         every = max(1, len(data.t) // longest)
         self._rows = data.kept(every)
-        thin = data.thinned(every)
-        directions = model_errors(plant, thin, response.at(self._rows))
-        columns = whitened_rows(directions.columns, thin.measured, noise)
-        self._make_directions(Directions(columns, directions.names))
+        self.data = data.thinned(every)
+        self.errors = self.whitened(model_errors(plant, self.data, response.at(self._rows)))
+        self._basis = _orthonormal(self.thinned(self._unknowns))
+        free, remainders = self.beside_fit(self.errors.columns)
+        kept = remainders > LEAST_REMAINDER
+        self._names = tuple(np.array(self.errors.names, object)[kept])
+        self._directions = free[:, kept] / remainders[kept]
 
-    def _thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def whitened(self, directions: Directions) -> Directions:
+        """Return directions, of the samples of which they are computed, made white."""
+        columns = whitened_rows(directions.columns, self.data.measured, self._noise)
+        return Directions(columns, directions.names)
+
+    def thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows of the samples of which directions are computed."""
         kept = self.fit.by_sample(rows)[self._rows]
         return kept.reshape(-1, *rows.shape[1:])
 
-    def _make_directions(self, directions: Directions) -> None:
-        """Make the directions orthogonal to the fit, and of length one."""
-        columns = directions.columns
+    def beside_fit(self, columns: Matrix) -> tuple[Matrix, Vector]:
+        """Return what the fit cannot take of columns that are made of length one, and its length."""
         lengths = np.linalg.norm(columns, axis=0)
         scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
-        basis = _orthonormal(self._thinned(self._unknowns))
-        free = scaled - basis @ (basis.T @ scaled)
-        remainders = np.linalg.norm(free, axis=0)
-        kept = remainders > LEAST_REMAINDER
-        self._names = tuple(np.array(directions.names, object)[kept])
-        self._directions = free[:, kept] / remainders[kept]
+        free: Matrix = scaled - self._basis @ (self._basis.T @ scaled)
+        return free, np.linalg.norm(free, axis=0)
+
+    def passing(self, columns: Matrix, deviation: float) -> Vector:
+        """Return how many times each column, made white, the tests along directions just let pass.
+
+        Beside noise of a deviation, which leaves of the statistics what it usually does: shape (K,)
+        """
+        allowed = MARGIN * np.abs(self._directions.T @ self.thinned(self.fit.errors)).sum(axis=1)
+        seen = np.abs(self._directions.T @ columns)
+        limit = np.sqrt(self._threshold(1, among=max(len(seen), 1))) * deviation + allowed
+        basis = _orthonormal(self._directions)
+        degrees = max(basis.shape[1], 1)
+        beyond_noise = deviation * np.sqrt(self._threshold(degrees) - degrees)
+        with np.errstate(divide="ignore"):
+            single = np.min(limit[:, np.newaxis] / seen, axis=0, initial=np.inf)
+            together = beyond_noise / np.linalg.norm(basis.T @ columns, axis=0)
+        return np.minimum(single, together)
 
     @property
     def squares(self) -> Vector:
@@ -257,8 +282,8 @@ class _TestedFit:
 
     def _excess(self, directions: Matrix, deviation: float) -> Vector:
         """Return how much of the residual along directions is more than errors allow."""
-        projections = np.abs(directions.T @ self._thinned(self.fit.residual))
-        allowed = MARGIN * np.abs(directions.T @ self._thinned(self.fit.errors)).sum(axis=1)
+        projections = np.abs(directions.T @ self.thinned(self.fit.residual))
+        allowed = MARGIN * np.abs(directions.T @ self.thinned(self.fit.errors)).sum(axis=1)
         excess: Vector = np.maximum(projections - allowed, 0.0) / deviation
         return excess
 
@@ -326,7 +351,7 @@ def _orthonormal(columns: Matrix) -> Matrix:
     return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(squares[kept])), np.float64)
 
 
-def _is_exact(fit: OutputErrorFit, tested: Sequence[_TestedFit]) -> bool:
+def _is_exact(fit: OutputErrorFit, tested: Sequence[TestedFit]) -> bool:
     """Return whether no residual is larger than errors that are no noise allow."""
     squares = np.sum([one.squares for one in tested], axis=0)
     freedom = max(fit.freedom, 1.0) / len(squares)

@@ -85,16 +85,21 @@ def linearize_fit(
     errors = np.stack([accuracy.step, quantized], axis=2)
     residual = response.residual[:, :, np.newaxis]
     linear = whitened_rows(response.linear, measured, noise)
-    lengths = _lengths(linear)
-    inverse = np.linalg.pinv(linear / lengths, rcond=DEPENDENT) / lengths[:, np.newaxis]
     return LinearizedFit(
         counted=counted_values(measured, noise.order),
         slopes=whitened_rows(response.slopes, measured, noise),
         linear=linear,
         residual=whitened_rows(residual, measured, noise)[:, 0],
         errors=whitened_rows(errors, measured, noise),
-        inverse=inverse,
+        inverse=pseudo_inverse(linear),
     )
+
+
+def pseudo_inverse(columns: Matrix) -> Matrix:
+    """Return the pseudo-inverse of columns of any lengths; dependent ones share what they take."""
+    lengths = _lengths(columns)
+    inverse = np.linalg.pinv(columns / lengths, rcond=DEPENDENT)
+    return np.asarray(inverse / lengths[:, np.newaxis], np.float64)
 
 
 def whitened_rows(

@@ -24,6 +24,8 @@ from cosim.theory.fitted_response import FittedResponse
 from cosim.theory.forced_response import forced_outputs, simulate
 
 SLOW_DIRECTIONS: Final = 30
+CONSTANT: Final = "a constant on y"
+DRIFT: Final = "a drift over the record on y"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,52 @@ def model_errors(plant: DisturbedPlant, data: DataSet, response: FittedResponse)
     columns = np.concatenate([part.columns for part in parts], axis=2)
     names = sum((part.names for part in parts), ())
     return Directions(columns, names)
+
+
+def missing_parts(plant: DisturbedPlant, data: DataSet, rates: Vector) -> Directions:
+    """Compute what parts that a model lacks leave: constants and drifts on y, terms of delta.
+
+    A drift is 1 at the last sample. The terms are decaying exponentials, 1 at the first sample, and
+    a constant; each where the disturbances of the model enter.
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+    data : DataSet
+    rates : Vector
+        Of the exponentials [1/s]; 0: a constant.
+    """
+    t = data.t - data.t[0]
+    drift = t / t[-1] if t[-1] > 0.0 else t
+    n_y, n = plant.C.shape
+    outputs = forced_outputs(plant, data)
+    nothing = np.zeros((len(t), n))
+    columns = []
+    names = []
+    for o, unit in enumerate(np.eye(n_y)):
+        of_output = f"[{o}]" if n_y > 1 else ""
+        for name, signal in ((CONSTANT, np.ones(len(t))), (DRIFT, drift)):
+            columns.append(outputs.respond(nothing, nothing, np.outer(signal, unit)))
+            names.append(f"{name}{of_output}")
+    entries = np.unique(np.vstack([plant.Bd, plant.Dd]), axis=1).T
+    for entry in entries:
+        where = "delta"
+        if len(entries) > 1:
+            same = (np.vstack([plant.Bd, plant.Dd]) == entry[:, np.newaxis]).all(axis=0)
+            where = f"the delta of terms[{int(same.argmax())}]"
+        for rate in rates:
+            term = np.exp(-rate * t)
+            forced = np.outer(term, entry[:n])
+            columns.append(outputs.respond(forced, nothing, np.outer(term, entry[n:])))
+            names.append(f"{_term_name(float(rate), float(data.t[0]))} in {where}")
+    return Directions(np.nan_to_num(np.stack(columns, axis=2)), tuple(names))
+
+
+def _term_name(rate: float, t_1: float) -> str:
+    if rate == 0.0:
+        return "a constant"
+    time = f"(t - {t_1:g})" if t_1 else "t"
+    return f"a further exp(-{rate:.2g} {time})"
 
 
 def _signals(plant: DisturbedPlant, data: DataSet, response: FittedResponse) -> dict[str, Vector]:

@@ -1,0 +1,196 @@
+"""How far errors of the model that the tests of the residual do not see move the estimates.
+
+An error of the model in a direction d adds ``s d`` to the outputs. What of it is in the tangent of
+the model moves the unknowns by ``s J^+ d``; the rest, ``s (I - J J^+) d``, stays in the residual,
+where the tests see it beside noise. The largest s that they let pass is therefore known, and with
+it how far every estimate moves without a word, which no interval contains: it rests on noise alone.
+
+The errors are those that the tests look for, and what a model lacks most often: a constant or a
+drift on an output, and a further term of the disturbance, an exponential of any rate. An error of
+the plant or the disturbance counts up to a tenth of what the disturbance does to the outputs:
+beyond that theta makes up for it, and it is no small one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.theory.assessment.amplitude_verdicts import constants_of
+from cosim.theory.assessment.consistency import LEAST_REMAINDER, TestedFit
+from cosim.theory.assessment.linearized_fit import pseudo_inverse
+from cosim.theory.assessment.model_errors import (
+    CONSTANT,
+    DRIFT,
+    SLOW_DIRECTIONS,
+    Directions,
+    missing_parts,
+)
+from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
+
+LEAST_MOVE: Final = 0.5  # half widths, from which on it is told
+LARGEST_ERROR: Final = 0.1  # over the effect of the disturbance
+SAME_MOVE: Final = 1.01  # of two errors that move a parameter as far the first one is told
+RATES: Final = 13  # a factor of the root of 2 apart, the slowest one over the record
+
+
+@dataclass(frozen=True)
+class UndetectedError:
+    """An error of the model that would just pass the tests of the residual.
+
+    Parameters
+    ----------
+    error : str
+    size : float
+        In the unit of what it is on.
+    half_widths : mapping of parameter or amplitude to float
+        By how many half widths of its interval it moves each, where that is more than half of one.
+    remedy : str
+        What removes it; empty: nothing that is known.
+    """
+
+    error: str
+    size: float
+    half_widths: Mapping[str, float]
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """Return it as a sentence."""
+        first, *others = self.half_widths.items()
+        moves = [f"{first[0]} moves by {first[1]:.2g} half widths"]
+        moves += [f"{name} by {times:.2g}" for name, times in others]
+        removed = f"; {self.remedy} removes it" if self.remedy else ""
+        return f"{self.error} of {self.size:.2g} would pass: {', '.join(moves)}{removed}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**asdict(self), "text": str(self)}
+
+
+def undetected_errors(
+    assessment: Assessment,
+    amplitudes: Sequence[Sequence[ParameterVerdict]],
+    *,
+    with_offset: str,
+) -> tuple[UndetectedError, ...]:
+    """Return which errors of a model that passes its tests move an estimate out of its interval.
+
+    These are a constant and a drift on each output, and the error that moves an estimate most.
+
+    Parameters
+    ----------
+    assessment : Assessment
+    amplitudes : sequence of sequence of ParameterVerdict
+        Of each data set.
+    with_offset : str
+        What makes a constant on every output an unknown.
+    """
+    labels = [parameter.name for parameter in assessment.parameters]
+    verdicts = list(assessment.parameters)
+    for number, of_data in enumerate(amplitudes, start=1):
+        place = f", data set {number}" if len(amplitudes) > 1 else ""
+        labels += [f"{amplitude.name}{place}" for amplitude in of_data]
+        verdicts += of_data
+    widths = np.array([_half_width(verdict) for verdict in verdicts])
+    consistency = assessment.consistency
+    if not np.isfinite(widths).any() or not consistency.passed or not consistency.tests:
+        return ()
+    sizes, moves = _moves(assessment)
+    names = list(sizes)
+    times = np.nan_to_num(np.array([moves[name] for name in names]) / widths)
+    told = [i for i, name in enumerate(names) if name.startswith((CONSTANT, DRIFT))]
+    for j in range(len(widths)):
+        largest = float(times[:, j].max())
+        first = int(np.argmax(times[:, j] * SAME_MOVE >= largest))
+        if first not in told:
+            told.append(first)
+    errors = []
+    for i in told:
+        half_widths = {}
+        for label, value in zip(labels, times[i], strict=True):
+            if value > LEAST_MOVE:
+                half_widths[label] = float(value)
+        remedy = with_offset if names[i].startswith(CONSTANT) else ""
+        if half_widths:
+            errors.append(UndetectedError(names[i], sizes[names[i]], half_widths, remedy))
+    return tuple(errors)
+
+
+def _half_width(verdict: ParameterVerdict) -> float:
+    """Return that of the interval that the data say to hold; NaN: there is none, or no width."""
+    if verdict.verdict is not Verdict.IDENTIFIABLE or verdict.lower is None:
+        return np.nan
+    assert verdict.upper is not None
+    return 0.5 * (verdict.upper - verdict.lower) or np.nan
+
+
+def _moves(assessment: Assessment) -> tuple[dict[str, float], dict[str, Vector]]:
+    """Return the size of every error that would pass, and by how much it moves each estimate.
+
+    One that may be in each of several data sets has its largest size, and moves them by its sum.
+    """
+    fitted = assessment.fitted
+    fit = assessment.fit
+    every = range(len(fitted.problem.data))
+    span = max(float(data.t[-1] - data.t[0]) for data in fitted.problem.data)
+    rates = np.append(0.0, 2.0 ** (0.5 * np.arange(RATES)) / span)
+    tested = [TestedFit(fitted, index) for index in every]
+    slopes = [one.thinned(one.fit.slopes) for one in tested]
+    inverses = [pseudo_inverse(one.thinned(one.fit.linear)) for one in tested]
+    free = []
+    for one, own, inverse in zip(tested, slopes, inverses, strict=True):
+        estimated = own[:, fit.estimated]
+        free.append(estimated - one.thinned(one.fit.linear) @ (inverse @ estimated))
+    by_errors = np.split(
+        pseudo_inverse(np.vstack(free)), np.cumsum([len(rows) for rows in free])[:-1], axis=1
+    )
+    order = fitted.problem.generators.order
+    slopes_of_constants = [
+        np.vstack([constants.slopes for constants in constants_of(assessment, index)])
+        for index in every
+    ]
+    sizes: dict[str, float] = {}
+    moves: dict[str, Vector] = {}
+    for index, one in enumerate(tested):
+        missing = missing_parts(fitted.problem.plant, one.data, rates)
+        directions = _both(one.whitened(missing), one.errors)
+        linear = one.thinned(one.fit.linear)
+        left = directions.columns - linear @ (inverses[index] @ directions.columns)
+        theta = np.zeros((len(fit.theta), len(directions.names)))
+        theta[fit.estimated] = by_errors[index] @ left
+        parts = [theta]
+        for m in every:
+            own = directions.columns if m == index else np.zeros((len(slopes[m]), 1))
+            beta = (inverses[m] @ (own - slopes[m] @ theta))[:order]
+            parts.append(slopes_of_constants[m] @ np.vstack([theta, beta]))
+        disturbed = linear[:, :order] @ fit.amplitudes[index]
+        passing = _passing(one, directions, fit.deviation, float(np.linalg.norm(disturbed)))
+        moved = np.abs(np.vstack(parts) * passing)
+        for k, name in enumerate(directions.names):
+            sizes[name] = max(float(passing[k]), sizes.get(name, 0.0))
+            moves[name] = moved[:, k] + moves.get(name, 0.0)
+    return sizes, moves
+
+
+def _both(one: Directions, other: Directions) -> Directions:
+    return Directions(np.hstack([one.columns, other.columns]), one.names + other.names)
+
+
+def _passing(
+    tested: TestedFit, directions: Directions, deviation: float, disturbed: float
+) -> Vector:
+    """Return the size of each error that would just pass, shape (K,); 0 where none is told of."""
+    columns = directions.columns
+    lengths = np.linalg.norm(columns, axis=0)
+    _, left = tested.beside_fit(columns)
+    passing = tested.passing(columns, deviation)
+    for k, name in enumerate(directions.names):
+        if left[k] <= LEAST_REMAINDER:
+            passing[k] = 0.0
+        elif not name.startswith((CONSTANT, DRIFT)):
+            passing[k] = min(passing[k], LARGEST_ERROR * disturbed / lengths[k])
+    return passing
