@@ -104,6 +104,8 @@ class Consistency:
         What they may have moved the amplitudes of each data set by.
     presence_bias : Vector, shape (components,)
         What they may have moved the root of ``OutputErrorFit.presence`` by.
+    tested : tuple of TestedFit
+        Each data set with what it was tested for.
     remark : str
         What else than a wrong model may be the cause where a test fails.
     """
@@ -115,6 +117,7 @@ class Consistency:
     bias: Vector
     amplitude_bias: Matrix
     presence_bias: Vector
+    tested: tuple[TestedFit, ...]
     remark: str = ""
 
     @property
@@ -168,7 +171,43 @@ def examine(fitted: FittedModel) -> Consistency:
         bias=np.abs(bias.theta).sum(axis=1),
         amplitude_bias=of_linear[:, :order],
         presence_bias=_presence_bias(fitted, bias),
+        tested=tuple(tested),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorTraces:
+    """What errors of a model that are of size one leave in a fit, and beside it.
+
+    Parameters
+    ----------
+    names : tuple of str
+    within : Matrix, shape (unknowns, K)
+        What the fit takes of each, in ``TestedFit.basis``.
+    beside : Vector, shape (K,)
+        How large the rest is.
+    seen : Matrix, shape (directions, K)
+        What of it is along each direction that is tested.
+    """
+
+    names: tuple[str, ...]
+    within: Matrix
+    beside: Vector
+    seen: Matrix
+
+    @property
+    def lengths(self) -> Vector:
+        """How large each is in all, shape (K,)."""
+        return np.hypot(np.linalg.norm(self.within, axis=0), self.beside)
+
+    def __add__(self, other: ErrorTraces) -> ErrorTraces:
+        """Return both."""
+        return ErrorTraces(
+            self.names + other.names,
+            np.hstack([self.within, other.within]),
+            np.concatenate([self.beside, other.beside]),
+            np.hstack([self.seen, other.seen]),
+        )
 
 
 class TestedFit:
@@ -207,44 +246,52 @@ class TestedFit:
         every = max(1, len(data.t) // longest)
         self._rows = data.kept(every)
         self.data = data.thinned(every)
-        self.errors = self.whitened(model_errors(plant, self.data, response.at(self._rows)))
-        self._basis = _orthonormal(self.thinned(self._unknowns))
-        free, remainders = self.beside_fit(self.errors.columns)
+        self.basis = _orthonormal(self.thinned(self._unknowns))
+        directions = model_errors(plant, self.data, response.at(self._rows))
+        columns = whitened_rows(directions.columns, self.data.measured, noise)
+        lengths = np.linalg.norm(columns, axis=0)
+        scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
+        within = self.basis.T @ scaled
+        free = scaled - self.basis @ within
+        remainders = np.linalg.norm(free, axis=0)
         kept = remainders > LEAST_REMAINDER
-        self._names = tuple(np.array(self.errors.names, object)[kept])
+        self._names = tuple(np.array(directions.names, object)[kept])
         self._directions = free[:, kept] / remainders[kept]
+        self._within = within[:, kept] * lengths[kept]
+        self._beside = remainders[kept] * lengths[kept]
 
-    def whitened(self, directions: Directions) -> Directions:
-        """Return directions, of the samples of which they are computed, made white."""
+    def tested_errors(self) -> ErrorTraces:
+        """Return the traces of the directions themselves."""
+        seen = self._directions.T @ self._directions
+        return ErrorTraces(self._names, self._within, self._beside, seen * self._beside)
+
+    def traces(self, directions: Directions) -> ErrorTraces:
+        """Return the traces of others, of the samples of which directions are computed."""
         columns = whitened_rows(directions.columns, self.data.measured, self._noise)
-        return Directions(columns, directions.names)
+        within = self.basis.T @ columns
+        beside = np.linalg.norm(columns - self.basis @ within, axis=0)
+        return ErrorTraces(directions.names, within, beside, self._directions.T @ columns)
 
     def thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows of the samples of which directions are computed."""
         kept = self.fit.by_sample(rows)[self._rows]
         return kept.reshape(-1, *rows.shape[1:])
 
-    def beside_fit(self, columns: Matrix) -> tuple[Matrix, Vector]:
-        """Return what the fit cannot take of columns that are made of length one, and its length."""
-        lengths = np.linalg.norm(columns, axis=0)
-        scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
-        free: Matrix = scaled - self._basis @ (self._basis.T @ scaled)
-        return free, np.linalg.norm(free, axis=0)
+    def passing(self, traces: ErrorTraces, deviation: float) -> Vector:
+        """Return how many times each error the tests along directions just let pass, shape (K,).
 
-    def passing(self, columns: Matrix, deviation: float) -> Vector:
-        """Return how many times each column, made white, the tests along directions just let pass.
-
-        Beside noise of a deviation, which leaves of the statistics what it usually does: shape (K,)
+        Beside noise of a deviation, of which the statistics have what they usually have.
         """
         allowed = MARGIN * np.abs(self._directions.T @ self.thinned(self.fit.errors)).sum(axis=1)
-        seen = np.abs(self._directions.T @ columns)
-        limit = np.sqrt(self._threshold(1, among=max(len(seen), 1))) * deviation + allowed
-        basis = _orthonormal(self._directions)
-        degrees = max(basis.shape[1], 1)
-        beyond_noise = deviation * np.sqrt(self._threshold(degrees) - degrees)
-        with np.errstate(divide="ignore"):
-            single = np.min(limit[:, np.newaxis] / seen, axis=0, initial=np.inf)
-            together = beyond_noise / np.linalg.norm(basis.T @ columns, axis=0)
+        limit = np.sqrt(self._threshold(1, among=max(len(allowed), 1))) * deviation + allowed
+        squares, vectors = np.linalg.eigh(self._directions.T @ self._directions)
+        kept = squares > LEAST_REMAINDER**2 * squares.max(initial=0.0)
+        degrees = max(int(kept.sum()), 1)
+        all_seen = (vectors[:, kept] / np.sqrt(squares[kept])).T @ traces.seen
+        beyond_noise = deviation * np.sqrt(max(self._threshold(degrees) - degrees, 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            single = np.nanmin(limit[:, np.newaxis] / np.abs(traces.seen), axis=0, initial=np.inf)
+            together = beyond_noise / np.linalg.norm(all_seen, axis=0)
         return np.minimum(single, together)
 
     @property

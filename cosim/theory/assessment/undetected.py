@@ -19,23 +19,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector
 from cosim.theory.assessment.amplitude_verdicts import constants_of
-from cosim.theory.assessment.consistency import LEAST_REMAINDER, TestedFit
+from cosim.theory.assessment.consistency import LEAST_REMAINDER, ErrorTraces, TestedFit
 from cosim.theory.assessment.linearized_fit import pseudo_inverse
-from cosim.theory.assessment.model_errors import (
-    CONSTANT,
-    DRIFT,
-    SLOW_DIRECTIONS,
-    Directions,
-    missing_parts,
-)
+from cosim.theory.assessment.model_errors import CONSTANT, DRIFT, missing_parts
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
 
 LEAST_MOVE: Final = 0.5  # half widths, from which on it is told
 LARGEST_ERROR: Final = 0.1  # over the effect of the disturbance
 SAME_MOVE: Final = 1.01  # of two errors that move a parameter as far the first one is told
-RATES: Final = 13  # a factor of the root of 2 apart, the slowest one over the record
+RATES: Final = 7  # of exponentials, a factor of 2 apart, from the slowest one over the record
 
 
 @dataclass(frozen=True)
@@ -135,62 +129,51 @@ def _moves(assessment: Assessment) -> tuple[dict[str, float], dict[str, Vector]]
     """
     fitted = assessment.fitted
     fit = assessment.fit
-    every = range(len(fitted.problem.data))
-    span = max(float(data.t[-1] - data.t[0]) for data in fitted.problem.data)
-    rates = np.append(0.0, 2.0 ** (0.5 * np.arange(RATES)) / span)
-    tested = [TestedFit(fitted, index) for index in every]
-    slopes = [one.thinned(one.fit.slopes) for one in tested]
-    inverses = [pseudo_inverse(one.thinned(one.fit.linear)) for one in tested]
-    free = []
-    for one, own, inverse in zip(tested, slopes, inverses, strict=True):
-        estimated = own[:, fit.estimated]
-        free.append(estimated - one.thinned(one.fit.linear) @ (inverse @ estimated))
-    by_errors = np.split(
-        pseudo_inverse(np.vstack(free)), np.cumsum([len(rows) for rows in free])[:-1], axis=1
-    )
+    tested = assessment.consistency.tested
     order = fitted.problem.generators.order
-    slopes_of_constants = [
-        np.vstack([constants.slopes for constants in constants_of(assessment, index)])
-        for index in every
-    ]
+    span = max(float(data.t[-1] - data.t[0]) for data in fitted.problem.data)
+    rates = np.append(0.0, 2.0 ** np.arange(RATES) / span)
+    slopes = [one.thinned(one.fit.slopes) for one in tested]
+    linear = [one.thinned(one.fit.linear) for one in tested]
+    inverses = [pseudo_inverse(columns) for columns in linear]
+    free = []
+    for own, columns, inverse in zip(slopes, linear, inverses, strict=True):
+        estimated = own[:, fit.estimated]
+        free.append(estimated - columns @ (inverse @ estimated))
+    ends = np.cumsum([len(rows) for rows in free])
+    of_theta = np.split(pseudo_inverse(np.vstack(free)), ends[:-1], axis=1)
+    by_unknowns = []
+    for index in range(len(tested)):
+        constants = constants_of(assessment, index)
+        by_unknowns.append(np.vstack([own.slopes for own in constants]))
     sizes: dict[str, float] = {}
     moves: dict[str, Vector] = {}
     for index, one in enumerate(tested):
         missing = missing_parts(fitted.problem.plant, one.data, rates)
-        directions = _both(one.whitened(missing), one.errors)
-        linear = one.thinned(one.fit.linear)
-        left = directions.columns - linear @ (inverses[index] @ directions.columns)
-        theta = np.zeros((len(fit.theta), len(directions.names)))
-        theta[fit.estimated] = by_errors[index] @ left
-        parts = [theta]
-        for m in every:
-            own = directions.columns if m == index else np.zeros((len(slopes[m]), 1))
-            beta = (inverses[m] @ (own - slopes[m] @ theta))[:order]
-            parts.append(slopes_of_constants[m] @ np.vstack([theta, beta]))
-        disturbed = linear[:, :order] @ fit.amplitudes[index]
-        passing = _passing(one, directions, fit.deviation, float(np.linalg.norm(disturbed)))
-        moved = np.abs(np.vstack(parts) * passing)
-        for k, name in enumerate(directions.names):
+        traces = one.traces(missing) + one.tested_errors()
+        theta = np.zeros((len(fit.theta), len(traces.names)))
+        theta[fit.estimated] = of_theta[index] @ one.basis @ traces.within
+        moved = [theta]
+        for other in range(len(tested)):
+            unknowns = -(inverses[other] @ slopes[other]) @ theta
+            if other == index:
+                unknowns += inverses[index] @ one.basis @ traces.within
+            moved.append(by_unknowns[other] @ np.vstack([theta, unknowns[:order]]))
+        disturbed = linear[index][:, :order] @ fit.amplitudes[index]
+        passing = _passing(one, traces, fit.deviation, float(np.linalg.norm(disturbed)))
+        distances = np.abs(np.vstack(moved) * passing)
+        for k, name in enumerate(traces.names):
             sizes[name] = max(float(passing[k]), sizes.get(name, 0.0))
-            moves[name] = moved[:, k] + moves.get(name, 0.0)
+            moves[name] = distances[:, k] + moves.get(name, 0.0)
     return sizes, moves
 
 
-def _both(one: Directions, other: Directions) -> Directions:
-    return Directions(np.hstack([one.columns, other.columns]), one.names + other.names)
-
-
-def _passing(
-    tested: TestedFit, directions: Directions, deviation: float, disturbed: float
-) -> Vector:
-    """Return the size of each error that would just pass, shape (K,); 0 where none is told of."""
-    columns = directions.columns
-    lengths = np.linalg.norm(columns, axis=0)
-    _, left = tested.beside_fit(columns)
-    passing = tested.passing(columns, deviation)
-    for k, name in enumerate(directions.names):
-        if left[k] <= LEAST_REMAINDER:
-            passing[k] = 0.0
-        elif not name.startswith((CONSTANT, DRIFT)):
+def _passing(tested: TestedFit, traces: ErrorTraces, deviation: float, disturbed: float) -> Vector:
+    """Return the size of each error that would just pass, shape (K,); 0: the fit takes it."""
+    passing = tested.passing(traces, deviation)
+    lengths = traces.lengths
+    passing[traces.beside <= LEAST_REMAINDER * lengths] = 0.0
+    for k in np.flatnonzero(passing).tolist():
+        if not traces.names[k].startswith((CONSTANT, DRIFT)):
             passing[k] = min(passing[k], LARGEST_ERROR * disturbed / lengths[k])
     return passing
