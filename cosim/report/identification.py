@@ -68,6 +68,7 @@ class IdentificationReport:
             "identifier": self.identification.records[0].identifier,
             "offset": self.identification.assessment.problem.offset,
             **self.identification.assessment.to_dict(),
+            "undetected": [error.to_dict() for error in self.identification.undetected],
             "logs": self._logs(),
             "contradictions": list(self.identification.contradictions),
         }

@@ -390,12 +390,17 @@ def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
 def _beside_verdicts(
     name: str, recorded: IdentificationRecord, expected: IdentificationRecord
 ) -> Iterator[_Statement]:
-    """Yield amplitudes and guaranteed intervals that differ, where the log has some."""
+    """Yield amplitudes, errors that pass and intervals that differ, where the log has some."""
     if recorded.amplitudes:
         computed = _amplitudes(recorded)
         replayed = _amplitudes(expected)
         if not _agree(computed, replayed):
             yield f"amplitudes of {name!r}", computed, replayed
+    if recorded.undetected:
+        computed = _undetected(recorded)
+        replayed = _undetected(expected)
+        if not _agree(computed, replayed):
+            yield f"undetected errors of {name!r}", computed, replayed
     if recorded.irregular is not None:
         computed = _guaranteed(recorded)
         replayed = _guaranteed(expected)
@@ -415,6 +420,13 @@ def _guaranteed(record: IdentificationRecord) -> list[dict[str, Any]]:
 def _amplitudes(record: IdentificationRecord) -> list[dict[str, Any]]:
     """Return what a log says of the amplitudes and phases of an identifier."""
     return _plain(itertools.chain.from_iterable(record.amplitudes))
+
+
+def _undetected(record: IdentificationRecord) -> list[dict[str, Any]]:
+    """Return what a log says of errors that would pass, flat and with the texts left out."""
+    return [
+        {"error": own.error, "size": own.size, **own.half_widths} for own in record.undetected
+    ]
 
 
 def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:

@@ -151,6 +151,7 @@ class Identification:
     parameters: tuple[ParameterSummary, ...] = ()
     reference: tuple[ParameterSummary, ...] = ()  # of output error, where the method is another
     amplitudes: tuple[ParameterSummary, ...] = ()  # and phases, by output error
+    undetected: tuple[str, ...] = ()  # which errors of the model would pass, and what they move
     deviation: tuple[float, ...] = ()  # of the noise of y, from the residual of output error
     noise: str = ""  # what is known of it, or why nothing is
     guaranteed: GuaranteedSummary | None = None
@@ -490,6 +491,7 @@ def _identification(
         parameters=_parameters(recording, component, own),
         reference=_parameters(recording, component, others),
         amplitudes=tuple(amplitudes),
+        undetected=tuple(error.text for error in identification.undetected),
         deviation=identification.deviation,
         noise=identification.problem or noise_text(identification),
         guaranteed=_guaranteed(component, identification.irregular),

@@ -30,7 +30,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows, ThetaBounds, bounds_of
-from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
+from cosim.scenario.identification.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
@@ -38,6 +38,7 @@ from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
+from cosim.theory.assessment.undetected import UndetectedError, undetected_errors
 from cosim.theory.assessment.validation import Validation, validate
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict
 from cosim.theory.bounded.feasible_program import Watch
@@ -100,6 +101,13 @@ class LogIdentification:
     def amplitudes(self) -> tuple[tuple[ParameterVerdict, ...], ...]:
         """What may be said about amplitudes and phases, those of each log."""
         return amplitude_verdicts(self.assessment)
+
+    @cached_property
+    def undetected(self) -> tuple[UndetectedError, ...]:
+        """Which errors of the model the tests let pass, though they move an estimate far."""
+        return undetected_errors(
+            self.assessment, self.amplitudes, with_offset=IDENTIFY_WITH_OFFSET
+        )
 
     def validate(self, other: IdentifierRecord) -> Validation:
         """Test the fit on the data of another run, which was not used in it.

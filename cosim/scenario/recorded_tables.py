@@ -239,6 +239,15 @@ class IrregularRecord(_Record):
     problem: Text = ""
 
 
+class UndetectedRecord(_Record):
+    """What a log says of an error of the model that would pass the tests of the residual."""
+
+    error: Text
+    size: Number
+    half_widths: dict[str, Number]
+    text: Text
+
+
 class IdentificationRecord(_Record):
     """What a log says of an identifier at the end of its run.
 
@@ -251,6 +260,7 @@ class IdentificationRecord(_Record):
     parameters: tuple[ParameterRecord, ...] = ()
     amplitudes: tuple[tuple[ParameterRecord, ...], ...] = ()
     estimate: tuple[ParameterRecord, ...] = ()
+    undetected: tuple[UndetectedRecord, ...] = ()
     deviation: OneAnOutput = ()
     accuracy: OneAnOutput = ()
     is_exact: bool = False

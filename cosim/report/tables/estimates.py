@@ -12,6 +12,7 @@ from cosim.report.summary import Identification, ParameterSummary, Summary, Valu
 from cosim.report.tables.console import new_table
 
 _IN_TERM: Final = "in "  # begins the reason of an amplitude that names its term
+IF_WRONG: Final = "if it is wrong"  # the model, behind the sentence that says "if it is right"
 _SHOWN_RTOL: Final = 1e-6  # of values with six digits
 
 
@@ -111,9 +112,13 @@ def estimate_table(rows: list[EstimateRow]) -> Table:
 
 
 def estimate_notes(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Yield the reasons of verdicts, each once, and the terms that amplitudes belong to."""
+    """Yield the reasons of verdicts, each once, what they do not see, and terms of amplitudes."""
     rows = estimate_rows(summary)
     yield from reason_notes([(row.label, row.verdict, row.reason) for row in rows])
+    for identification in summary.identifications:
+        of_several = f"{identification.component}: " if len(summary.identifications) > 1 else ""
+        for text in identification.undetected:
+            yield IF_WRONG, f"{of_several}{text}"
     for identification in summary.identifications:
         amplitudes = identification.amplitudes
         yield from term_notes([(amplitude.estimate, amplitude.reason) for amplitude in amplitudes])

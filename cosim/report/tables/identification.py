@@ -11,7 +11,7 @@ from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.identification import IdentificationReport, TimedPart
 from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_tables
-from cosim.report.tables.estimates import reason_notes, term_notes
+from cosim.report.tables.estimates import IF_WRONG, reason_notes, term_notes
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
 from cosim.theory.assessment.validation import Validation
@@ -74,6 +74,8 @@ def _facts_table(report: IdentificationReport) -> Table:
     table = new_table("", ("", ""))
     labelled = _labelled(identification)
     _add_notes(table, labelled)
+    for error in identification.undetected:
+        table.add_row(IF_WRONG, str(error))
     for i, j in itertools.combinations(range(len(assessment.parameters)), 2):
         if assessment.fit.estimated[[i, j]].all():
             correlation = f"theta[{i}], theta[{j}]: {assessment.correlation[i, j]:+.3f}"

@@ -45,6 +45,8 @@ class IdentifiedPlant:
         Why nothing can be said of the estimates; empty: nothing stands against it.
     stated : Matrix, shape (n_y, n_y), or None
         Covariance of the noise of y; None: it is not known.
+    has_offset_key : bool
+        The table of the identifier has a key for ``offset``.
     irregular : float or None
         Bound of an irregular part of the disturbance that intervals are guaranteed for.
     closed_loop : bool
@@ -65,6 +67,7 @@ class IdentifiedPlant:
     bounds: Mapping[int, tuple[float, float]]
     problem: str = ""
     stated: Matrix | None = None
+    has_offset_key: bool = False
     irregular: float | None = None
     closed_loop: bool = False
     window: float = np.inf

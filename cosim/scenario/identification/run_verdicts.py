@@ -23,11 +23,13 @@ from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, judge
 from cosim.theory.disturbed_plant import DataSet
 
 IDENTIFICATION: Final = "identification"  # the key of the results
 OUTPUT_ERROR: Final = "output-error"
+IDENTIFY_WITH_OFFSET: Final = "`cosim identify --offset`"
 
 
 class Assessor:
@@ -134,6 +136,9 @@ class _IdentifierData:
             result["extent"] = identified.extent
         amplitudes = amplitude_verdicts(assessment)
         result["amplitudes"] = plain_amplitudes(amplitudes)
+        with_offset = "`offset = true`" if identified.has_offset_key else IDENTIFY_WITH_OFFSET
+        undetected = undetected_errors(assessment, amplitudes, with_offset=with_offset)
+        result["undetected"] = [error.to_dict() for error in undetected]
         own = judge(assessment, theta, error)
         result["estimate"] = [parameter.to_dict() for parameter in own]
         if identified.irregular is not None:

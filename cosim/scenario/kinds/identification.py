@@ -260,6 +260,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             offset=self.offset,
             bounds=bounds,
             stated=stated,
+            has_offset_key=self.method == "output-error",
             irregular=self.irregular,
             closed_loop=self.closed_loop,
             window=math.inf if self.window is None else self.window,
