@@ -424,9 +424,7 @@ def _amplitudes(record: IdentificationRecord) -> list[dict[str, Any]]:
 
 def _undetected(record: IdentificationRecord) -> list[dict[str, Any]]:
     """Return what a log says of errors that would pass, flat and with the texts left out."""
-    return [
-        {"error": own.error, "size": own.size, **own.half_widths} for own in record.undetected
-    ]
+    return [{"error": own.error, "size": own.size, **own.half_widths} for own in record.undetected]
 
 
 def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:

@@ -105,9 +105,7 @@ class LogIdentification:
     @cached_property
     def undetected(self) -> tuple[UndetectedError, ...]:
         """Which errors of the model the tests let pass, though they move an estimate far."""
-        return undetected_errors(
-            self.assessment, self.amplitudes, with_offset=IDENTIFY_WITH_OFFSET
-        )
+        return undetected_errors(self.assessment, self.amplitudes, with_offset=IDENTIFY_WITH_OFFSET)
 
     def validate(self, other: IdentifierRecord) -> Validation:
         """Test the fit on the data of another run, which was not used in it.

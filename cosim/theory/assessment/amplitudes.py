@@ -32,7 +32,7 @@ class ComponentConstants:
     bias : Vector, shape (v,)
         What step and quantization may have moved them by.
     slopes : Matrix, shape (v, P + order)
-        By theta and beta.
+        By theta and beta; 0 where there is no number.
     is_present : bool
         Whether the component is larger here than what noise alone makes it for a given theta.
     """
@@ -73,18 +73,19 @@ def component_constants(
         of_beta = np.arange(column, column + family.v)
         beta = fit.amplitudes[index][of_beta]
         values, slopes = _constants(family, fit.theta[of_theta], beta, t_1)
-        by_all = np.zeros((family.v, len(moved)))
         own = np.concatenate([of_theta, P + of_beta])
-        by_all[:, own] = slopes
         variance = np.einsum("ca,ab,cb->c", slopes, covariance[np.ix_(own, own)], slopes)
         known = np.isfinite(values) & np.isfinite(variance)
         known &= all(determined[j] for j in of_beta)
+        by_own = np.where(known[:, np.newaxis], slopes, 0.0)
+        by_all = np.zeros((family.v, len(moved)))
+        by_all[:, own] = by_own
         constants.append(
             ComponentConstants(
                 family=family,
                 values=np.where(known, values, NAN),
                 standard_error=np.where(known, np.sqrt(np.maximum(variance, 0.0)), NAN),
-                bias=np.abs(np.where(known[:, np.newaxis], slopes, 0.0)) @ moved[own],
+                bias=np.abs(by_own) @ moved[own],
                 slopes=by_all,
                 is_present=_is_present(beta, by_noise[np.ix_(of_beta, of_beta)]),
             )

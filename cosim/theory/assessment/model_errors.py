@@ -135,9 +135,32 @@ def _alpha_changes(data: DataSet, disturbance: Matrix) -> dict[str, Vector]:
     changes = {}
     for i, (alpha, factor) in enumerate(zip(data.alpha.T, f.T, strict=True)):
         shift = np.gradient(alpha, t) * factor
-        changes[f"a shift of alpha {i + 1}"] = shift
-        changes[f"another rate in alpha {i + 1}"] = shift * (t - t[0])
+        changes[_shift_of(i)] = shift
+        changes[_rate_in(i)] = shift * (t - t[0])
     return changes
+
+
+def alpha_limits(data: DataSet) -> dict[str, float]:
+    """Return at which size a change of an alpha, to first order, is as large as what varies of it.
+
+    By how names in ``model_errors`` begin; an alpha that is constant has nothing to change.
+    """
+    limits = {}
+    for i, alpha in enumerate(data.alpha.T):
+        varying = float(np.std(alpha))
+        shift = np.gradient(alpha, data.t)
+        for name, change in ((_shift_of(i), shift), (_rate_in(i), shift * (data.t - data.t[0]))):
+            size = float(np.sqrt(np.mean(change**2)))
+            limits[name] = varying / size if size > 0.0 else 0.0
+    return limits
+
+
+def _shift_of(i: int) -> str:
+    return f"a shift of alpha {i + 1}"
+
+
+def _rate_in(i: int) -> str:
+    return f"another rate in alpha {i + 1}"
 
 
 def _entering_states(

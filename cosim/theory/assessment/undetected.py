@@ -7,8 +7,9 @@ it how far every estimate moves without a word, which no interval contains: it r
 
 The errors are those that the tests look for, and what a model lacks most often: a constant or a
 drift on an output, and a further term of the disturbance, an exponential of any rate. An error of
-the plant or the disturbance counts up to a tenth of what the disturbance does to the outputs:
-beyond that theta makes up for it, and it is no small one.
+the plant or the disturbance counts up to a tenth of what the disturbance does to the outputs, a
+change of an alpha up to a tenth of what varies of it: beyond, its effect is not linear, and it is
+no small one.
 """
 
 from __future__ import annotations
@@ -23,11 +24,17 @@ from cosim.arrays import Vector
 from cosim.theory.assessment.amplitude_verdicts import constants_of
 from cosim.theory.assessment.consistency import LEAST_REMAINDER, ErrorTraces, TestedFit
 from cosim.theory.assessment.linearized_fit import pseudo_inverse
-from cosim.theory.assessment.model_errors import CONSTANT, DRIFT, missing_parts
+from cosim.theory.assessment.model_errors import (
+    CONSTANT,
+    DRIFT,
+    alpha_limits,
+    missing_parts,
+)
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
 
 LEAST_MOVE: Final = 0.5  # half widths, from which on it is told
-LARGEST_ERROR: Final = 0.1  # over the effect of the disturbance
+LARGEST_ERROR: Final = 0.1  # over the effect of the disturbance, of an alpha over its variation
+ROUNDING_LENGTH: Final = 1e-9  # over the effect of the disturbance
 SAME_MOVE: Final = 1.01  # of two errors that move a parameter as far the first one is told
 RATES: Final = 7  # of exponentials, a factor of 2 apart, from the slowest one over the record
 
@@ -169,11 +176,19 @@ def _moves(assessment: Assessment) -> tuple[dict[str, float], dict[str, Vector]]
 
 
 def _passing(tested: TestedFit, traces: ErrorTraces, deviation: float, disturbed: float) -> Vector:
-    """Return the size of each error that would just pass, shape (K,); 0: the fit takes it."""
+    """Return the size of each error that would just pass, shape (K,); 0: there is none to tell."""
     passing = tested.passing(traces, deviation)
     lengths = traces.lengths
     passing[traces.beside <= LEAST_REMAINDER * lengths] = 0.0
+    limits = alpha_limits(tested.data)
     for k in np.flatnonzero(passing).tolist():
-        if not traces.names[k].startswith((CONSTANT, DRIFT)):
-            passing[k] = min(passing[k], LARGEST_ERROR * disturbed / lengths[k])
+        name = traces.names[k]
+        if name.startswith((CONSTANT, DRIFT)):
+            continue
+        passing[k] = min(passing[k], LARGEST_ERROR * disturbed / lengths[k])
+        if lengths[k] <= ROUNDING_LENGTH * disturbed:
+            passing[k] = 0.0
+        for change, limit in limits.items():
+            if name.startswith(f"{change} "):
+                passing[k] = min(passing[k], LARGEST_ERROR * limit)
     return passing
