@@ -14,6 +14,8 @@ from cosim.report.identification import report_identification
 from cosim.report.plots import identification as plots
 from cosim.report.plots.intervals import band_curves
 from cosim.report.plots.picture import PictureOptions
+from cosim.report.summary import summarize
+from cosim.report.tables.estimates import IF_WRONG, estimate_notes
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.scenario.identifying import identifier_record, identify_records
 
@@ -52,6 +54,9 @@ def test_the_table_shows_what_was_recorded(logs, call):
     assert code == 0
     recorded = logs["first"].results[IDENTIFICATION]["identifier"]
     shown = rows(output)
+    notes = [text for label, text in estimate_notes(summarize(logs["first"])) if label == IF_WRONG]
+    assert notes == [error["text"] for error in recorded["undetected"]]
+    assert shown[IF_WRONG] == notes[-1:]
     for parameter in recorded["parameters"]:
         value, error, interval, verdict = shown[parameter["name"]]
         assert float(value) == pytest.approx(parameter["value"], rel=1e-5)

@@ -212,9 +212,19 @@ def test_the_summary_shows_half_the_width_of_an_interval(judged):
         assert shown.half_width == pytest.approx((of_log["upper"] - of_log["lower"]) / 2.0)
 
 
-@pytest.mark.parametrize("key", ["amplitudes", "irregular"])
+def test_an_undetected_error_that_no_replay_finds_is_false(judged, tmp_path):
+    results = json.loads(json.dumps(dict(open_log(judged).results)))
+    error = {"error": "a constant on y", "size": 1.0, "half_widths": {"theta[0]": 3.0}, "text": ""}
+    results["identification"]["identifier"]["undetected"] = [error]
+    data = json.dumps(results).encode()
+    verification = verified(forged(judged, tmp_path / "b.mcap", attachments={"result.json": data}))
+    (problem,) = verification.problems
+    assert "undetected errors of 'identifier': " in problem
+
+
+@pytest.mark.parametrize("key", ["amplitudes", "undetected", "irregular"])
 def test_a_log_that_says_nothing_of_them_is_true(judged, tmp_path, key):
-    """Older ones have no amplitudes, nor guaranteed intervals."""
+    """Older ones have no amplitudes, no undetected errors, nor guaranteed intervals."""
     results = json.loads(json.dumps(dict(open_log(judged).results)))
     del results["identification"]["identifier"][key]
     data = json.dumps(results).encode()

@@ -37,6 +37,10 @@ def test_a_log_says_what_the_run_said(logs):
     recorded = dict(logs[0].results[IDENTIFICATION]["identifier"])
     recorded.pop("estimate")
     assert recorded.pop("amplitudes") == plain_amplitudes(found.amplitudes)
+    undetected = recorded.pop("undetected")
+    assert [own["half_widths"] for own in undetected] == [
+        dict(own.half_widths) for own in found.undetected
+    ]
     assert found.assessment.to_dict() == recorded
 
 
@@ -75,6 +79,17 @@ def test_the_log_of_another_method_is_identified_by_output_error(logs):
     assert record.estimate is None
     theta = identify_records([record]).assessment.fit.theta
     np.testing.assert_allclose(theta, [-0.1, -0.3], atol=1e-3)
+
+
+def test_an_offset_is_offered_as_the_option_that_there_is(logs):
+    """Least squares has no key for it; then the log is identified with one."""
+    offered = []
+    for log in (logs[0], logs[2]):
+        told = log.results[IDENTIFICATION]["identifier"]["undetected"]
+        offered += [one["remedy"] for one in told if one["error"] == "a constant on y"]
+    assert offered == ["`offset = true`", "`cosim identify --offset`"]
+    found = identify_records([identifier_record(logs[0])], offset=True)
+    assert "a constant on y" not in [one.error for one in found.undetected]
 
 
 def test_options_are_those_of_the_fit(logs):

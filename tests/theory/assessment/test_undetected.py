@@ -189,9 +189,9 @@ CASES = {
 )
 @pytest.mark.parametrize("case", CASES)
 def test_an_interval_that_misses_has_a_figure_that_covers_it(case, h, seeds):
-    """What the model lacks is too small for the tests: no error is larger than interval and figure.
+    """What the model lacks is too small for the tests: no error is beyond interval and figure.
 
-    An estimate is as far off as what the error moves it by, and noise: at most the interval's width.
+    An estimate is as far off as the error moves it, and noise, which the interval contains.
     """
     exact = output(h, **CASES[case])
     for seed in seeds:
