@@ -8,8 +8,8 @@ it how far every estimate moves without a word, which no interval contains: it r
 The errors are those that the tests look for, and what a model lacks most often: a constant or a
 drift on an output, and a further term of the disturbance, an exponential of any rate. An error of
 the plant or the disturbance counts up to a tenth of what the disturbance does to the outputs, a
-change of an alpha up to a tenth of what varies of it: beyond, its effect is not linear, and it is
-no small one.
+change of an alpha up to a tenth of what varies of it: beyond, its effect is not linear. What passes
+even where it is as large as all of that is no error that tests can see: theta makes up for it.
 """
 
 from __future__ import annotations
@@ -185,10 +185,13 @@ def _passing(tested: TestedFit, traces: ErrorTraces, deviation: float, disturbed
         name = traces.names[k]
         if name.startswith((CONSTANT, DRIFT)):
             continue
-        passing[k] = min(passing[k], LARGEST_ERROR * disturbed / lengths[k])
-        if lengths[k] <= ROUNDING_LENGTH * disturbed:
-            passing[k] = 0.0
+        whole = disturbed / lengths[k]
         for change, limit in limits.items():
             if name.startswith(f"{change} "):
-                passing[k] = min(passing[k], LARGEST_ERROR * limit)
+                whole = min(whole, limit)
+        is_rounding = lengths[k] <= ROUNDING_LENGTH * disturbed
+        is_made_up_for = passing[k] > whole
+        passing[k] = min(passing[k], LARGEST_ERROR * whole)
+        if is_rounding or is_made_up_for:
+            passing[k] = 0.0
     return passing
