@@ -198,7 +198,8 @@ class ErrorTraces:
     @property
     def lengths(self) -> Vector:
         """How large each is in all, shape (K,)."""
-        return np.hypot(np.linalg.norm(self.within, axis=0), self.beside)
+        lengths: Vector = np.hypot(np.linalg.norm(self.within, axis=0), self.beside)
+        return lengths
 
     def __add__(self, other: ErrorTraces) -> ErrorTraces:
         """Return both."""
@@ -292,7 +293,8 @@ class TestedFit:
         with np.errstate(divide="ignore", invalid="ignore"):
             single = np.nanmin(limit[:, np.newaxis] / np.abs(traces.seen), axis=0, initial=np.inf)
             together = beyond_noise / np.linalg.norm(all_seen, axis=0)
-        return np.minimum(single, together)
+        passing: Vector = np.minimum(single, together)
+        return passing
 
     @property
     def squares(self) -> Vector:

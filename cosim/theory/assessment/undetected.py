@@ -62,14 +62,18 @@ class UndetectedError:
     def __str__(self) -> str:
         """Return it as a sentence."""
         first, *others = self.half_widths.items()
-        moves = [f"{first[0]} moves by {first[1]:.2g} half widths"]
-        moves += [f"{name} by {times:.2g}" for name, times in others]
+        moves = [f"{first[0]} moves by {_times_text(first[1])} half widths"]
+        moves += [f"{name} by {_times_text(times)}" for name, times in others]
         removed = f"; {self.remedy} removes it" if self.remedy else ""
         return f"{self.error} of {self.size:.2g} would pass: {', '.join(moves)}{removed}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {**asdict(self), "text": str(self)}
+
+
+def _times_text(times: float) -> str:
+    return f"{times:.2g}" if times < 99.5 else f"{times:.0f}"
 
 
 def undetected_errors(
