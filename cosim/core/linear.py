@@ -216,9 +216,10 @@ class Linear:
         return self._step
 
     def linearized(self, t: float, u: Vector) -> Linearized:
-        """Return the matrices of the model."""
+        """Return the matrices of the model, and x' at the state."""
         arrays = self._arrays
-        return Linearized(arrays["A"], arrays["B"], arrays["C"], arrays["D"])
+        own = Linearized(arrays["A"], arrays["B"], arrays["C"], arrays["D"])
+        return own.at(self.state, u, own.A @ self.state + own.B @ u)
 
     def save(self) -> Vector:
         """Copy the state."""

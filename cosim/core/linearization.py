@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import GraphError
 
 InputUse: TypeAlias = Literal["linear", "mean", "start"]
+AT_REST: Final = 1e-9  # of the sum of the terms of x': what is left of them is rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,8 @@ class Linearized:
         Communication steps until the first step of its own begins.
     latest : Mask, shape (n_u,), optional
         The inputs of which a step takes the value at its end, in place of the mean; left out: none.
+    rate : Vector, shape (n_x,), optional
+        x' at the operating point itself; left out: it is not known.
 
     Raises
     ------
@@ -59,6 +62,7 @@ class Linearized:
     delay: int = 0
     offset: int = 0
     latest: Mask | None = None
+    rate: Vector | None = None
 
     def __post_init__(self) -> None:
         n_x = len(self.A)
@@ -85,6 +89,11 @@ class Linearized:
         if self.corrected is None:
             return np.ones(len(self.D), np.bool_)
         return self.corrected
+
+    def at(self, x: Vector, u: Vector, rate: Vector) -> Linearized:
+        """Return it with the x' of a state and inputs; what is rounding of its terms is zero."""
+        terms = np.abs(self.A) @ np.abs(x) + np.abs(self.B) @ np.abs(u)
+        return replace(self, rate=np.where(np.abs(rate) <= AT_REST * terms, 0.0, rate))
 
     def sampled(self, n: int, *, hold: bool, offset: int = 0) -> Linearized | None:
         """Return it with steps of its own, n communication steps long; None: it has others.

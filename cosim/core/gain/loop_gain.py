@@ -13,7 +13,8 @@ More than ``REFUSED`` is no result any more; more than ``NOTED`` is worth a warn
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
@@ -113,7 +114,7 @@ class LoopGain:
 
 @dataclass(frozen=True, slots=True)
 class LinearizedLoops:
-    """The loops of a graph, linearized where it starts.
+    """The components of a graph, and its loops, linearized where it starts.
 
     Parameters
     ----------
@@ -139,11 +140,9 @@ class LinearizedLoops:
 
     @staticmethod
     def of(graph: Graph, clock: Clock, row: Vector) -> LinearizedLoops:
-        """Linearize the components of loops at the first row, with which the graph begins."""
+        """Linearize the components, of loops or not, at the first row, with which it begins."""
         linearized = {}
         for stage in graph.stages:
-            if not stage.is_loop:
-                continue
             for member in stage.members:
                 matrices = member.component.linearized(clock.start_time, row[member.inputs])
                 if matrices is not None:
@@ -173,17 +172,9 @@ class LinearizedLoops:
         return fine if FAR * fine >= allowed else allowed
 
     def _largest_step(self, model: LoopModel, verdicts: Sequence[GainVerdict]) -> int | None:
-        step_ns = self.clock.step_ns
-        parts = [count for count in _divisors(step_ns) if count > 1]
-        lower = 0
-        upper = len(parts)
-        while lower < upper:
-            middle = (lower + upper) // 2
-            if self._verdict(model, parts[middle]) in verdicts:
-                upper = middle
-            else:
-                lower = middle + 1
-        return step_ns // parts[lower] if lower < len(parts) else None
+        return largest_part(
+            self.clock.step_ns, lambda parts: self._verdict(model, parts) in verdicts
+        )
 
     def couplings_for(self, number: int) -> list[Coupling]:
         """Return the other couplings with which a loop would be fine at the same step."""
@@ -256,6 +247,16 @@ def _gain_of(model: LoopModel, names: tuple[str, ...], coupling: str, steps: int
     if not (math.isfinite(rho) and rate < math.inf):
         return LoopGain(names, coupling, model.h, steps, reason=TOO_FAST)
     return LoopGain(names, coupling, model.h, steps, rho, None if rate == -math.inf else rate)
+
+
+def largest_part(step_ns: int, fits: Callable[[int], bool]) -> int | None:
+    """Return the largest part of a step [ns] that fits, by bisection; None: none found.
+
+    ``fits`` is asked for the number of parts that the step is divided into.
+    """
+    counts = [count for count in _divisors(step_ns) if count > 1]
+    number = bisect_left(counts, True, key=fits)
+    return step_ns // counts[number] if number < len(counts) else None
 
 
 def _divisors(number: int) -> list[int]:

@@ -129,7 +129,7 @@ def loop_model(
     names = [member.name for member in loop.members]
     return LoopModel(
         tuple(replace(linearized[name], latest=latest[name]) for name in names),
-        _wiring(loop.members, width),
+        wiring(loop.members, width),
         tuple(held[name] for name in names),
         tuple(operations),
         h,
@@ -158,7 +158,7 @@ def _torn(loop: Stage) -> tuple[tuple[int, int], ...]:
     return tuple(torn)
 
 
-def _wiring(members: Sequence[Member], width: int) -> tuple[Matrix, ...]:
+def wiring(members: Sequence[Member], width: int) -> tuple[Matrix, ...]:
     """Return the inputs of each component by the outputs of all: what their wires do to units."""
     columns = np.concatenate([np.arange(m.outputs.start, m.outputs.stop) for m in members])
     rows = np.zeros((len(columns) + 1, width))

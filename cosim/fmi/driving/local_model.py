@@ -65,8 +65,8 @@ def differentiated(
         below = point.copy()
         below[i] -= step
         jacobian[:, i] = (evaluate(above) - evaluate(below)) / (2.0 * step)
-    evaluate(point)
-    return _linearized(jacobian, n_x)
+    rate = evaluate(point)[:n_x]
+    return _linearized(jacobian, n_x).at(x, u, rate)
 
 
 def derived(instance: Instance, *, use: InputUse, corrected: Mask) -> Linearized | None:

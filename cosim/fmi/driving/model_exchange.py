@@ -241,7 +241,9 @@ class ModelExchange:
         """
         model = self._instance.linear
         if model is not None:
-            return Linearized(model.A, model.B, model.C, model.D)
+            x = model.initial(t, u)
+            own = Linearized(model.A, model.B, model.C, model.D)
+            return own.at(x, u, model.derivatives(t, x, u))
         self._finish(self._take_over())
         self._leave_initialization()
         matrices = self._integrator.linearized(np.array(u, np.float64))

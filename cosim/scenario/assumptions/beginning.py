@@ -10,6 +10,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.contracts import Design
 from cosim.core.gain.loop_gain import LinearizedLoops
+from cosim.core.gain.resolution import Resolution, resolution
 from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
@@ -110,13 +111,33 @@ class Beginning:
             evidence += f"; {name}: {change_text(changed)}"
         return evidence, {"components": count}
 
+    @cached_property
+    def _linearized(self) -> LinearizedLoops | None:
+        """The components, linearized behind the check; None: no run would begin."""
+        if self._row is None:
+            return None
+        return LinearizedLoops.of(self.graph, self._builder.clock, self._row)
+
     def loops(self) -> list[CouplingReport]:
         """Return what is known of the loops, after the check; nothing where no run would begin.
 
         As they begin, then behind actions.
         """
-        if self._row is None:
+        loops = self._linearized
+        if loops is None or self._row is None:
             return []
-        loops = LinearizedLoops.of(self.graph, self._builder.clock, self._row)
         changes = changed_loops(self._experiment, loops, self._row)
         return [report_on(loops), *map(report_behind, changes)]
+
+    def resolution(self) -> Resolution:
+        """Return whether the step resolves the model.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If no run would begin.
+        """
+        loops = self._linearized
+        if loops is None or self._row is None:
+            raise DependsOnInvalid(f"{BEGINNING} is not fulfilled")
+        return resolution(self.graph, self._builder.clock, self._row, loops.linearized)

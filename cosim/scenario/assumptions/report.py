@@ -17,7 +17,7 @@ from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError, listing
-from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
+from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, Evidence, attempted
 from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
 from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
@@ -49,6 +49,7 @@ from cosim.theory.observers.assumptions import (
 
 OF_OBSERVER: Final = (DIRECT_PATH, DECOUPLING, DETECTABILITY, HURWITZ)
 MATRICES: Final = "matrices"
+RESOLUTION: Final = "the step resolves the model"
 FILE: Final = "the scenario"
 
 
@@ -152,6 +153,7 @@ class _Check:
         if not others:
             others = [_resting_on(verdicts, attempted(BEGINNING, self._beginning.check))]
             others += self._of_loops()
+            others.append(attempted(RESOLUTION, self._resolution))
         return verdicts + [(FILE, verdict) for verdict in others]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
@@ -255,6 +257,14 @@ class _Check:
         for report in self._beginning.loops():
             verdicts += self._of_coupled(report)
         return verdicts
+
+    def _resolution(self) -> Evidence:
+        """Return what linear interpolation over a step does to the modes of the model."""
+        found = self._beginning.resolution()
+        if not found.is_resolved:
+            raise AssumptionError(found.text, cure=found.cure)
+        values = {"step": found.h, "fastest_rate": found.rate, "missed": found.missed.error}
+        return found.text, values
 
     def _of_coupled(self, report: CouplingReport) -> list[AssumptionVerdict]:
         self._of_coupling += [(COUPLING, text) for text in report.warnings]

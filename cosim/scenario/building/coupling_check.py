@@ -18,6 +18,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.clock import Clock
 from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
+from cosim.core.gain.resolution import may_be_unresolved, resolution
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan
 from cosim.errors import CosimError, listing
@@ -28,6 +29,7 @@ from cosim.scenario.document.problems import Key, Problem
 from cosim.scenario.document.schema import Settings
 
 COUPLING: Final = "coupling"  # whose warnings these are
+STEP: Final = "step"
 LARGEST: Final = 1e4  # that is written without an exponent of ten
 
 
@@ -49,7 +51,7 @@ class CouplingReport:
 def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -> Experiment:
     """Return an experiment with the gains of its loops, and the warnings that follow from them.
 
-    Its graph is prepared and initialized for that; one that cannot be is left to the run. Where an
+    So does one of a step that does not resolve the model. Its graph is prepared and initialized for that; one that cannot be is left to the run. Where an
     FMU does not begin again as it did, the run takes what ``rebuild`` returns.
 
     Raises
@@ -58,13 +60,17 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
         If the coupling of a loop is refused.
     """
     graph = experiment.graph
-    if not any(stage.is_loop for stage in graph.stages):
+    has_loop = any(stage.is_loop for stage in graph.stages)
+    own = () if experiment.modules else graph.components.keys() - experiment.fmus.keys()
+    is_to_begin = LinearizedLoops.may_be_known(graph) or may_be_unresolved(graph, own)
+    if not (has_loop or is_to_begin):
         return experiment
     messages = {name: [*experiment.messages.get(name, ())] for name in experiment.fmus}
     for name, fmu in experiment.fmus.items():
         messages[name] += fmu.drain()
-    beginning = _Beginning(graph, experiment.clock, experiment.plan)
+    beginning = _Beginning(graph, experiment.clock, experiment.plan, is_to_begin=is_to_begin)
     loops = beginning.loops()
+    step_warnings = beginning.step_warnings(loops)
     changes = beginning.changed(experiment, loops)
     if experiment.fmus and not beginning.repeats():
         experiment = rebuild()
@@ -92,7 +98,7 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
     _note(experiment.graph, reports[0][1].gains)
     experiment.graph.watched = _watched(reports[0][1].gains, settings)
     coupling_warnings = tuple((COUPLING, text) for text in warnings)
-    all_warnings = (*experiment.warnings, *coupling_warnings)
+    all_warnings = (*experiment.warnings, *coupling_warnings, *step_warnings)
     return replace(experiment, gains=tuple(gains), warnings=all_warnings)
 
 
@@ -104,12 +110,14 @@ class _Beginning:
     plan : Plan or None
     """
 
-    def __init__(self, graph: Graph, clock: Clock, plan: Plan | None = None) -> None:
+    def __init__(
+        self, graph: Graph, clock: Clock, plan: Plan | None = None, *, is_to_begin: bool
+    ) -> None:
         self.plan = plan
         self._graph = graph
         self._clock = clock
         self._row: Vector | None = None
-        if not LinearizedLoops.may_be_known(graph):
+        if not is_to_begin:
             return
         with suppress(CosimError):  # the run will end with it
             if plan is None:
@@ -126,6 +134,15 @@ class _Beginning:
         if self._row is None:
             return LinearizedLoops(self._graph, self._clock)
         return LinearizedLoops.of(self._graph, self._clock, self._row)
+
+    def step_warnings(self, loops: LinearizedLoops) -> list[tuple[str, str]]:
+        """Return that the step does not resolve the model, if it is known not to."""
+        if self._row is None:
+            return []
+        found = resolution(self._graph, self._clock, self._row, loops.linearized)
+        if found.is_resolved:
+            return []
+        return [(STEP, "; ".join(filter(None, (f"too long: {found.text}", found.cure))))]
 
     def changed(self, experiment: Experiment, loops: LinearizedLoops) -> list[ChangedLoops]:
         """Return the loops behind actions; none where it is not known how they begin."""
@@ -285,7 +302,8 @@ def described_gains(graph: Graph, clock: Clock) -> tuple[LoopGain, ...]:
 
     Of what cannot run nothing does: it is not linearized, either.
     """
-    return _Beginning(graph, clock).loops().gains()
+    is_to_begin = LinearizedLoops.may_be_known(graph)
+    return _Beginning(graph, clock, is_to_begin=is_to_begin).loops().gains()
 
 
 def gain_text(gain: LoopGain) -> str:
