@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -34,11 +34,12 @@ from cosim.core.port import Port
 from cosim.core.stages.member import Member
 from cosim.errors import listing
 from cosim.instants import NANOSECONDS
-from cosim.native.numerics.linear import matrix_exponential
+from cosim.native.numerics.linear import first_order_hold, matrix_exponential
 
 LIMIT: Final = 0.01  # of a response
 SLOW: Final = 0.1  # a mode times the step: the line misses an eighth of a percent
 POINTS: Final = 8  # within a step
+ROUNDING: Final = 1e-9
 STEPS: Final = 64  # that are followed one by one; the largest value is then looked for further on
 
 
@@ -98,8 +99,8 @@ class Resolution:
         if self.missed.error:
             error, signal, cause = self.missed
             text += (
-                f"; linear interpolation over a step misses {error:.2g} of the response of "
-                f"{signal} to {cause}"
+                f"; by the linear interpolation of inputs {signal} is off by up to {error:.2g} of "
+                f"its response to {cause}"
             )
         if not self.is_resolved:
             text += f", more than {LIMIT:g}"
@@ -117,9 +118,10 @@ def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:
     """Return whether one of some components may integrate the modes of another one."""
     linearizable = {n for n, m in graph.members.items() if m.channel.interface.linearizable}
     for to, connection in graph.connections.items():
-        if to.component in linearizable.intersection(among) and not graph.held[to.component].all():
-            if any(source.component in linearizable for source in connection.sources):
-                return True
+        is_driven = any(source.component in linearizable for source in connection.sources)
+        may_integrate = to.component in among and to.component in linearizable
+        if is_driven and may_integrate and not graph.held[to.component].all():
+            return True
     return False
 
 
@@ -258,43 +260,40 @@ class _Part:
 
     @cached_property
     def _names(self) -> list[str]:
+        """The components, those that pass on their outputs, and those that integrate them."""
+        model = self._model
         names = list(self.stage)
         for name in names:  # grows on the way
-            followers = self._model.driven[name]
-            names += [n for n in followers if n not in names and self._model.passes(n)]
-        return names
-
-    @cached_property
-    def _consumers(self) -> list[str]:
-        followers = dict.fromkeys(chain.from_iterable(self._model.driven[n] for n in self._names))
-        return [name for name in followers if name in self._model.integrated]
+            names += [n for n in model.driven[name] if n not in names and model.passes(n)]
+        followers = dict.fromkeys(chain.from_iterable(model.driven[name] for name in names))
+        self._consumers = [name for name in followers if name in model.integrated]
+        return names + [n for n in self._consumers if n in model.linear and n not in names]
 
     @cached_property
     def _members(self) -> list[Member]:
-        """The components, then what drives them or integrates their outputs."""
+        """The components in their places, and behind them what else they are connected with."""
         drivers = chain.from_iterable(self._model.drivers[name] for name in self._names)
         names = dict.fromkeys((*self._names, *drivers, *self._consumers))
         return [self._model.graph.members[name] for name in names]
 
     @cached_property
-    def _wiring(self) -> dict[str, Matrix]:
-        """The inputs of each component by all outputs."""
+    def _loop(self) -> LoopModel:
+        """All of them; the others have outputs alone."""
+        linear = []
+        for member in self._members:
+            interface = member.channel.interface
+            nothing = static(np.zeros((interface.n_y, interface.n_u)))
+            is_inside = member.name in self._names
+            linear.append(
+                self._model.linear[member.name] if is_inside else replace(nothing, is_discrete=True)
+            )
         matrices = wiring(self._members, self._model.graph.layout.width)
-        return dict(zip((member.name for member in self._members), matrices, strict=True))
+        return LoopModel(tuple(linear), matrices, (), (), 0.0)
 
     @cached_property
     def _system(self) -> ConnectedSystem | None:
         """The components as one, driven by the outputs of the others."""
-        linear = []
-        for number, member in enumerate(self._members):
-            interface = member.channel.interface
-            nothing = static(np.zeros((interface.n_y, interface.n_u)))
-            is_inside = number < len(self._names)
-            linear.append(
-                self._model.linear[member.name] if is_inside else replace(nothing, is_discrete=True)
-            )
-        loop = LoopModel(tuple(linear), tuple(self._wiring.values()), (), (), 0.0)
-        return connect(loop)
+        return connect(self._loop)
 
     def missed(self, h: float) -> Missed:
         """Return the largest error of a response where the step is h."""
@@ -303,27 +302,38 @@ class _Part:
             return NONE
         clock = self._model.clock
         duration = clock.stop - clock.start_time
-        causes, columns, by_w = self._excitations(system)
+        causes, G, by_w = self._excitations(system)
         found = NONE
-        for name in self._consumers:
-            member = self._model.graph.members[name]
-            elements = np.flatnonzero(self._model.integrated[name])
-            inputs = self._wiring[name][elements]
-            base = inputs @ system.D @ by_w
-            base[:, -1] = self._model.row[member.inputs][elements]
-            span = h * self._model.spans[name]
+        for number, member in enumerate(self._members):
+            if member.name not in self._consumers:
+                continue
+            elements = np.flatnonzero(self._model.integrated[member.name])
+            inputs = self._loop.wiring[number][elements] @ system.C
+            own = self._model.linear.get(member.name)
+            span = h * self._model.spans[member.name]
             steps = max(1, round(duration / span))
-            errors = _relative_errors(system.A, columns, inputs @ system.C, base, span, steps)
+            if own is None:  # it is not known what it makes of the error of its inputs
+                rows = self._loop.wiring[number][elements]
+                places = elements
+                gains = static(np.eye(len(elements)))
+            else:
+                rows = np.eye(len(system.C))[self._loop.outputs[number]]
+                places = member.n_u + np.arange(len(rows))
+                gains = replace(own, B=own.B[:, elements], D=np.zeros((len(rows), len(elements))))
+            initial = self._model.row[member.columns][places]
+            base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
+            response = _Response(system.A, G, inputs, rows @ system.C, base)
+            errors = response.errors(gains, span, steps)
             row, column = np.unravel_index(int(errors.argmax()), errors.shape)
             if errors[row, column] > found.error:
-                signal = member.label(int(elements[row]))
-                found = Missed(float(errors[row, column]), signal, causes[column])
+                label = member.label(int(places[row]))
+                found = Missed(float(errors[row, column]), label, causes[column])
         return found
 
     def _excitations(self, system: ConnectedSystem) -> tuple[list[str], Matrix, Matrix]:
         """Return what begins fast modes, in words, as x' at once, and as outputs of the others.
 
-        The last one is the initial state.
+        The last one is the initial state, for which these do not change.
         """
         graph = self._model.graph
         causes: list[str] = []
@@ -346,55 +356,82 @@ class _Part:
             rates.append(np.zeros(len(own.A)) if own.rate is None else own.rate)
         initial = np.concatenate(rates)[:, np.newaxis]
         by_w = np.eye(number)[:, jumping]
-        columns_of_x = np.hstack([system.B @ by_w, initial])
-        by_w = np.hstack([by_w, np.zeros((number, 1))])
-        return [*causes, "the initial state"], columns_of_x, by_w
+        return [*causes, "the initial state"], np.hstack([system.B @ by_w, initial]), by_w
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
-def _relative_errors(A: Matrix, G: Matrix, M: Matrix, base: Matrix, h: float, steps: int) -> Matrix:
-    """Return what linear interpolation over steps misses of responses, over their largest values.
+@dataclass(frozen=True, slots=True)
+class _Response:
+    """The responses of a component, in a system ``x' = A x + g`` with ``x = 0`` at the start.
 
     Parameters
     ----------
-    A : Matrix, shape (n, n)
-    G : Matrix, shape (n, k)
-        x' at the start: ``x' = A x + g``, and ``x = 0`` there.
-    M : Matrix, shape (m, n)
-        The signals, ``M x`` and ``base``, shape (m, k).
-    h : float
-        Length of the steps [s].
-    steps : int
-        Their number.
+    A, G : Matrix, shapes (n, n), (n, k)
+        For every response a g.
+    inputs : Matrix, shape (n_u, n)
+        Its interpolated inputs are ``inputs x``.
+    outputs, base : Matrix, shapes (n_y, n), (n_y, k)
+        Its outputs are ``outputs x + base``.
     """
-    n, k = G.shape
-    joined = np.zeros((n + k, n + k))
-    joined[:n] = np.hstack([A, G])
-    E = matrix_exponential(joined * (h / POINTS))
-    x = np.vstack([np.zeros((n, k)), np.eye(k)])
-    shown = np.hstack([M, np.zeros((len(M), k))])
-    fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
-    missed = np.zeros(base.shape)
-    largest = np.abs(base)
-    for _ in range(min(STEPS, steps)):
-        states = [x]
-        for _ in range(POINTS):
-            states.append(E @ states[-1])
-        x = states[-1]
-        values = shown @ np.array(states)
-        line = values[0] + fractions * (values[-1] - values[0])
-        missed = np.fmax(missed, np.abs(values - line).max(axis=0))
-        largest = np.fmax(largest, np.abs(values + base).max(axis=0))
-    done = STEPS
-    length = 1
-    E = np.linalg.matrix_power(E, POINTS)
-    while done < steps and np.isfinite(x).all():
-        for _ in range(STEPS):
-            x = E @ x
-            largest = np.fmax(largest, np.abs(shown @ x + base))
-        done += STEPS * length
-        length *= 2
-        E = E @ E
-    is_known = (largest > 0.0) & np.isfinite(largest)
-    errors: Matrix = np.divide(missed, largest, out=np.zeros(base.shape), where=is_known)
-    return errors
+
+    A: Matrix
+    G: Matrix
+    inputs: Matrix
+    outputs: Matrix
+    base: Matrix
+
+    @np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
+    def errors(self, own: Linearized, h: float, steps: int) -> Matrix:
+        """Return the errors of its outputs, shape (n_y, k), relative to their largest values.
+
+        Parameters
+        ----------
+        own : Linearized
+            What the component, with these inputs alone, makes of an error of them.
+        h : float
+            Over which they are interpolated [s].
+        steps : int
+            Their number.
+        """
+        n, k = self.G.shape
+        joined = np.zeros((n + k, n + k))
+        joined[:n] = np.hstack([self.A, self.G])
+        E = matrix_exponential(joined * (h / POINTS))
+        n_u = len(self.inputs)
+        discrete = first_order_hold(own.A, own.B, h / POINTS, np.zeros(n_u, np.bool_))
+        fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
+        x = np.vstack([np.zeros((n, k)), np.eye(k)])
+        own_x = np.zeros((len(own.A), k))
+        y = np.abs(self.base)
+        terms = y.copy()  # where y is much less than its terms, it is rounding
+        error = np.zeros(y.shape)
+        for _ in range(min(STEPS, steps)):
+            states = [x]
+            for _ in range(POINTS):
+                states.append(E @ states[-1])
+            x = states[-1]
+            responses = np.array(states)[:, :n]
+            u = self.inputs @ responses
+            missed = u[0] + fractions * (u[-1] - u[0]) - u
+            for before, after in pairwise(missed):
+                own_x = discrete.Ad @ own_x + discrete.B0 @ before + discrete.B1 @ after
+                error = np.fmax(error, np.abs(own.D @ after))
+            error = np.fmax(error, np.abs(own.C @ own_x))
+            y = np.fmax(y, np.abs(self.outputs @ responses + self.base).max(axis=0))
+            terms = np.fmax(terms, (np.abs(self.outputs) @ np.abs(responses)).max(axis=0))
+        done = STEPS
+        length = 1
+        E = np.linalg.matrix_power(E, POINTS)
+        own_E = np.linalg.matrix_power(discrete.Ad, POINTS)
+        while done < steps and np.isfinite(x).all():
+            for _ in range(STEPS):
+                x = E @ x
+                own_x = own_E @ own_x
+                error = np.fmax(error, np.abs(own.C @ own_x))
+                y = np.fmax(y, np.abs(self.outputs @ x[:n] + self.base))
+            done += STEPS * length
+            length *= 2
+            E = E @ E
+            own_E = own_E @ own_E
+        is_known = (y > ROUNDING * terms) & np.isfinite(y)
+        errors: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
+        return errors

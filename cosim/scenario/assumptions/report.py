@@ -49,6 +49,7 @@ from cosim.theory.observers.assumptions import (
 
 OF_OBSERVER: Final = (DIRECT_PATH, DECOUPLING, DETECTABILITY, HURWITZ)
 MATRICES: Final = "matrices"
+FILTER: Final = "the filter follows its inputs"
 RESOLUTION: Final = "the step resolves the model"
 FILE: Final = "the scenario"
 
@@ -127,11 +128,13 @@ class _Check:
         self._context = builder.context
         self._beginning = Beginning(builder)
         self._of_coupling: list[tuple[str, str]] = []
+        self._refused: list[tuple[str, str]] = []
 
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
-        """What a run would warn of, after the checks."""
-        return (*self._beginning.warnings, *self._of_coupling)
+        """What a run would warn of beside what is refused, after the checks."""
+        warnings = (*self._beginning.warnings, *self._of_coupling)
+        return tuple(warning for warning in warnings if warning not in self._refused)
 
     def verdicts(self) -> list[tuple[str, AssumptionVerdict]]:
         """Return all verdicts, with what each is of."""
@@ -154,6 +157,7 @@ class _Check:
             others = [_resting_on(verdicts, attempted(BEGINNING, self._beginning.check))]
             others += self._of_loops()
             others.append(attempted(RESOLUTION, self._resolution))
+            verdicts += self._of_filters()
         return verdicts + [(FILE, verdict) for verdict in others]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
@@ -256,6 +260,16 @@ class _Check:
         verdicts = []
         for report in self._beginning.loops():
             verdicts += self._of_coupled(report)
+        return verdicts
+
+    def _of_filters(self) -> list[tuple[str, AssumptionVerdict]]:
+        """Return the observers whose filters do not follow their inputs over a step."""
+        verdicts = []
+        for name, kind in self._scenario.specs.items():
+            if isinstance(kind, UnknownInputObserverKind):
+                for text in self._builder.advice(name, kind, self._beginning.graph):
+                    self._refused.append((name, text))
+                    verdicts.append((name, refused(FILTER, AssumptionError(text))))
         return verdicts
 
     def _resolution(self) -> Evidence:

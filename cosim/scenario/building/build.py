@@ -505,7 +505,6 @@ class Builder:
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""
-        h = self.clock.step_ns / 1e9
         for name, left_out in self.scenario.unfollowed.items():
             self.context.warn(
                 name,
@@ -515,12 +514,7 @@ class Builder:
         for recorded in self.scenario.recorded_inputs:
             self.context.warn(recorded.port.component, recorded.text())
         for name, spec in self.scenario.specs.items():
-            held = {}
-            mask = graph.held[name]
-            inputs = self.components[name].interface.input_columns()
-            for signal, columns in inputs.items():
-                held[signal] = bool(mask[columns].any())
-            for text in spec.advice(name, self.context, held=held, h=h):
+            for text in self.advice(name, spec, graph):
                 self.context.warn(name, text)
         keys = ["until"] if self.scenario.file.scenario.until is not None else []
         keys += ["when"] if self._reactions else []
@@ -528,6 +522,12 @@ class Builder:
         others = (*held_inputs, *until_warnings(keys, graph), *substep_warnings(graph))
         for name, text in (*graph.warnings, *others):
             self.context.warn(name, text)
+
+    def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
+        """Return the warnings of a component that knows what drives it."""
+        inputs = self.components[name].interface.input_columns()
+        held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
+        return spec.advice(name, self.context, held=held, h=self.clock.step_ns / 1e9)
 
     def graph(self) -> Graph:
         """Return the graph of the components; what is wrong beside them does not matter.

@@ -51,8 +51,9 @@ class CouplingReport:
 def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -> Experiment:
     """Return an experiment with the gains of its loops, and the warnings that follow from them.
 
-    So does one of a step that does not resolve the model. Its graph is prepared and initialized for that; one that cannot be is left to the run. Where an
-    FMU does not begin again as it did, the run takes what ``rebuild`` returns.
+    It also warns of a step that does not resolve the model. The graph is prepared and initialized
+    for that; one that cannot be is left to the run. Where an FMU does not begin again as it did,
+    the run takes what ``rebuild`` returns.
 
     Raises
     ------

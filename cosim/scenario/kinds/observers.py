@@ -534,10 +534,14 @@ class UnknownInputObserverKind(ExportableKind):
         if self.filter != "first-order" or self.filter_rate is None:
             return []
         product = self.filter_rate * h
-        names = " and ".join(signal for signal, is_held in held.items() if is_held)
-        if not names or product <= HOLD_LIMIT:
+        if product <= HOLD_LIMIT or self._is_unfiltered(self.design(name, context).design):
             return []
-        if self._is_unfiltered(self.design(name, context).design):
+        model = self.linear_model(name, context)
+        filtered = model.B[[state.startswith("q") for state in model.states]]
+        columns = model.interface.input_columns()
+        read = [n for n, is_held in held.items() if is_held and filtered[:, columns[n]].any()]
+        names = " and ".join(read)
+        if not names:
             return []
         gain = product / -math.expm1(-product) - 1.0
         return [
