@@ -1,16 +1,19 @@
 """Whether the step resolves the model: what linear interpolation over a step does to its modes.
 
-Each component is exact for inputs that are linear over a step. Where an output of a component with
-fast modes drives another one that integrates it, the line between two communication points misses
-what the modes do there: of exp(-a t) up to (a h)^2/8. So it is asked of every input that is
-interpolated and integrated, what the line misses of its response
+Each component is exact for inputs that are linear over a step, or held. Where an output of a
+component with fast modes drives another one that integrates it, the line between two communication
+points misses what the modes do there: of exp(-a t) up to (a h)^2/8, and (a h)^2/12 of its integral.
+What becomes of that is computed for every component with inputs that are interpolated and
+integrated, from the exact response of the linear system that it is in
 
-* to a jump of each discrete signal, which reaches the model without an error,
-* to the initial state, where the model does not begin at rest,
+* to a jump of each discrete signal, which itself reaches the model without an error,
+* to the initial state, where the model does not begin at rest.
 
-relative to the largest value of the same response. What is smooth excites no fast mode, and what a
-mode adds to no such input is no error; inputs with a zero-order hold are not looked at. More than
-``LIMIT`` of a response is refused: of one mode that is where a h is 0.29.
+With the difference between these inputs and their lines as its own, the component gives the error
+of its outputs, relative to the largest value of the same response. More than ``LIMIT`` of it is
+refused. So a fast mode that nothing excites, that no such input shows, or that what follows
+averages out, is no error. Not in it: what the errors of a loop do to each other, and what smooth
+signals from outside lose between points.
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ LIMIT: Final = 0.01  # of a response
 SLOW: Final = 0.1  # a mode times the step: the line misses an eighth of a percent
 POINTS: Final = 8  # within a step
 ROUNDING: Final = 1e-9
-STEPS: Final = 64  # that are followed one by one; the largest value is then looked for further on
+STEPS: Final = 64  # that are followed one by one, then by twos, fours, ...
 
 
 class Missed(NamedTuple):
@@ -393,45 +396,46 @@ class _Response:
             Their number.
         """
         n, k = self.G.shape
-        joined = np.zeros((n + k, n + k))
-        joined[:n] = np.hstack([self.A, self.G])
-        E = matrix_exponential(joined * (h / POINTS))
+        size = n + k
+        system = np.zeros((size, size))
+        system[:n] = np.hstack([self.A, self.G])
+        E = matrix_exponential(system * (h / POINTS))
+        states = [np.eye(size)]  # at the points of a step, by x and g at its start
+        for _ in range(POINTS):
+            states.append(E @ states[-1])
+        u = self.inputs @ np.array(states)[:, :n]
+        fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
+        missed = u[0] + fractions * (u[-1] - u[0]) - u
         n_u = len(self.inputs)
         discrete = first_order_hold(own.A, own.B, h / POINTS, np.zeros(n_u, np.bool_))
-        fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
-        x = np.vstack([np.zeros((n, k)), np.eye(k)])
-        own_x = np.zeros((len(own.A), k))
+        # x, g, and what the component makes of the error: over a step, and what is seen of them
+        n_own = len(own.A)
+        P = np.zeros((size + n_own, size + n_own))
+        P[:size, :size] = states[-1]
+        own_x = np.hstack([np.zeros((n_own, size)), np.eye(n_own)])
+        for before, after in pairwise(missed):
+            own_x = discrete.Ad @ own_x
+            own_x[:, :size] += discrete.B0 @ before + discrete.B1 @ after
+        P[size:] = own_x
+        wrong = [np.hstack([own.D @ at_point, own.C]) for at_point in missed]
+        seen_error = np.array(wrong if own.D.any() else wrong[:1])
+        seen = np.hstack([self.outputs, np.zeros((len(self.outputs), k + n_own))])
+        x = np.vstack([np.zeros((n, k)), np.eye(k), np.zeros((n_own, k))])
         y = np.abs(self.base)
         terms = y.copy()  # where y is much less than its terms, it is rounding
         error = np.zeros(y.shape)
-        for _ in range(min(STEPS, steps)):
-            states = [x]
-            for _ in range(POINTS):
-                states.append(E @ states[-1])
-            x = states[-1]
-            responses = np.array(states)[:, :n]
-            u = self.inputs @ responses
-            missed = u[0] + fractions * (u[-1] - u[0]) - u
-            for before, after in pairwise(missed):
-                own_x = discrete.Ad @ own_x + discrete.B0 @ before + discrete.B1 @ after
-                error = np.fmax(error, np.abs(own.D @ after))
-            error = np.fmax(error, np.abs(own.C @ own_x))
-            y = np.fmax(y, np.abs(self.outputs @ responses + self.base).max(axis=0))
-            terms = np.fmax(terms, (np.abs(self.outputs) @ np.abs(responses)).max(axis=0))
-        done = STEPS
+        done = 0
         length = 1
-        E = np.linalg.matrix_power(E, POINTS)
-        own_E = np.linalg.matrix_power(discrete.Ad, POINTS)
         while done < steps and np.isfinite(x).all():
-            for _ in range(STEPS):
-                x = E @ x
-                own_x = own_E @ own_x
-                error = np.fmax(error, np.abs(own.C @ own_x))
-                y = np.fmax(y, np.abs(self.outputs @ x[:n] + self.base))
+            for _ in range(min(STEPS, -(-(steps - done) // length))):
+                error = np.fmax(error, np.abs(seen_error @ x).max(axis=0))
+                x = P @ x
+                y = np.fmax(y, np.abs(seen @ x + self.base))
+                terms = np.fmax(terms, np.abs(seen) @ np.abs(x))
             done += STEPS * length
             length *= 2
-            E = E @ E
-            own_E = own_E @ own_E
+            P = P @ P
+        error = np.fmax(error, np.abs(seen_error @ x).max(axis=0))
         is_known = (y > ROUNDING * terms) & np.isfinite(y)
         errors: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
         return errors

@@ -130,14 +130,8 @@ class Beginning:
         return [report_on(loops), *map(report_behind, changes)]
 
     def resolution(self) -> Resolution:
-        """Return whether the step resolves the model.
-
-        Raises
-        ------
-        DependsOnInvalid
-            If no run would begin.
-        """
+        """Return whether the step resolves the model, after a check that is fulfilled."""
         loops = self._linearized
-        if loops is None or self._row is None:
-            raise DependsOnInvalid(f"{BEGINNING} is not fulfilled")
+        assert loops is not None
+        assert self._row is not None
         return resolution(self.graph, self._builder.clock, self._row, loops.linearized)

@@ -156,8 +156,9 @@ class _Check:
         if not others:
             others = [_resting_on(verdicts, attempted(BEGINNING, self._beginning.check))]
             others += self._of_loops()
-            others.append(attempted(RESOLUTION, self._resolution))
-            verdicts += self._of_filters()
+            if others[0].fulfilled:
+                others.append(attempted(RESOLUTION, self._resolution))
+                verdicts += self._of_filters()
         return verdicts + [(FILE, verdict) for verdict in others]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
@@ -275,6 +276,8 @@ class _Check:
     def _resolution(self) -> Evidence:
         """Return what linear interpolation over a step does to the modes of the model."""
         found = self._beginning.resolution()
+        if found.unknown and not found.components:
+            raise DependsOnInvalid(f"nothing is known of {listing(found.unknown)}")
         if not found.is_resolved:
             raise AssumptionError(found.text, cure=found.cure)
         values = {"step": found.h, "fastest_rate": found.rate, "missed": found.missed.error}

@@ -143,7 +143,7 @@ class _Beginning:
         found = resolution(self._graph, self._clock, self._row, loops.linearized)
         if found.is_resolved:
             return []
-        return [(STEP, "; ".join(filter(None, (f"too long: {found.text}", found.cure))))]
+        return [(STEP, "; ".join(filter(None, (found.text, found.cure))))]
 
     def changed(self, experiment: Experiment, loops: LinearizedLoops) -> list[ChangedLoops]:
         """Return the loops behind actions; none where it is not known how they begin."""

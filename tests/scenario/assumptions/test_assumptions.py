@@ -4,12 +4,15 @@ import json
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import cosim
 from cosim.errors import UsageError
 from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START, STEP
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
-from cosim.scenario.assumptions.report import check_assumptions
+from cosim.scenario.assumptions.report import FILTER, RESOLUTION, check_assumptions
+from cosim.scenario.exporting import export_component
+from cosim.scenario.recorded_metadata import recorded_warnings
 from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
@@ -312,7 +315,7 @@ def test_the_command_exits_with_1_where_one_fails(call):
     """A line for each; the same as JSON; --strict is of FMUs alone."""
     code, out, _ = call("check", "academic")
     assert code == 0
-    assert "academic: 14 of 14 assumptions are fulfilled" in out
+    assert "academic: 15 of 15 assumptions are fulfilled" in out
     assert "observer\tdecoupling (Assumption 5)\tfulfilled\tan integrator leads from 1" in out
     changed = ["--set", "models.academic.Bd=[[0],[1],[0]]"]
     code, out, _ = call("check", "academic", *changed)
@@ -325,3 +328,102 @@ def test_the_command_exits_with_1_where_one_fails(call):
     verdicts = [one["verdict"] for one in content["assumptions"]]
     assert verdicts.count("RELATIVE_DEGREE") == 1
     assert call("check", "academic", "--strict")[0] == 2
+
+
+# --- whether the step resolves the model ---
+
+MOTOR = """
+[scenario]
+name = "motor"
+stop = 0.02
+step = 1e-3
+
+[models.motor]  # current, speed, voltage across the resistance of 1.2 ohm
+E = [[0.5e-3, 0, 0], [0, 2e-3, 0], [0, 0, 0]]
+A = [[0, -0.05, -1], [0.05, -1e-4, 0], [-1.2, 0, 1]]
+B = [[1, 0], [0, -1], [0, 0]]
+C = [[1, 0, 0], [0, 1, 0]]
+disturbances = [1]
+
+[components]
+u = { kind = "step", time = 0.01, after = 12.0 }
+load = { kind = "constant", value = 0.0 }
+plant = { kind = "descriptor", model = "motor", x0 = [0, 0, 0] }
+
+[components.observer]
+kind = "unknown-input-observer"
+model = "motor"
+poles = [-50.0, -60.0]
+filter_rate = 100.0
+
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "load.y"
+"observer.u" = "u.y"
+"observer.y" = "plant.y"
+"""
+
+
+@pytest.fixture
+def motor(tmp_path):
+    """Return a motor whose current follows the voltage within half a millisecond."""
+    path = tmp_path / "motor.toml"
+    path.write_text(MOTOR)
+    return path
+
+
+def current_error(log):
+    """Return the largest error of the estimated current, and the largest current [A]."""
+    A = np.array([[-1.2 / 0.5e-3, -0.05 / 0.5e-3], [0.05 / 2e-3, -1e-4 / 2e-3]])
+    b = np.array([12.0 / 0.5e-3, 0.0])
+    t = np.maximum(log.time("observer.x") - 0.01, 0.0)
+    steady = -np.linalg.solve(A, b)
+    exact = steady - expm(t[:, np.newaxis, np.newaxis] * A) @ steady
+    return np.abs(log["observer.x"][:, 0] - exact[:, 0]).max(), exact[:, 0].max()
+
+
+@pytest.mark.parametrize(("step", "error"), [(1e-3, 3.97), (1e-4, 0.043)])
+def test_a_step_is_fulfilled_where_results_are_within_one_percent(motor, step, error):
+    """The estimated current is off by 3.97 A of 10 A at 1 ms, and by 0.043 A at 0.1 ms."""
+    changes = {"scenario.step": step}
+    log = cosim.run(motor, set=changes)
+    found, largest = current_error(log)
+    assert found == pytest.approx(error, rel=0.01)
+    is_resolved = found <= 0.01 * largest
+    row = check_assumptions(motor, set=changes).of("the scenario")[RESOLUTION]
+    assert row.fulfilled == is_resolved
+    assert f"2.4e+03 1/s, times the step of {step:g} s is {2400.0 * step:g}" in row.evidence
+    texts = [text for name, text in recorded_warnings(log) if name == "step"]
+    assert texts == ([] if is_resolved else [f"{row.evidence}; {row.cure}"])
+
+
+def test_the_cure_of_a_step_is_one_that_resolves_the_model(motor):
+    row = check_assumptions(motor).of("the scenario")[RESOLUTION]
+    step = float(row.cure.removeprefix("use step = "))
+    error, largest = current_error(cosim.run(motor, set={"scenario.step": step}))
+    assert error <= 0.01 * largest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_the_modes_of_an_fmu_count_as_those_of_its_source(motor, tmp_path, interface_type):
+    """The run is that of the model itself, to the tolerance of its solver."""
+    export_component(str(motor), "plant", tmp_path / "plant.fmu")
+    fmu = {"kind": "fmu", "path": "plant.fmu", "interface_type": interface_type}
+    swapped = {"components.plant": fmu}
+    row = check_assumptions(motor, set=swapped).of("the scenario")[RESOLUTION]
+    assert row.fulfilled is False
+    log = cosim.run(motor, set=swapped)
+    error, _ = current_error(log)
+    assert error == pytest.approx(3.97, rel=0.01)
+    texts = [text for name, text in recorded_warnings(log) if name == "step"]
+    assert texts == [f"{row.evidence}; {row.cure}"]
+
+
+def test_check_does_not_fulfill_what_a_run_warns_not_to_trust():
+    """A filter that reads an input that is held; one that does not read it is not warned of."""
+    jumping = {"components.u": {"kind": "step", "time": 8.0}}
+    report = check_assumptions("academic", set=jumping)
+    assert failing(report) == [("observer", FILTER)]
+    assert "do not trust delta" in report.of("observer")[FILTER].evidence
+    assert report.warnings == ()

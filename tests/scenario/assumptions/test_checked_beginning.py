@@ -16,7 +16,7 @@ from cosim.scenario.assumptions.compensation import (
     STABILITY,
     ZEROS,
 )
-from cosim.scenario.assumptions.report import FILE, check_assumptions
+from cosim.scenario.assumptions.report import FILE, RESOLUTION, check_assumptions
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import INDEX
@@ -168,7 +168,7 @@ def test_a_scenario_without_any_assumption_has_a_beginning(tmp_path):
     path = parts(tmp_path, {"a": CONSTANT, "K": 1.0, "more": ""})
     report = check_assumptions(path)
     assert report.fulfilled
-    assert list(report.of(FILE)) == [BEGINNING]
+    assert list(report.of(FILE)) == [BEGINNING, RESOLUTION]
     assert "2 component(s) are prepared for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
 
 

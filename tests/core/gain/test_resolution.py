@@ -1,0 +1,117 @@
+"""What linear interpolation over a step makes of fast modes, against runs and closed forms."""
+
+import numpy as np
+import pytest
+
+from cosim.blocks.dynamics import lag
+from cosim.blocks.sampled import Sampled
+from cosim.blocks.source import sine, step
+from cosim.blocks.state_space import controller
+from cosim.core.clock import Clock
+from cosim.core.gain.loop_gain import LinearizedLoops
+from cosim.core.gain.resolution import LIMIT, resolution
+from cosim.core.graph import Graph
+from cosim.core.linear import Linear
+from tests.core.graphs import record
+
+H = 0.01
+STOP = 1.0
+
+
+def first_order(rate, initial=0.0):
+    """Return x' = rate (u - x)."""
+    return Linear(lag(time_constant=1.0 / rate, initial=initial))
+
+
+def found_of(graph, stop=STOP, h=H):
+    """Return what is known of the step of a graph."""
+    clock = Clock(stop, h)
+    graph.prepare(clock.step_ns)
+    row = np.zeros(graph.layout.width)
+    graph.initialize(0.0, row)
+    return resolution(graph, clock, row, LinearizedLoops.of(graph, clock, row).linearized)
+
+
+def cascade(source, a, b, initial=0.0):
+    """Return a source, a lag of the rate a, and one of the rate b that it drives."""
+    parts = {"r": source, "fast": first_order(a, initial), "slow": first_order(b)}
+    return Graph(parts, {"fast.u": "r.y", "slow.u": "fast.y"})
+
+
+@pytest.mark.parametrize("product", [0.2, 0.5, 1.0, 2.4, 10.0])
+def test_the_error_behind_a_jump_is_that_of_the_run(product):
+    """Two lags a and b in a row answer a jump with 1 - (b exp(-a t) - a exp(-b t)) / (b - a)."""
+    a = product / H
+    b = 15.0
+    graph = cascade(step(time=0.1), a, b)
+    memory = record(graph, STOP, H)
+    t = np.maximum(memory.time("slow.y") - 0.1, 0.0)
+    exact = 1.0 - (b * np.exp(-a * t) - a * np.exp(-b * t)) / (b - a)
+    error = np.abs(memory["slow.y"] - exact).max() / exact.max()
+    found = found_of(graph)
+    assert found.components == ("fast",)
+    assert found.rate == pytest.approx(a)
+    # which is found by straight lines between eight points of a step
+    assert found.missed.error == pytest.approx(error, rel=0.05)
+    assert (found.missed.signal, found.missed.cause) == ("slow.y", "a jump of r.y")
+    assert found.is_resolved == (error <= LIMIT)
+
+
+def test_the_step_that_is_offered_is_enough_and_the_next_longer_one_is_not():
+    graph = cascade(step(time=0.1), 240.0, 20.0)
+    found = found_of(graph)
+    assert not found.is_resolved
+    h = found.step_ns / 1e9
+    assert found_of(graph, h=h).is_resolved
+    assert not found_of(graph, h=2.0 * h).is_resolved
+
+
+def test_an_initial_state_that_is_not_at_rest_excites_modes_as_a_jump_does():
+    """An input that stays at 0, and a state that begins at 1; at rest there is no error."""
+    for initial in (1.0, 0.0):
+        found = found_of(cascade(sine(rate=0.0), 240.0, 20.0, initial=initial))
+        assert found.is_resolved == (initial == 0.0)
+        assert found.missed.cause == ("the initial state" if initial else "")
+
+
+def oscillator(output):
+    """Return x'' = 20 (u - x) - x' and a filter of u of 240 1/s; y is one of both."""
+    A = np.array([[0.0, 1.0, 0.0], [-20.0, -1.0, 0.0], [0.0, 0.0, -240.0]])
+    B = np.array([[0.0], [20.0], [240.0]])
+    C = np.eye(3)[[output]]
+    return Linear(controller(A=A, B=B, C=C, D=np.zeros((1, 1)), x0=np.zeros(3)))
+
+
+RESOLVED = {
+    "nothing excites it": ({"r": sine(rate=2.0), "fast": first_order(240.0)}, {"fast.u": "r.y"}),
+    "it does not reach y": ({"r": step(time=0.1), "fast": oscillator(0)}, {"fast.u": "r.y"}),
+}
+
+
+@pytest.mark.parametrize("case", RESOLVED)
+def test_a_fast_mode_that_nothing_excites_or_shows_is_no_error(case):
+    """Product of mode and step 2.4 all the same; against the run with a tenth of the step."""
+    parts, connections = RESOLVED[case]
+    graph = Graph({**parts, "slow": first_order(20.0)}, {**connections, "slow.u": "fast.y"})
+    found = found_of(graph)
+    assert found.rate * H == pytest.approx(2.4)
+    assert found.is_resolved
+    coarse = record(graph, STOP, H)["slow.y"]
+    fine = record(graph, STOP, H / 10)["slow.y"][::10]
+    assert np.abs(coarse - fine).max() <= LIMIT * np.abs(fine).max()
+
+
+def test_the_same_mode_where_it_is_shown_is_an_error():
+    parts = {"r": step(time=0.1), "fast": oscillator(2), "slow": first_order(20.0)}
+    assert not found_of(Graph(parts, {"fast.u": "r.y", "slow.u": "fast.y"})).is_resolved
+
+
+def test_what_is_held_is_not_interpolated():
+    """A component with a period has outputs that hold; the hold is exact for what follows."""
+    parts = {"r": step(time=0.1), "fast": Sampled(first_order(240.0), 2), "slow": first_order(20.0)}
+    found = found_of(Graph(parts, {"fast.u": "r.y", "slow.u": "fast.y"}))
+    assert found.components == ()
+    assert found.is_resolved
+    graph = cascade(step(time=0.1), 240.0, 20.0)
+    held = Graph(graph.components, graph.connections, input_interpolation="zero-order")
+    assert found_of(held).components == ()
