@@ -17,7 +17,11 @@ from cosim.scenario.recorded_tables import CertificateRecord, StepErrorRecord
 
 @dataclass(frozen=True)
 class SignalCertificate:
-    """The error of the step in one element of an output, as :class:`StepError` has it."""
+    """The error of the step in one element of an output, as :class:`StepError` has it.
+
+    ``largest`` is an estimate. Where it is None the error is within ``bound``; if that is None,
+    too, nothing is known.
+    """
 
     signal: str
     unit: str | None
@@ -28,6 +32,12 @@ class SignalCertificate:
     reason: str
     grows: bool
     is_rounding: bool
+    bound: float | None
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether there is an upper bound in place of an estimate, and not that of rounding."""
+        return self.bound is not None and not self.is_rounding
 
 
 @dataclass(frozen=True)

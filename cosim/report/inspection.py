@@ -158,6 +158,7 @@ def _certificate(log: Log) -> Section:
             "t": signal.time,
             "at the end": _digits(signal.last),
             "order": _digits(signal.order),
+            "at most": _digits(signal.bound) if signal.is_bounded else None,
             "no estimate": signal.reason or None,
         }
         rows.append(row)

@@ -284,6 +284,7 @@ class StepErrorRecord(_Record):
     reason: Text = ""
     grows: bool = False
     is_rounding: bool = False
+    bound: Number | None = None
 
 
 class TrialRecord(_Record):

@@ -17,6 +17,19 @@ ratio of the differences is not 2^p at every time. That is checked: on the whole
 run one by one, and where the error is largest. A part counts where its differences are more than
 ``SMALL`` of the largest: smaller ones cannot be the largest error, which is what is estimated.
 
+Where orders meet, such as the first of a held input and the second of straight lines, the error is
+``a(t) h + b(t) h^2``, whose ratio is steady nowhere, and two differences determine both terms:
+
+    y_h - y_0 = 2/3 d1 + 8/3 d2
+
+Nothing is left to check that with, so it is no estimate. But where the differences shrink, the
+error is within
+
+    |y_h - y_0| <= |d1| + 3 |d2|
+
+for all such a and b, for one order of 1 or more, and with a third of both to spare for terms of
+higher order: c h^3 needs an eighth of itself.
+
 What no three runs can show: an error that is the same in all of them.
 """
 
@@ -63,7 +76,7 @@ class StepError:
     is_rounding : bool
         The differences are those of rounding: a smaller step shows no more.
     bound : float or None
-        Then what the error is within, of any order: twice the largest difference.
+        What the error is within where there is no estimate, if that is known.
     """
 
     largest: float | None = None
@@ -101,6 +114,11 @@ class _Differences:
         if first == 0.0 or second == 0.0:
             return math.inf if second == 0.0 else -math.inf
         return math.log2(first) - math.log2(second)  # no ratio that under- or overflows
+
+    @property
+    def bound(self) -> float:
+        """What the error is within, of orders 1 and 2 together."""
+        return float((np.abs(self.first) + 3.0 * np.abs(self.second)).max())
 
     def largest(self, factor: float) -> float:
         """Return the largest of the first, and of the second times a factor."""
@@ -161,8 +179,9 @@ def _of_differences(differences: _Differences, scale: float) -> StepError:
     last = _last(differences.parts[-1], scale)
     p = _whole(order)
     reason = _unsteady(differences, order, p)
+    bound = differences.bound if order >= STEADY else None
     if reason:
-        return StepError(last=last, order=shown, reason=reason, grows=order < GROWTH)
+        return StepError(last=last, order=shown, reason=reason, grows=order < GROWTH, bound=bound)
     error = differences.error(p)
     worst = int(np.abs(error).argmax())
     if abs(differences.residual(p)[worst]) > MOST_RESIDUAL * abs(differences.first[worst]):
@@ -171,7 +190,7 @@ def _of_differences(differences: _Differences, scale: float) -> StepError:
             f"the order is {order:.2f} on the whole, and {local:.2f} where the error is largest, "
             f"at t = {differences.t[worst]:g} s"
         )
-        return StepError(last=last, order=order, reason=reason)
+        return StepError(last=last, order=order, reason=reason, bound=bound)
     return StepError(float(abs(error[worst])), float(differences.t[worst]), last, order)
 
 

@@ -60,6 +60,7 @@ def test_log_shows_it(log, capsys):
     signals = {row["signal"]: row for row in content["error of the step"]}
     assert signals["mass.y"]["largest"] == 0.0337
     assert signals["late.y"]["largest"] is None
+    assert signals["late.y"]["at most"] is None
     assert "jump.y jumps between" in signals["late.y"]["no estimate"]
 
 

@@ -51,6 +51,27 @@ def test_an_estimate_that_is_given_is_right(p, further, rate, phase):
         assert abs(found.last - error(1.0)[-1]) <= 0.2 * scale
 
 
+@given(
+    st.floats(-1.0, 1.0),
+    st.floats(0.01, 1.0),
+    st.floats(0.1, 3.0),
+    st.floats(0.0, 6.0),
+)
+def test_orders_1_and_2_together_have_a_bound_or_an_estimate(first, second, rate, phase):
+    """``a(t) h + b(t) h^2`` with any a and b, also such that cancel each other in one run.
+
+    A bound is |d1| + 3 |d2|, the error is 2/3 d1 + 8/3 d2: at most 3/2 of the error for one order,
+    and not less for any mixture. Nothing is said where the differences do not shrink.
+    """
+
+    def error(h):
+        return 1e-3 * (first * h * np.cos(0.7 * T) + second * h**2 * np.sin(rate * T + phase))
+
+    found = step_error(T, *runs(error))
+    if found.bound is not None and not found.is_rounding:
+        assert found.bound >= np.abs(error(1.0)).max()
+
+
 def test_equal_runs_have_no_error():
     found = step_error(T, *runs(lambda h: 0.0))
     assert found.largest == 0.0
@@ -83,6 +104,7 @@ def test_differences_of_no_order_are_no_error():
     found = step_error(T, *runs(lambda h: 1e-3 * rng.standard_normal(len(T))))
     assert found.largest is None
     assert found.last is None
+    assert found.bound is None
     assert "the observed order is -0.04" in found.reason
 
 
@@ -100,6 +122,8 @@ def test_an_order_that_changes_on_the_way_is_named():
 
     found = step_error(T, *runs(error))
     assert found.largest is None
+    # 2 d1 at first, of which |d1| + 3 |d2| is 1.25
+    assert found.bound == pytest.approx(1.25e-3, rel=1e-9)
     assert "the order is not steady: 1.23 on the whole, 2.00 from t = 5 s" in found.reason
     assert found.last == pytest.approx(5e-4, rel=1e-9)
 

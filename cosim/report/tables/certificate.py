@@ -24,7 +24,7 @@ def certificate_tables(certificate: StepCertificate | None) -> list[Table]:
     title = f"error of the communication step {certificate.step:g} s, from runs with {finer}"
     errors = new_table(title, ("signal", "largest", "at t", "at the end", "order"))
     for signal in certificate.signals:
-        if signal.largest is not None and signal.order is not None:
+        if signal.is_bounded or (signal.largest is not None and signal.order is not None):
             _add_estimate(errors, signal)
     below = new_table("" if errors.rows else title, ("", ""))
     for label, text in _notes_below(certificate):
@@ -38,16 +38,17 @@ def _notes_below(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
         yield "no estimate", certificate.problem
         return
     equal: list[str] = []
-    reasons: dict[str, list[str]] = {}
+    reasons: dict[tuple[str, str], list[str]] = {}
     for signal in certificate.signals:
         if signal.largest is None:
-            reasons.setdefault(signal.reason, []).append(signal.signal)
+            label = "upper bound" if signal.is_bounded else "no estimate"
+            reasons.setdefault((label, signal.reason), []).append(signal.signal)
         elif signal.order is None:
             equal.append(signal.signal)
     if equal:
         yield "no error", f"{', '.join(equal)}: identical in all three runs"
-    for reason, signals in reasons.items():
-        yield "no estimate", f"{', '.join(signals)}: {reason}"
+    for (label, reason), signals in reasons.items():
+        yield label, f"{', '.join(signals)}: {reason}"
     for share in certificate.shares:
         yield share.estimate, share_text(share)
     for note in notes(certificate):
@@ -68,12 +69,13 @@ def search_rows(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
 
 def _add_estimate(table: Table, signal: SignalCertificate) -> None:
     unit = "" if signal.unit is None else f" {signal.unit}"
+    largest = f"at most {signal.bound:.3g}" if signal.is_bounded else f"{signal.largest:.3g}"
     table.add_row(
         signal.signal,
-        f"{signal.largest:.3g}{unit}",
-        f"{signal.time:g} s",
+        f"{largest}{unit}",
+        "" if signal.time is None else f"{signal.time:g} s",
         _number(signal.last),
-        f"{signal.order:.2f}",
+        "" if signal.order is None else f"{signal.order:.2f}",
     )
 
 

@@ -340,7 +340,7 @@ class _StepSearch:
 
 def _is_within(error: StepError, tolerance: float) -> bool:
     """Return whether an error is within a tolerance; one that is lost in rounding by its bound."""
-    known = error.bound if error.largest is None else error.largest
+    known = error.bound if error.is_rounding else error.largest
     return known is not None and known <= tolerance
 
 
