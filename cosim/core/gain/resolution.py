@@ -40,6 +40,7 @@ from cosim.instants import NANOSECONDS
 from cosim.native.numerics.linear import first_order_hold, matrix_exponential
 
 LIMIT: Final = 0.01  # of a response
+LARGEST: Final = 200  # states up to which their response takes little time
 SLOW: Final = 0.1  # a mode times the step: the line misses an eighth of a percent
 POINTS: Final = 8  # within a step
 ROUNDING: Final = 1e-9
@@ -70,7 +71,7 @@ class Resolution:
     rate : float
         The largest modulus of an eigenvalue of theirs [1/s].
     unknown : tuple of str
-        Components that drive others in the same way, and have no linearization.
+        Components that drive others in the same way, and have no linearization or too many states.
     missed : Missed
         The largest error of a response.
     step_ns : int or None
@@ -191,10 +192,14 @@ class _Model:
         h = self.clock.step_ns / NANOSECONDS
         sources = self._integrated_sources()
         rates: dict[str, float] = {}
-        fast: list[_Part] = []
+        unknown = [name for name in sources if self._is_unknown(name)]
+        fast: list[_FastStage] = []
         for stage in self.graph.stages:
             names = [member.name for member in stage.members if member.name in sources]
-            part = _Part(self, [name for name in names if name in self.linear])
+            part = _FastStage(self, [name for name in names if name in self.linear])
+            if part.size > LARGEST:
+                unknown += part.stage
+                continue
             rate = part.fastest(is_loop=stage.is_loop)
             if rate is None:
                 continue
@@ -213,8 +218,7 @@ class _Model:
             step_ns = largest_part(self.clock.step_ns, lambda parts: worst(parts).error <= LIMIT)
         rate = max(rates.values(), default=0.0)
         fastest = tuple(name for name in rates if rates[name] == rate)
-        unknown = tuple(name for name in sources if self._is_unknown(name))
-        return Resolution(h, fastest, rate, unknown, missed, step_ns)
+        return Resolution(h, fastest, rate, tuple(unknown), missed, step_ns)
 
     def _integrated_sources(self) -> dict[str, None]:
         """Return the components whose outputs others integrate, also through what passes them."""
@@ -237,7 +241,7 @@ class _Model:
         return any(self.graph.variability(port) == "continuous" for port in ports)
 
 
-class _Part:
+class _FastStage:
     """The linear components of a stage, and those behind them that pass on their outputs.
 
     Parameters
@@ -250,6 +254,11 @@ class _Part:
     def __init__(self, model: _Model, stage: list[str]) -> None:
         self.stage = stage
         self._model = model
+
+    @cached_property
+    def size(self) -> int:
+        """The number of its states."""
+        return sum(len(self._model.linear[name].A) for name in self._names)
 
     def fastest(self, *, is_loop: bool) -> float | None:
         """Return the fastest mode of the stage [1/s]; None: it has none."""

@@ -29,7 +29,7 @@ from cosim.scenario.document.problems import Key, Problem
 from cosim.scenario.document.schema import Settings
 
 COUPLING: Final = "coupling"  # whose warnings these are
-STEP: Final = "step"
+STEP: Final = "scenario.step"
 LARGEST: Final = 1e4  # that is written without an exponent of ten
 
 

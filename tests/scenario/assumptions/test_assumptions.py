@@ -393,7 +393,7 @@ def test_a_step_is_fulfilled_where_results_are_within_one_percent(motor, step, e
     row = check_assumptions(motor, set=changes).of("the scenario")[RESOLUTION]
     assert row.fulfilled == is_resolved
     assert f"2.4e+03 1/s, times the step of {step:g} s is {2400.0 * step:g}" in row.evidence
-    texts = [text for name, text in recorded_warnings(log) if name == "step"]
+    texts = [text for name, text in recorded_warnings(log) if name == "scenario.step"]
     assert texts == ([] if is_resolved else [f"{row.evidence}; {row.cure}"])
 
 
@@ -416,7 +416,7 @@ def test_the_modes_of_an_fmu_count_as_those_of_its_source(motor, tmp_path, inter
     log = cosim.run(motor, set=swapped)
     error, _ = current_error(log)
     assert error == pytest.approx(3.97, rel=0.01)
-    texts = [text for name, text in recorded_warnings(log) if name == "step"]
+    texts = [text for name, text in recorded_warnings(log) if name == "scenario.step"]
     assert texts == [f"{row.evidence}; {row.cure}"]
 
 
