@@ -97,7 +97,7 @@ class Resolution:
             text = "no mode of a linear component is interpolated and integrated"
         else:
             text = (
-                f"the fastest mode of {listing(self.components)}, {self.rate:.3g} 1/s, times the "
+                f"the fastest mode of {listing(self.components)}, {self.rate:.4g} 1/s, times the "
                 f"step of {self.h:g} s is {self.rate * self.h:.3g}"
             )
         if self.missed.error:
@@ -271,15 +271,26 @@ class _FastStage:
         return max(modes, default=None)
 
     @cached_property
-    def _names(self) -> list[str]:
-        """The components, those that pass on their outputs, and those that integrate them."""
+    def _passing(self) -> list[str]:
+        """The components, and those that pass on their outputs."""
         model = self._model
         names = list(self.stage)
         for name in names:  # grows on the way
             names += [n for n in model.driven[name] if n not in names and model.passes(n)]
-        followers = dict.fromkeys(chain.from_iterable(model.driven[name] for name in names))
-        self._consumers = [name for name in followers if name in model.integrated]
-        return names + [n for n in self._consumers if n in model.linear and n not in names]
+        return names
+
+    @cached_property
+    def _consumers(self) -> list[str]:
+        """Those that integrate these outputs."""
+        model = self._model
+        driven = chain.from_iterable(model.driven[name] for name in self._passing)
+        return [name for name in dict.fromkeys(driven) if name in model.integrated]
+
+    @cached_property
+    def _names(self) -> list[str]:
+        """All of them that are linear in continuous time."""
+        names = dict.fromkeys((*self._passing, *self._consumers))
+        return [name for name in names if name in self._model.linear]
 
     @cached_property
     def _members(self) -> list[Member]:

@@ -115,3 +115,13 @@ def test_what_is_held_is_not_interpolated():
     graph = cascade(step(time=0.1), 240.0, 20.0)
     held = Graph(graph.components, graph.connections, input_interpolation="zero-order")
     assert found_of(held).components == ()
+
+
+def test_of_what_a_component_with_a_period_makes_of_it_nothing_is_known():
+    """Its input is interpolated over its period, here two steps: what the line misses counts."""
+    parts = {"r": step(time=0.1), "fast": first_order(240.0), "slow": Sampled(first_order(20.0), 2)}
+    found = found_of(Graph(parts, {"fast.u": "r.y", "slow.u": "fast.y"}))
+    s = np.linspace(0.0, 1.0, 9)
+    missed = 1.0 - np.exp(-4.8 * s) - s * (1.0 - np.exp(-4.8))
+    assert found.missed.signal == "slow.u"
+    assert found.missed.error == pytest.approx(missed.max(), rel=1e-6)
