@@ -3,17 +3,19 @@
 Each component is exact for inputs that are linear over a step, or held. Where an output of a
 component with fast modes drives another one that integrates it, the line between two communication
 points misses what the modes do there: of exp(-a t) up to (a h)^2/8, and (a h)^2/12 of its integral.
-What becomes of that is computed for every component with inputs that are interpolated and
-integrated, from the exact response of the linear system that it is in
+What becomes of that is computed wherever inputs are interpolated and integrated, from the exact
+response of the components as one linear system
 
 * to a jump of each discrete signal, which itself reaches the model without an error,
 * to the initial state, where the model does not begin at rest.
 
-With the difference between these inputs and their lines as its own, the component gives the error
-of its outputs, relative to the largest value of the same response. More than ``LIMIT`` of it is
-refused. So a fast mode that nothing excites, that no such input shows, or that what follows
-averages out, is no error. Not in it: what the errors of a loop do to each other, and what smooth
-signals from outside lose between points.
+What the lines miss of these inputs drives the errors of the states, from component to component,
+and around loops. They are compared with the largest value of the same response, output by output:
+more than ``LIMIT`` of it is refused. So a fast mode that nothing excites, that no such input shows,
+or that what follows averages out, is no error.
+
+Not in it: what is lost where a loop extrapolates inputs, which hold, and of smooth signals from
+outside.
 """
 
 from __future__ import annotations
@@ -25,11 +27,12 @@ from itertools import chain, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.core.gain.loop_gain import largest_part
-from cosim.core.gain.loop_map import LoopModel, wiring
+from cosim.core.gain.loop_map import LoopModel, slices, wiring
 from cosim.core.gain.system import ConnectedSystem, connect
 from cosim.core.graph import Graph
 from cosim.core.linearization import Linearized, static
@@ -172,7 +175,7 @@ class _Model:
         for name, own in linearized.items():
             if own.is_discrete or own.delay or own.input_use == "start":
                 continue
-            elements = ~graph.held[name] & own.B.any(axis=0)
+            elements = ~graph.held[name] & own.B.any(axis=0) & ~self._refined(name)
             if elements.any():
                 self.integrated[name] = elements
                 self.spans[name] = max(1, own.own_steps)
@@ -182,6 +185,26 @@ class _Model:
             for source in connection.sources:
                 self.drivers[to.component][source.component] = None
                 self.driven[source.component][to.component] = None
+
+    @cached_property
+    def labels(self) -> list[str]:
+        """The name of every column."""
+        return self.graph.labels()
+
+    def _refined(self, name: str) -> Mask:
+        """Return which inputs of a component come out of a loop that divides its steps."""
+        stages = [stage for stage in self.graph.stages if stage.controls]
+        for stage in stages:
+            names = [member.name for member in stage.members]
+            if name in names:
+                matrices = wiring(stage.members, self.graph.layout.width)
+                return matrices[names.index(name)].any(axis=1)
+        return np.zeros(self.graph.layout[name].interface.n_u, np.bool_)
+
+    def interpolated(self, name: str) -> Mask:
+        """Return which inputs of a component are interpolated and integrated."""
+        nothing = np.zeros(self.graph.layout[name].interface.n_u, np.bool_)
+        return self.integrated.get(name, nothing)
 
     def passes(self, name: str) -> bool:
         """Return whether what drives a component is in its outputs at once."""
@@ -323,35 +346,91 @@ class _FastStage:
         system = self._system
         if system is None:
             return NONE
-        clock = self._model.clock
-        duration = clock.stop - clock.start_time
         causes, G, by_w = self._excitations(system)
-        found = NONE
+        response = _Response(system.A, G, h)
+        P = self._with_errors(system, response)
+        inside = [number for number, m in enumerate(self._members) if m.name in self._names]
+        places: list[int] = []
+        for number in inside:
+            member = self._members[number]
+            places += range(member.outputs.start, member.outputs.stop)
+        rows = np.eye(len(system.C))[: len(places)]  # those inside stand before the others
+        wrong = np.hstack([np.zeros((len(places), len(response.x))), rows @ system.C])
+        found = [self._largest(response, P, wrong[np.newaxis], rows, places, by_w)]
         for number, member in enumerate(self._members):
-            if member.name not in self._consumers:
-                continue
+            if number in inside or member.name not in self._model.integrated:
+                continue  # it is not known what the others make of the errors of their inputs
             elements = np.flatnonzero(self._model.integrated[member.name])
-            inputs = self._loop.wiring[number][elements] @ system.C
-            own = self._model.linear.get(member.name)
-            span = h * self._model.spans[member.name]
-            steps = max(1, round(duration / span))
-            if own is None:  # it is not known what it makes of the error of its inputs
-                rows = self._loop.wiring[number][elements]
-                places = elements
-                gains = static(np.eye(len(elements)))
-            else:
-                rows = np.eye(len(system.C))[self._loop.outputs[number]]
-                places = member.n_u + np.arange(len(rows))
-                gains = replace(own, B=own.B[:, elements], D=np.zeros((len(rows), len(elements))))
-            initial = self._model.row[member.columns][places]
-            base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
-            response = _Response(system.A, G, inputs, rows @ system.C, base)
-            errors = response.errors(gains, span, steps)
-            row, column = np.unravel_index(int(errors.argmax()), errors.shape)
-            if errors[row, column] > found.error:
-                label = member.label(int(places[row]))
-                found = Missed(float(errors[row, column]), label, causes[column])
-        return found
+            response = _Response(system.A, G, h * self._model.spans[member.name])
+            rows = self._loop.wiring[number][elements]
+            wrong = response.missed(rows @ system.C)
+            places = (member.inputs.start + elements).tolist()
+            found.append(self._largest(response, response.P, wrong, rows, places, by_w))
+        error, place, column = max(found)
+        return Missed(error, self._model.labels[place], causes[column]) if error else NONE
+
+    def _largest(
+        self,
+        response: _Response,
+        P: Matrix,
+        wrong: NDArray[np.float64],
+        rows: Matrix,
+        places: list[int],
+        by_w: Matrix,
+    ) -> tuple[float, int, int]:
+        """Return the largest relative error of signals, its place in the row, and what excites it.
+
+        Parameters
+        ----------
+        response : _Response
+        P, wrong : arrays
+            As for :meth:`_Response.errors`.
+        rows : Matrix, shape (m, n_y)
+            The signals, by all outputs.
+        places : list of int
+            Theirs in the row.
+        by_w : Matrix
+            What excites them, as outputs of the others.
+        """
+        system = self._system
+        assert system is not None
+        initial = self._model.row[places]
+        base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
+        clock = self._model.clock
+        steps = max(1, round((clock.stop - clock.start_time) / response.h))
+        errors = response.errors(P, wrong, rows @ system.C, base, steps)
+        row, column = np.unravel_index(int(errors.argmax()), errors.shape)
+        return float(errors[row, column]), places[row], int(column)
+
+    def _with_errors(self, system: ConnectedSystem, response: _Response) -> Matrix:
+        """Return what a step does to x and g, and to the errors of the states behind them.
+
+        Each component takes for its inputs lines between what it gets at the points, the errors
+        of the others there included.
+        """
+        linear = [self._model.linear[name] for name in self._names]
+        states = slices([len(own.A) for own in linear])
+        U = np.vstack(self._loop.wiring[: len(linear)]) @ system.C
+        inputs = slices([own.B.shape[1] for own in linear])
+        missed = response.missed(U)
+        size = len(response.x)
+        n = len(system.A)
+        before = np.zeros((n, size + n))
+        after = np.eye(n)
+        for name, own, x, u in zip(self._names, linear, states, inputs, strict=True):
+            held = np.zeros(own.B.shape[1], np.bool_)
+            whole = first_order_hold(own.A, own.B, response.h, held)
+            after[x] -= whole.B1 @ U[u]
+            before[x, size:] += whole.B0 @ U[u]
+            before[x, size:][:, x] += whole.Ad
+            part = first_order_hold(own.A, own.B, response.h / POINTS, held)
+            of_inputs = missed[:, u] * self._model.interpolated(name)[:, np.newaxis]
+            for first, second in pairwise(of_inputs):
+                before[x, :size] = part.Ad @ before[x, :size] + part.B0 @ first + part.B1 @ second
+        P = np.zeros((size + n, size + n))
+        P[:size, :size] = response.P
+        P[size:] = np.linalg.solve(after, before)
+        return P
 
     def _excitations(self, system: ConnectedSystem) -> tuple[list[str], Matrix, Matrix]:
         """Return what begins fast modes, in words, as x' at once, and as outputs of the others.
@@ -361,7 +440,6 @@ class _FastStage:
         graph = self._model.graph
         causes: list[str] = []
         jumping: list[int] = []
-        labels = graph.labels()
         number = 0
         for member in self._members[len(self._names) :]:
             columns = range(member.outputs.start, member.outputs.stop)
@@ -370,7 +448,7 @@ class _FastStage:
                 jumps += [bool(graph.jumps(Port(member.name, signal.name)))] * signal.size
             for column, may_jump in zip(columns, jumps, strict=True):
                 if may_jump and system.B[:, number].any():
-                    causes.append(f"a jump of {labels[column]}")
+                    causes.append(f"a jump of {self._model.labels[column]}")
                     jumping.append(number)
                 number += 1
         rates = []
@@ -382,80 +460,76 @@ class _FastStage:
         return [*causes, "the initial state"], np.hstack([system.B @ by_w, initial]), by_w
 
 
-@dataclass(frozen=True, slots=True)
 class _Response:
-    """The responses of a component, in a system ``x' = A x + g`` with ``x = 0`` at the start.
+    """The responses of a system ``x' = A x + g`` with ``x = 0`` at the start, step by step.
 
     Parameters
     ----------
     A, G : Matrix, shapes (n, n), (n, k)
         For every response a g.
-    inputs : Matrix, shape (n_u, n)
-        Its interpolated inputs are ``inputs x``.
-    outputs, base : Matrix, shapes (n_y, n), (n_y, k)
-        Its outputs are ``outputs x + base``.
+    h : float
+        Length of the steps [s].
+
+    Attributes
+    ----------
+    x : Matrix, shape (n + k, k)
+        States and unit vectors, for the g, at the start.
+    P : Matrix, shape (n + k, n + k)
+        What a step does to it.
     """
 
-    A: Matrix
-    G: Matrix
-    inputs: Matrix
-    outputs: Matrix
-    base: Matrix
+    def __init__(self, A: Matrix, G: Matrix, h: float) -> None:
+        n, k = G.shape
+        system = np.zeros((n + k, n + k))
+        system[:n] = np.hstack([A, G])
+        E = matrix_exponential(system * (h / POINTS))
+        states = [np.eye(n + k)]
+        for _ in range(POINTS):
+            states.append(E @ states[-1])
+        self.h = h
+        self.x = np.vstack([np.zeros((n, k)), np.eye(k)])
+        self.P = states[-1]
+        self._n = n
+        self._states = np.array(states)
+
+    def missed(self, inputs: Matrix) -> NDArray[np.float64]:
+        """Return lines over a step less ``inputs x``, at its points, by states at its start."""
+        u: NDArray[np.float64] = inputs @ self._states[:, : self._n]
+        fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
+        return u[0] + fractions * (u[-1] - u[0]) - u
 
     @np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
-    def errors(self, own: Linearized, h: float, steps: int) -> Matrix:
-        """Return the errors of its outputs, shape (n_y, k), relative to their largest values.
+    def errors(
+        self, P: Matrix, wrong: NDArray[np.float64], outputs: Matrix, base: Matrix, steps: int
+    ) -> Matrix:
+        """Return the errors of signals, shape (m, k), relative to their largest values.
 
         Parameters
         ----------
-        own : Linearized
-            What the component, with these inputs alone, makes of an error of them.
-        h : float
-            Over which they are interpolated [s].
+        P : Matrix, shape (N, N)
+            What a step does to the states, and what follows from them.
+        wrong : array, shape (points, m, N)
+            The errors by these.
+        outputs, base : Matrix, shapes (m, n), (m, k)
+            The signals are ``outputs x + base``.
         steps : int
             Their number.
         """
-        n, k = self.G.shape
-        size = n + k
-        system = np.zeros((size, size))
-        system[:n] = np.hstack([self.A, self.G])
-        E = matrix_exponential(system * (h / POINTS))
-        states = [np.eye(size)]  # at the points of a step, by x and g at its start
-        for _ in range(POINTS):
-            states.append(E @ states[-1])
-        u = self.inputs @ np.array(states)[:, :n]
-        fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
-        missed = u[0] + fractions * (u[-1] - u[0]) - u
-        n_u = len(self.inputs)
-        discrete = first_order_hold(own.A, own.B, h / POINTS, np.zeros(n_u, np.bool_))
-        # x, g, and what the component makes of the error: over a step, and what is seen of them
-        n_own = len(own.A)
-        P = np.zeros((size + n_own, size + n_own))
-        P[:size, :size] = states[-1]
-        own_x = np.hstack([np.zeros((n_own, size)), np.eye(n_own)])
-        for before, after in pairwise(missed):
-            own_x = discrete.Ad @ own_x
-            own_x[:, :size] += discrete.B0 @ before + discrete.B1 @ after
-        P[size:] = own_x
-        wrong = [np.hstack([own.D @ at_point, own.C]) for at_point in missed]
-        seen_error = np.array(wrong if own.D.any() else wrong[:1])
-        seen = np.hstack([self.outputs, np.zeros((len(self.outputs), k + n_own))])
-        x = np.vstack([np.zeros((n, k)), np.eye(k), np.zeros((n_own, k))])
-        y = np.abs(self.base)
+        x = np.vstack([self.x, np.zeros((len(P) - len(self.x), self.x.shape[1]))])
+        y = np.abs(base)
         terms = y.copy()  # where y is much less than its terms, it is rounding
-        error = np.zeros(y.shape)
+        error = np.abs(wrong @ x).max(axis=0)
         done = 0
         length = 1
         while done < steps and np.isfinite(x).all():
             for _ in range(min(STEPS, -(-(steps - done) // length))):
-                error = np.fmax(error, np.abs(seen_error @ x).max(axis=0))
                 x = P @ x
-                y = np.fmax(y, np.abs(seen @ x + self.base))
-                terms = np.fmax(terms, np.abs(seen) @ np.abs(x))
+                error = np.fmax(error, np.abs(wrong @ x).max(axis=0))
+                y = np.fmax(y, np.abs(outputs @ x[: self._n] + base))
+                terms = np.fmax(terms, np.abs(outputs) @ np.abs(x[: self._n]))
             done += STEPS * length
             length *= 2
             P = P @ P
-        error = np.fmax(error, np.abs(seen_error @ x).max(axis=0))
         is_known = (y > ROUNDING * terms) & np.isfinite(y)
-        errors: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
-        return errors
+        relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
+        return relative

@@ -12,7 +12,8 @@ from cosim.core.gain.loop_gain import LinearizedLoops
 from cosim.core.gain.resolution import LIMIT, resolution
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
-from tests.core.graphs import record
+from cosim.core.stages.substep_control import SubstepTolerance
+from tests.core.graphs import pair, record, solution
 
 H = 0.01
 STOP = 1.0
@@ -115,6 +116,32 @@ def test_what_is_held_is_not_interpolated():
     graph = cascade(step(time=0.1), 240.0, 20.0)
     held = Graph(graph.components, graph.connections, input_interpolation="zero-order")
     assert found_of(held).components == ()
+
+
+@pytest.mark.parametrize("h", [0.004, 0.01])
+def test_the_error_of_a_loop_that_is_solved_is_that_of_the_run(h):
+    """An algebraic loop with a mode of 163 1/s, its exact solution by a matrix exponential.
+
+    Which is lost to straight lines alone, from both components to both.
+    """
+    graph = pair("newton")
+    memory = record(graph, STOP, h)
+    exact = np.array([solution(t) for t in memory.time("one.x")])
+    found = found_of(pair("newton"), h=h)
+    assert found.components == ("one", "two")
+    assert not found.is_resolved
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    C = np.diag([3.0, -31.0])
+    D = np.diag([1.0, -0.9])
+    y = np.linalg.solve(np.eye(2) - D @ swap, C @ exact.T).T
+    errors = np.abs(np.column_stack([memory["one.y"], memory["two.y"]]) - y).max(axis=0)
+    assert found.missed.signal == "one.y"
+    assert found.missed.error == pytest.approx((errors / np.abs(y).max(axis=0)).max(), rel=0.05)
+
+
+def test_a_loop_that_divides_its_steps_resolves_itself():
+    graph = pair("newton", substeps=SubstepTolerance(1e-6, 1e-6))
+    assert found_of(graph, h=0.1).components == ()
 
 
 def test_of_what_a_component_with_a_period_makes_of_it_nothing_is_known():
