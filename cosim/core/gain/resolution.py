@@ -198,7 +198,7 @@ class _Model:
             names = [member.name for member in stage.members]
             if name in names:
                 matrices = wiring(stage.members, self.graph.layout.width)
-                return matrices[names.index(name)].any(axis=1)
+                return np.asarray(matrices[names.index(name)].any(axis=1))
         return np.zeros(self.graph.layout[name].interface.n_u, np.bool_)
 
     def interpolated(self, name: str) -> Mask:
@@ -210,6 +210,7 @@ class _Model:
         """Return whether what drives a component is in its outputs at once."""
         return name in self.linear and bool(self.linear[name].D.any())
 
+    @np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
     def resolution(self) -> Resolution:
         """Return what is found of all components."""
         h = self.clock.step_ns / NANOSECONDS
@@ -341,9 +342,24 @@ class _FastStage:
         """The components as one, driven by the outputs of the others."""
         return connect(self._loop)
 
+    @cached_property
+    def _is_excited(self) -> bool:
+        """Whether a mode may be: by a jump of what drives them, or at the start."""
+        jumping = any(self._jumps(m).any() for m in self._members[len(self._names) :])
+        rates = [self._model.linear[name].rate for name in self._names]
+        return jumping or any(rate is not None and rate.any() for rate in rates)
+
+    def _jumps(self, member: Member) -> Mask:
+        """Return which outputs of a component may jump."""
+        jumps: list[bool] = []
+        for signal in member.channel.interface.outputs:
+            may_jump = bool(self._model.graph.jumps(Port(member.name, signal.name)))
+            jumps += [may_jump] * signal.size
+        return np.array(jumps, np.bool_)
+
     def missed(self, h: float) -> Missed:
         """Return the largest error of a response where the step is h."""
-        system = self._system
+        system = self._system if self._is_excited else None
         if system is None:
             return NONE
         causes, G, by_w = self._excitations(system)
@@ -429,7 +445,10 @@ class _FastStage:
                 before[x, :size] = part.Ad @ before[x, :size] + part.B0 @ first + part.B1 @ second
         P = np.zeros((size + n, size + n))
         P[:size, :size] = response.P
-        P[size:] = np.linalg.solve(after, before)
+        try:
+            P[size:] = np.linalg.solve(after, before)
+        except np.linalg.LinAlgError:  # with this step the run has no one solution
+            P[size:] = np.nan
         return P
 
     def _excitations(self, system: ConnectedSystem) -> tuple[list[str], Matrix, Matrix]:
@@ -437,16 +456,12 @@ class _FastStage:
 
         The last one is the initial state, for which these do not change.
         """
-        graph = self._model.graph
         causes: list[str] = []
         jumping: list[int] = []
         number = 0
         for member in self._members[len(self._names) :]:
             columns = range(member.outputs.start, member.outputs.stop)
-            jumps: list[bool] = []
-            for signal in member.channel.interface.outputs:
-                jumps += [bool(graph.jumps(Port(member.name, signal.name)))] * signal.size
-            for column, may_jump in zip(columns, jumps, strict=True):
+            for column, may_jump in zip(columns, self._jumps(member), strict=True):
                 if may_jump and system.B[:, number].any():
                     causes.append(f"a jump of {self._model.labels[column]}")
                     jumping.append(number)
@@ -496,9 +511,8 @@ class _Response:
         """Return lines over a step less ``inputs x``, at its points, by states at its start."""
         u: NDArray[np.float64] = inputs @ self._states[:, : self._n]
         fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
-        return u[0] + fractions * (u[-1] - u[0]) - u
+        return np.asarray(u[0] + fractions * (u[-1] - u[0]) - u)
 
-    @np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
     def errors(
         self, P: Matrix, wrong: NDArray[np.float64], outputs: Matrix, base: Matrix, steps: int
     ) -> Matrix:
@@ -530,6 +544,6 @@ class _Response:
             done += STEPS * length
             length *= 2
             P = P @ P
-        is_known = (y > ROUNDING * terms) & np.isfinite(y)
+        is_known = (y > ROUNDING * terms) & np.isfinite(y) & np.isfinite(error)
         relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
         return relative

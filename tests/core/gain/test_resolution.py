@@ -139,6 +139,16 @@ def test_the_error_of_a_loop_that_is_solved_is_that_of_the_run(h):
     assert found.missed.error == pytest.approx((errors / np.abs(y).max(axis=0)).max(), rel=0.05)
 
 
+def test_of_an_unstable_mode_the_error_is_that_of_its_course():
+    """Lines through exp(a t) have an integral too large by ah/2 coth(ah/2) - 1, at any time."""
+    for rate, error in ((50.0, 0.25 / np.tanh(0.25) - 1.0), (500.0, 2.5 / np.tanh(2.5) - 1.0)):
+        A, B, C = (np.array([[value]]) for value in (rate, 1.0, 1.0))
+        unstable = Linear(controller(A=A, B=B, C=C, D=np.zeros((1, 1)), x0=np.zeros(1)))
+        parts = {"r": step(time=0.1), "fast": unstable, "slow": first_order(0.1)}
+        found = found_of(Graph(parts, {"fast.u": "r.y", "slow.u": "fast.y"}), stop=100.0)
+        assert found.missed.error == pytest.approx(error, rel=0.05)
+
+
 def test_a_loop_that_divides_its_steps_resolves_itself():
     graph = pair("newton", substeps=SubstepTolerance(1e-6, 1e-6))
     assert found_of(graph, h=0.1).components == ()
