@@ -17,7 +17,7 @@ from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError, listing
-from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, Evidence, attempted
+from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
 from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
 from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
@@ -157,7 +157,7 @@ class _Check:
             others = [_resting_on(verdicts, attempted(BEGINNING, self._beginning.check))]
             others += self._of_loops()
             if others[0].fulfilled:
-                others.append(attempted(RESOLUTION, self._resolution))
+                others.append(self._resolution())
                 verdicts += self._of_filters()
         return verdicts + [(FILE, verdict) for verdict in others]
 
@@ -273,15 +273,17 @@ class _Check:
                     verdicts.append((name, refused(FILTER, AssumptionError(text))))
         return verdicts
 
-    def _resolution(self) -> Evidence:
+    def _resolution(self) -> AssumptionVerdict:
         """Return what linear interpolation over a step does to the modes of the model."""
         found = self._beginning.resolution()
         if found.unknown and not found.components:
-            raise DependsOnInvalid(f"nothing is known of {listing(found.unknown)}")
+            return undecided(RESOLUTION, f"nothing is known of {listing(found.unknown)}")
+        values = {"step": found.h, "fastest_rate": found.rate, "error": found.missed.error}
         if not found.is_resolved:
-            raise AssumptionError(found.text, cure=found.cure)
-        values = {"step": found.h, "fastest_rate": found.rate, "missed": found.missed.error}
-        return found.text, values
+            return refused(RESOLUTION, AssumptionError(found.text, cure=found.cure), values)
+        return AssumptionVerdict(
+            name=RESOLUTION, fulfilled=True, evidence=found.text, values=values
+        )
 
     def _of_coupled(self, report: CouplingReport) -> list[AssumptionVerdict]:
         self._of_coupling += [(COUPLING, text) for text in report.warnings]

@@ -393,6 +393,7 @@ def test_a_step_is_fulfilled_where_results_are_within_one_percent(motor, step, e
     row = check_assumptions(motor, set=changes).of("the scenario")[RESOLUTION]
     assert row.fulfilled == is_resolved
     assert f"times the step of {step:g} s is {2400.0 * step:.2g}" in row.evidence
+    assert row.values["fastest_rate"] == pytest.approx(2400.0, rel=0.01)
     texts = [text for name, text in recorded_warnings(log) if name == "scenario.step"]
     assert texts == ([] if is_resolved else [f"{row.evidence}; {row.cure}"])
 
