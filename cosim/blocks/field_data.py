@@ -11,7 +11,7 @@ place, NaN where there is none.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -21,6 +21,7 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal, Variability
 from cosim.errors import GraphError, UsageError, nearest
+from cosim.instants import NANOSECONDS
 from cosim.native.blocks.field_data import field_data_step
 from cosim.native.step import NativeStep
 
@@ -260,6 +261,38 @@ class FieldRecording:
             picked = column[number]
             parts.append(np.where(is_there & np.isfinite(picked), picked, NAN))
         return np.hstack(parts)
+
+
+def at_points(data: FieldData, points: Vector) -> FieldData:
+    """Return samples with those of a communication point at that very time.
+
+    A time stamp is of a point that is no farther than the clock resolves, 1 ns, or than doubles do.
+
+    Parameters
+    ----------
+    data : FieldData
+    points : Vector
+        The communication points [s].
+
+    Raises
+    ------
+    UsageError
+        If two samples are of one point.
+    """
+    after = np.searchsorted(points, data.t).clip(1, len(points) - 1)
+    is_nearer = data.t - points[after - 1] < points[after] - data.t
+    nearest = points[after - is_nearer]
+    rounding = 4.0 * np.spacing(np.abs(nearest))
+    is_there = np.abs(data.t - nearest) <= np.maximum(1.0 / NANOSECONDS, rounding)
+    t = np.where(is_there, nearest, data.t)
+    doubled = np.flatnonzero(np.diff(t) <= 0.0)
+    if doubled.size:
+        first, second = data.t[doubled[0] :][:2].tolist()
+        raise UsageError(
+            f"{data.source}: expected times at least 1 ns apart, got {first!r} s and {second!r} s, "
+            "which are of one communication point"
+        )
+    return replace(data, t=t)
 
 
 def measured_lines(data: FieldData) -> list[_Line]:

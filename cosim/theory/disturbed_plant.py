@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -44,6 +45,9 @@ from cosim.theory.sampling import distinct_steps
 
 # growth of a mode over the record from which on the output is predicted, not simulated
 LARGEST_GROWTH: Final = 1e3
+ALIKE: Final = 0.05  # of two distances of samples, relative: they count as the same
+HALF: Final = 0.55  # of the usual distance: a sample that is as near to another is none of its line
+MOST_MISSING: Final = 10_000  # in a gap, beyond what any model of the noise looks back
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -194,6 +198,26 @@ class DataSet:
             return float(self.t[-1] - self.t[0])
         return float(np.median(np.diff(times)))
 
+    @cached_property
+    def distances(self) -> Vector:
+        """The usual time from one value of each output to its next [s], shape (n_y,)."""
+        return np.array([_usual_distance(self.t[own]) for own in self.measured.T])
+
+    @cached_property
+    def numbers(self) -> NDArray[np.integer]:
+        """Which value of its output each one is, shape (N, n_y); -1: not measured.
+
+        Where values are missing, so are their numbers: one is the next of another at their usual
+        distance alone, whatever rows are between them.
+        """
+        numbers = np.full(self.y.shape, -1)
+        for o, (own, usual) in enumerate(zip(self.measured.T, self.distances, strict=True)):
+            ratios = np.diff(self.t[own]) / usual
+            passed = np.minimum(np.floor(ratios + (1.0 - HALF)), MOST_MISSING)
+            passed[ratios <= HALF] = 2  # closer than the next one is
+            numbers[own, o] = np.cumsum(np.append(0, passed))
+        return numbers
+
     @property
     def is_held(self) -> NDArray[np.bool_]:
         """Which inputs keep their value from one sample to the next, shape (n_u,)."""
@@ -244,6 +268,17 @@ class DataSet:
         )
 
 
+def _usual_distance(t: Vector) -> float:
+    """Return the distance that most successive instants have, but for a little jitter [s]."""
+    gaps = np.sort(np.diff(t))
+    if not len(gaps):
+        return 1.0
+    first = np.searchsorted(gaps, (1.0 - ALIKE) * gaps, side="left")
+    end = np.searchsorted(gaps, (1.0 + ALIKE) * gaps, side="right")
+    most = int((end - first).argmax())
+    return float(np.median(gaps[first[most] : end[most]]))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NoiseModel:
     """What is assumed of the noise of the outputs.
@@ -284,7 +319,7 @@ class NoiseModel:
         return replace(self, a=self.a[:, :0])
 
     def whitened(
-        self, rows: NDArray[np.float64], measured: NDArray[np.bool_]
+        self, rows: NDArray[np.float64], numbers: NDArray[np.integer]
     ) -> NDArray[np.float64]:
         """Return rows of successive samples made white, shape (N, n_y, k).
 
@@ -294,11 +329,12 @@ class NoiseModel:
         Parameters
         ----------
         rows : shape (N, n_y, k)
-        measured : shape (N, n_y)
+        numbers : shape (N, n_y)
+            As of :attr:`DataSet.numbers`.
         """
-        filtered = autoregressive_filter(rows, self.a, measured)
+        filtered = autoregressive_filter(rows, self.a, numbers)
         result = np.zeros_like(filtered)
-        for there, samples in _by_outputs(counted_values(measured, self.order)):
+        for there, samples in _by_outputs(counted_values(numbers, self.order)):
             W = np.linalg.inv(self._factor(there))
             part = np.ix_(samples, there)
             result[part] = np.einsum("ab,nbk->nak", W, filtered[part])
@@ -309,26 +345,24 @@ class NoiseModel:
         return np.asarray(np.linalg.cholesky(part), np.float64)
 
 
-def usual_distances(measured: NDArray[np.bool_]) -> NDArray[np.integer]:
-    """Return how many samples usually are from one value of an output to its next, shape (n_y,)."""
-    distances = np.ones(measured.shape[1], np.int32)
-    for o, own in enumerate(measured.T):
-        gaps = np.diff(np.flatnonzero(own))
-        if len(gaps):
-            distances[o] = np.bincount(gaps).argmax()
-    return distances
-
-
-def counted_values(measured: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+def counted_values(numbers: NDArray[np.integer], order: int) -> NDArray[np.bool_]:
     """Return which values count, shape (N, n_y).
 
     Those that have ``order`` others of their output before them, each at its usual distance.
+
+    Parameters
+    ----------
+    numbers : shape (N, n_y)
+        As of :attr:`DataSet.numbers`.
+    order : int
     """
-    counted = measured.copy()
-    for o, every in enumerate(usual_distances(measured)):
-        for k in range(every, order * every + 1, every):
-            counted[k:, o] &= measured[:-k, o]
-        counted[: order * every, o] = False
+    counted = numbers >= 0
+    for own, values in zip(counted.T, numbers.T, strict=True):
+        there = np.flatnonzero(own)
+        places = np.arange(len(there))
+        is_first = np.diff(values[there], prepend=-2) != 1
+        first = np.maximum.accumulate(np.where(is_first, places, 0))
+        own[there] = places - first >= order
     return counted
 
 
@@ -338,7 +372,7 @@ def white_noise(outputs: int) -> NoiseModel:
 
 
 def autoregressive_filter(
-    rows: NDArray[np.float64], a: Matrix, measured: NDArray[np.bool_]
+    rows: NDArray[np.float64], a: Matrix, numbers: NDArray[np.integer]
 ) -> NDArray[np.float64]:
     """Compute ``v(k) - a_1 v(k-1) - ...`` of each output, anew behind what was not measured.
 
@@ -346,20 +380,25 @@ def autoregressive_filter(
     ----------
     rows : shape (N, n_y, k)
     a : Matrix, shape (n_y, order)
-    measured : shape (N, n_y)
+    numbers : shape (N, n_y)
+        As of :attr:`DataSet.numbers`.
 
     Returns
     -------
     array, shape (N, n_y, k)
         0 for values that do not count.
     """
-    filtered = np.where(measured[:, :, np.newaxis], rows, 0.0)
-    plain = filtered.copy()
-    for o, every in enumerate(usual_distances(measured)):
-        for k, coefficient in enumerate(a[o], start=1):
-            filtered[k * every :, o] -= coefficient * plain[: -k * every, o]
-    filtered[~counted_values(measured, a.shape[1])] = 0.0
-    return filtered
+    result = np.zeros_like(rows)
+    counted = counted_values(numbers, a.shape[1])
+    for o, coefficients in enumerate(a):
+        there = numbers[:, o] >= 0
+        values = rows[there, o]
+        filtered = values.copy()
+        for k, coefficient in enumerate(coefficients, start=1):
+            filtered[k:] -= coefficient * values[:-k]
+        filtered[~counted[there, o]] = 0.0
+        result[there, o] = filtered
+    return result
 
 
 def _by_outputs(
@@ -440,7 +479,7 @@ def sample_plant(
         step=step,
         predictor=predictor,
         noise=noise,
-        every=usual_distances(data.measured),
+        every=data.distances,
         offset=offset,
         forgetting=forgetting,
         held=data.held,
@@ -455,7 +494,7 @@ def discretize(
     step: Vector,
     noise: NoiseModel,
     predictor: Predictor | None = None,
-    every: NDArray[np.integer] | None = None,
+    every: Vector | None = None,
     offset: bool = False,
     forgetting: float = 1.0,
     held: NDArray[np.bool_] | None = None,
@@ -469,7 +508,7 @@ def discretize(
     predictor : Predictor, optional
         Of the outputs; by default they are simulated.
     every : shape (n_y,), optional
-        Samples from one value of an output to the next that the model of its noise is for.
+        Time from one value of an output to the next that the model of its noise is for [s].
     """
     n, n_u = plant.B.shape
     n_y, components = plant.Dd.shape

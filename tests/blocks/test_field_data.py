@@ -11,6 +11,7 @@ from cosim.blocks.field_data import (
     FieldData,
     FieldRecording,
     FieldSignal,
+    at_points,
     check_covers,
     check_step,
     elements_named,
@@ -110,6 +111,28 @@ def test_a_sample_at_the_start_belongs_to_it():
     np.testing.assert_array_equal(rows[0, columns["sample_times"]], [0.0])
     np.testing.assert_array_equal(rows[0, columns["y_samples"]], [1.0])
     np.testing.assert_array_equal(rows[1, columns["sample_times"]], [5e-4])
+
+
+def test_a_time_stamp_within_a_nanosecond_of_a_point_is_that_point():
+    """The last bit of a product or a sum puts no sample into the next step; 2 ns do."""
+    points = np.arange(2001) / 50
+    products = np.arange(2001) * 0.02
+    sums = np.add.accumulate(np.append(0.0, np.full(2000, 0.02)))
+    for t in (products, sums):
+        assert np.count_nonzero(t != points) > 200
+        data = at_points(recorded(t, signal("y", t)), points)
+        np.testing.assert_array_equal(data.t, points)
+        assert data.most_in_a_step(points) == 1
+    apart = at_points(recorded(points + 2e-9, signal("y", points)), points)
+    np.testing.assert_array_equal(apart.t, points + 2e-9)
+
+
+def test_two_samples_of_one_point_are_refused():
+    """None of them would be seen otherwise."""
+    with pytest.raises(
+        UsageError, match=r"the file: expected .* 1 ns apart, got 0\.02 s and 0\.02"
+    ):
+        at_points(recorded([0.0, 0.02, 0.0200000004], signal("y", NONE)), np.arange(3) * 0.02)
 
 
 def test_it_stops_where_the_samples_end():

@@ -9,6 +9,7 @@
 #define BLOCK 64              /* rows that are gathered before they are rotated into R */
 #define DEPENDENT 0x1p-40     /* pivot over the length of its column: below it, that is dependent */
 #define FEW_STEPS 3           /* after which a fit is given up that does not promise as much */
+#define IN_LINE 0.45          /* of the usual distance of values: what the next one may be off it */
 #define HALVINGS 12           /* of a step that does not reduce the sum of squares */
 #define SMALL_STEP 0.05       /* in standard errors: what Gauss-Newton leaves then is its square */
 #define SMALLEST_STEP 0x1p-43 /* relative to theta: rounding */
@@ -45,7 +46,7 @@ static layout layout_of(const cosim_output_error *s)
 typedef struct {
     double *R;                     /* (columns, columns), first: others read it */
     double *rows, *interval;       /* rows in R; interval of E */
-    double *lag, *passed;          /* (outputs) values in the ring; samples since the last one */
+    double *lag, *passed;          /* (outputs) values in the ring; time since the last one */
     double *X, *next;              /* (states, columns) responses */
     double *input0, *input1;       /* (columns) disturbances of the columns at both ends */
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
@@ -416,10 +417,9 @@ static void filter_rows(const cosim_output_error *s, layout l, const parts *p, d
     const int32_t M = l.columns, width = s->outputs * M;
     double *filtered = rows + width;
     for (int32_t o = 0; o < s->outputs && s->ar; ++o) {
-        p->passed[o] += 1.0;
         if (!is_there(l, rows, o))
             continue;
-        if (p->passed[o] != s->every[o])
+        if (!(fabs(p->passed[o] - s->every[o]) < IN_LINE * s->every[o]))
             p->lag[o] = 0.0;
         p->passed[o] = 0.0;
         const double *a = s->a + o * s->ar;
@@ -605,12 +605,6 @@ static void append_rows(const cosim_output_error *s, layout l, const parts *p, d
         rotate(s, l, p, w);
 }
 
-static void pass_sample(const cosim_output_error *s, const parts *p)
-{
-    for (int32_t o = 0; o < s->outputs; ++o)
-        p->passed[o] += 1.0;
-}
-
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *L, const double *residual, waiting *w)
 {
@@ -618,10 +612,8 @@ static void take_rows(const cosim_output_error *s, layout l, const parts *p, con
     int32_t measured = 0;
     for (int32_t o = 0; o < s->outputs; ++o)
         measured += !isnan(residual[o]);
-    if (!measured) {
-        pass_sample(s, p);
+    if (!measured)
         return;
-    }
     make_rows(s, l, p, between, L, residual, rows);
     if (w->unknowns) {
         add_products(s, l, p, rows, w);
@@ -678,6 +670,8 @@ static void take_samples(const cosim_output_error *s, const parts *p, const doub
     int64_t b = first_between(between, begin);
     for (int64_t k = begin; k < end; ++k) {
         const int32_t interval = advance_inputs(s, l, p, theta, record, k);
+        for (int32_t o = 0; interval >= 0 && o < s->outputs; ++o)
+            p->passed[o] += s->step[interval];
         w->weight /= of_row;
         *p->rows *= s->forgetting;
         for (int32_t i = 0; w->products && i < s->outputs * s->outputs; ++i) {

@@ -35,7 +35,7 @@ typedef struct {
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
     const double *a;       /* (outputs, ar) W e is white, e(k) = v(k) - a_1 v(k-1) - ..., where v is
                             * y less the fit */
-    const int32_t *every;  /* (outputs) samples from one value to the next that `a` is for */
+    const double *every;   /* (outputs) time from one value to the next that `a` is for [s] */
     double forgetting;     /* weight of the square of a row over that of the next sample */
 } cosim_output_error;
 

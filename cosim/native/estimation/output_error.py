@@ -201,8 +201,9 @@ class OutputErrorConstants:
     average : int
         Steps, the mean of whose samples is one row of the regression; more than 1 only without
         ``a``.
-    every : tuple of int, optional
-        Samples from one value of an output to the next that ``a`` is for; by default 1.
+    every : tuple of float, optional
+        Time from one value of an output to the next that ``a`` is for [s]; by default the first
+        step.
     source : tuple of int, optional
         Which alpha, B and D each component has; by default each its own.
     """
@@ -221,7 +222,7 @@ class OutputErrorConstants:
     offset: bool = False
     forgetting: float = 1.0
     average: int = 1
-    every: tuple[int, ...] | None = None
+    every: tuple[float, ...] | None = None
     source: tuple[int, ...] | None = None
 
 
@@ -270,7 +271,8 @@ class OutputErrorModel:
         ):
             arrays.append(np.ascontiguousarray(values, np.float64))
         n_y, n = constants.C.shape
-        arrays.append(int32(constants.every or (1,) * n_y))
+        every = constants.every or (float(constants.step[0]),) * n_y
+        arrays.append(np.array(every, np.float64))
         self.outputs = n_y
         self.linear = generators.order + n + (n_y if constants.offset else 0)
         self.arrays = arrays

@@ -104,10 +104,10 @@ def _draw_spectrum(
     record: IdentifierRecord,
     response: FittedResponse,
 ) -> None:
-    measured = record.data.measured
+    numbers = record.data.numbers
     noise = identification.assessment.noise
-    whitened = noise.whitened(response.residual[:, :, np.newaxis], measured)[:, :, 0]
-    counted = counted_values(measured, noise.order)
+    whitened = noise.whitened(response.residual[:, :, np.newaxis], numbers)[:, :, 0]
+    counted = counted_values(numbers, noise.order)
     panel.set_xlabel("frequency [Hz]")
     panel.set_ylabel("over white noise")
     for o, style in enumerate(color_styles(whitened.shape[1])):

@@ -16,6 +16,7 @@ from cosim.blocks.field_data import (
     SAMPLE_TIMES,
     FieldData,
     FieldRecording,
+    at_points,
     check_covers,
     check_step,
     samples_of,
@@ -201,6 +202,11 @@ class FieldDataKind(PlantKind):
         return fields
 
     def _read(self, name: str, context: BuildContext) -> FieldData:
+        """Read the file; samples of communication points get these as their times."""
+        data = self._read_file(name, context)
+        return at_points(data, _points(context.clock))
+
+    def _read_file(self, name: str, context: BuildContext) -> FieldData:
         if self._is_mcap:
             return self._read_mcap(name, context)
         return read_field_data(

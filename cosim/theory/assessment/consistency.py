@@ -249,7 +249,7 @@ class TestedFit:
         self.data = data.thinned(every)
         self.basis = _orthonormal(self.thinned(self._unknowns))
         directions = model_errors(plant, self.data, response.at(self._rows))
-        columns = whitened_rows(directions.columns, self.data.measured, noise)
+        columns = whitened_rows(directions.columns, self.data.numbers, noise)
         lengths = np.linalg.norm(columns, axis=0)
         scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
         within = self.basis.T @ scaled
@@ -268,7 +268,7 @@ class TestedFit:
 
     def traces(self, directions: Directions) -> ErrorTraces:
         """Return the traces of others, of the samples of which directions are computed."""
-        columns = whitened_rows(directions.columns, self.data.measured, self._noise)
+        columns = whitened_rows(directions.columns, self.data.numbers, self._noise)
         within = self.basis.T @ columns
         beside = np.linalg.norm(columns - self.basis @ within, axis=0)
         return ErrorTraces(directions.names, within, beside, self._directions.T @ columns)

@@ -80,17 +80,17 @@ def linearize_fit(
     data: DataSet, response: FittedResponse, accuracy: Accuracy, noise: NoiseModel
 ) -> LinearizedFit:
     """Make the regression of a data set from the response of its fit."""
-    measured = data.measured
+    numbers = data.numbers
     quantized = quantization_error(data.y, response.residual, accuracy.spacing)
     errors = np.stack([accuracy.step, quantized], axis=2)
     residual = response.residual[:, :, np.newaxis]
-    linear = whitened_rows(response.linear, measured, noise)
+    linear = whitened_rows(response.linear, numbers, noise)
     return LinearizedFit(
-        counted=counted_values(measured, noise.order),
-        slopes=whitened_rows(response.slopes, measured, noise),
+        counted=counted_values(numbers, noise.order),
+        slopes=whitened_rows(response.slopes, numbers, noise),
         linear=linear,
-        residual=whitened_rows(residual, measured, noise)[:, 0],
-        errors=whitened_rows(errors, measured, noise),
+        residual=whitened_rows(residual, numbers, noise)[:, 0],
+        errors=whitened_rows(errors, numbers, noise),
         inverse=pseudo_inverse(linear),
     )
 
@@ -103,11 +103,11 @@ def pseudo_inverse(columns: Matrix) -> Matrix:
 
 
 def whitened_rows(
-    rows: NDArray[np.float64], measured: NDArray[np.bool_], noise: NoiseModel
+    rows: NDArray[np.float64], numbers: NDArray[np.integer], noise: NoiseModel
 ) -> Matrix:
     """Return rows (N, n_y, k) made white, one behind the other, shape (N n_y, k)."""
     samples, outputs, columns = rows.shape
-    return noise.whitened(rows, measured).reshape(samples * outputs, columns)
+    return noise.whitened(rows, numbers).reshape(samples * outputs, columns)
 
 
 def error_bias(fits: Sequence[LinearizedFit], estimated: Mask) -> ErrorBias:

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.model_errors import SLOW_DIRECTIONS, model_errors
-from cosim.theory.disturbed_plant import counted_values, usual_distances
-from cosim.theory.fitted_response import FittedResponse
+from cosim.theory.disturbed_plant import counted_values
 
 LONGEST_AR: Final = 24
 # Where slow directions take all power, a model says something as long as it resolves no less.
@@ -113,29 +112,32 @@ def noise_color(fitted: FittedModel, criterion: Criterion) -> NoiseColor:
     models = []
     for o in range(problem.outputs):
         records = []
-        for response, X in zip(fitted.responses, columns, strict=True):
-            records.append(_record(response, X, o))
+        for data, response, X in zip(problem.data, fitted.responses, columns, strict=True):
+            records.append(_record(data.numbers[:, o], response.residual[:, o], X[:, o]))
         models.append(autoregression(records, criterion))
     order = max(len(model.a) for model in models)
     return NoiseColor(
         a=np.array([np.pad(model.a, (0, order - len(model.a))) for model in models]),
         freedom=min(model.freedom for model in models),
         memory=max(correlation_length(model.a) for model in models),
-        samples=min(len(data.t) for data in problem.data),
+        samples=min(data.samples for data in problem.data),
     )
 
 
-def _record(response: FittedResponse, columns: NDArray[np.float64], output: int) -> ColoredRecord:
-    residual = response.residual[:, output]
-    every = usual_distances(np.isfinite(response.residual))[output]
-    first = int(np.argmax(np.isfinite(residual)))
-    residual = residual[first::every]
-    excess = max(len(residual) - MOST_SAMPLES, 0)
+def _record(numbers: NDArray[np.integer], residual: Vector, columns: Matrix) -> ColoredRecord:
+    """Return the values of an output by their numbers, and nothing in the places between."""
+    there = numbers >= 0
+    places = numbers[there]
+    length = int(places[-1]) + 1
+    excess = max(length - MOST_SAMPLES, 0)
     middle = slice(excess // 2, excess // 2 + MOST_SAMPLES)
-    residual = residual[middle]
-    measured = np.isfinite(residual)
-    own = columns[first::every, output][middle]
-    return ColoredRecord(np.where(measured, residual, 0.0), own, measured)
+    measured = np.zeros(length, np.bool_)
+    measured[places] = True
+    of_samples = np.zeros(length)
+    of_samples[places] = residual[there]
+    own = np.zeros((length, columns.shape[1]))
+    own[places] = columns[there]
+    return ColoredRecord(of_samples[middle], own[middle], measured[middle])
 
 
 def correlation_length(a: Vector) -> float:
@@ -194,7 +196,8 @@ class ColoredRecord:
 
     def windows(self, order: int) -> Mask:
         """Return which samples are measured, with ``order`` others before them, shape (N,)."""
-        return counted_values(self.measured[:, np.newaxis], order)[:, 0]
+        numbers = np.where(self.measured, np.arange(len(self.measured)), -1)
+        return counted_values(numbers[:, np.newaxis], order)[:, 0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,9 +104,9 @@ def residual_covariance(fitted: FittedModel) -> Matrix:
     pairs = np.zeros((outputs, outputs))
     for data, response in zip(fitted.problem.data, fitted.responses, strict=True):
         rows = response.residual[:, :, np.newaxis]
-        white = autoregressive_filter(rows, a, data.measured)[:, :, 0]
+        white = autoregressive_filter(rows, a, data.numbers)[:, :, 0]
         products += white.T @ white
-        there = counted_values(data.measured, a.shape[1]).astype(np.float64)
+        there = counted_values(data.numbers, a.shape[1]).astype(np.float64)
         pairs += there.T @ there
     freedom = max(fitted.fit.freedom / outputs, 1.0)
     # as if every output had been measured as often as they are in the mean

@@ -133,7 +133,7 @@ def _root_mean_square(fitted: FittedModel, noise: NoiseModel) -> float:
     squares = 0.0
     count = 0
     for data, response in zip(fitted.problem.data, fitted.responses, strict=True):
-        white = noise.whitened(response.residual[:, :, np.newaxis], data.measured)
+        white = noise.whitened(response.residual[:, :, np.newaxis], data.numbers)
         squares += float(np.sum(white**2))
         count += int(data.measured.sum())
     freedom = max(min(float(count), fitted.fit.freedom), 1.0)

@@ -87,7 +87,7 @@ def accuracy_bound(
     unknowns = known.inverse @ R[:, -1]
     left = R[:, -1] - R[:, :linear] @ unknowns
     measured = np.nan_to_num(data.y)
-    whole = white.whitened(measured[:, :, np.newaxis], data.measured)
+    whole = white.whitened(measured[:, :, np.newaxis], data.numbers)
     size = float(np.linalg.norm(whole))
     amplitudes = unknowns[: matrices.order]
     for component in matrices.each:

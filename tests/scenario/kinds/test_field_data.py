@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import cosim
@@ -162,6 +163,32 @@ def test_the_verdict_knows_the_inputs_between_the_samples(experiment, tmp_path):
         assert parameter["upper"] - parameter["lower"] < 1e-4
     values = [parameter["value"] for parameter in parameters]
     np.testing.assert_allclose(values, log["identifier.theta"][-1], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_verdict_does_not_depend_on_the_last_bit_of_a_time_stamp(tmp_path):
+    """Colored noise is that of 1001 samples, though many of the stamps are no points."""
+    t = np.arange(1001) * 0.02
+    assert (t != np.arange(1001) / 50).sum() > 50
+    white = np.random.default_rng(1).standard_normal(1001)
+    y = outputs_at(t, TRUTH[:, np.newaxis])[:, 0] + 1e-3 * lfilter([1.0], [1.0, -0.8], white)
+    path = tmp_path / "field.csv"
+    rows = zip(t.tolist(), y.tolist(), strict=True)
+    path.write_text("\n".join(["t,y", *(f"{t!r},{y!r}" for t, y in rows)]), encoding="utf-8")
+    changes = {
+        "scenario.step": 0.02,
+        "scenario.stop": 20.0,
+        "observer.filter_rate": 50.0,
+        "identifier.method": "output-error",
+        "identifier.period": 20.0,
+    }
+    log = cosim.run(cosim.load("academic").set(changes).swap(plant=path))
+    assert len(log["plant.y_samples"].shape) == 1  # one place for samples in a step
+    assert identifier_record(log).data.t.tolist() == (np.arange(1001) / 50).tolist()
+    parameters = log.results[IDENTIFICATION]["identifier"]["parameters"]
+    for parameter, true in zip(parameters, THETA, strict=True):
+        assert parameter["verdict"] == "IDENTIFIABLE"
+        assert parameter["lower"] <= true <= parameter["upper"]
 
 
 @pytest.mark.usefixtures("without_verdicts")

@@ -105,6 +105,42 @@ def test_colored_noise_of_sensors_that_take_turns_is_whitened():
     np.testing.assert_allclose(found.noise.a[:, 0], 0.64, atol=0.08)
 
 
+@pytest.mark.parametrize("every", [0.0199, 0.02, 0.0271])
+def test_the_color_of_noise_is_over_samples_whatever_rows_are_between_them(every):
+    """Samples at times of their own stand among the points of a grid, where y is not measured.
+
+    Each follows the one before, and an AR(1) of 0.5 is found to four of its standard errors,
+    sqrt((1 - a^2)/N).
+    """
+    points = np.arange(2001) / 100
+    times = np.arange(round(20.0 / every)) * every
+    t = np.union1d(times, points)
+    here = np.searchsorted(t, times)
+    u = np.sin(t)
+    y = np.full((len(t), 1), np.nan)
+    white = np.random.default_rng(3).standard_normal(len(times))
+    y[here, 0] = states(t, u)[here] + 1e-3 * lfilter([1.0], [1.0, -0.5], white)
+    data = record(t, u, y)
+    np.testing.assert_array_equal(data.numbers[here, 0], np.arange(len(times)))
+    assert data.distances[0] == pytest.approx(every, rel=1e-9)
+    found = assess_near(OutputErrorProblem([data], lag(), FAMILY), START)
+    parameter = found.parameters[0]
+    assert parameter.verdict is Verdict.IDENTIFIABLE
+    assert parameter.lower <= RATE <= parameter.upper
+    error = np.sqrt(0.75 / len(times))
+    assert found.noise.a.sum() == pytest.approx(0.5, abs=4.0 * error)
+
+
+def test_lost_samples_and_pauses_leave_their_numbers_out():
+    """A sample that is later than the usual distance is one of those behind; jitter does not count.
+
+    One that is much too early follows none.
+    """
+    t = np.array([0.0, 1.0, 2.1, 2.9, 5.0, 6.0, 6.3, 7.3, 8.3, 9.3])
+    data = record(t, np.zeros(10), np.zeros((10, 1)))
+    np.testing.assert_array_equal(data.numbers[:, 0], [0, 1, 2, 3, 5, 6, 8, 9, 10, 11])
+
+
 def test_an_unstable_plant_is_predicted_by_the_sensors_that_are_there():
     """Two that take turns: the fit finds theta as well as with both at half as many times."""
     plant = DisturbedPlant(
@@ -141,13 +177,14 @@ def test_values_of_a_sample_are_whitened_by_the_covariance_of_those_that_are_the
             mixed = rng.standard_normal((outputs, outputs))
             covariance = mixed @ mixed.T + np.eye(outputs)
             noise = NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
+            numbers = np.where(measured, np.arange(200)[:, np.newaxis], -1)
             expected = np.zeros_like(rows)
             for k, there in enumerate(measured):
                 if there.any():
                     factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
                     expected[k, there] = np.linalg.solve(factor, rows[k, there])
             # the covariance has a condition below 1e4
-            np.testing.assert_allclose(noise.whitened(rows, measured), expected, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(noise.whitened(rows, numbers), expected, rtol=0, atol=1e-10)
 
 
 def test_a_thinned_record_keeps_every_so_many_values_of_each_output():
