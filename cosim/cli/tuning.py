@@ -85,7 +85,8 @@ def tune(
         int | None,
         typer.Option(
             metavar="N",
-            help="Number of independent samples of the residual; default: all samples of the rms.",
+            help="Number of independent samples of the residual; default: all of them, or "
+            "what colored noise leaves of them.",
         ),
     ] = None,
     out: Annotated[

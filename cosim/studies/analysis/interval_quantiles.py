@@ -16,7 +16,7 @@ _UPPER: Final = 0.5 + 0.5 * CONFIDENCE
 NORMAL_QUANTILE: Final = float(ndtri(_UPPER))
 
 
-def student_quantile(count: int) -> float:
+def student_quantile(count: float) -> float:
     """Return the quantile of Student's distribution for ``count`` values, of one degree less."""
     return float(stdtrit(count - 1, _UPPER))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from cosim.errors import listing, option
 from cosim.studies.tuning.local import SearchEnd
 from cosim.studies.tuning.space import SearchSpace
-from cosim.studies.tuning.standard_errors import StandardErrors
+from cosim.studies.tuning.standard_errors import NoStandardErrors, StandardErrors, of_samples
 from cosim.studies.tuning.trials import SearchTrial
 from cosim.studies.tuning.whiteness import ResidualCheck
 
@@ -20,8 +20,6 @@ AT_BOUND: Final = 1e-4  # of the range between the bounds
 CONVERGED: Final = 1e-3  # of the range between the bounds
 SAME_PLACE: Final = 0.01  # of the range between the bounds
 SAME_COST: Final = 1e-6  # relative
-NOT_WHITE: Final = 0.01  # probability of such autocorrelations, if samples were white
-ABOUT: Final = 1.25  # samples over independent ones: errors that are 12 % too small
 FLAT: Final = 1e-9  # relative; rounding alone differs by less
 
 
@@ -53,8 +51,7 @@ class TuningResult:
     errors_problem : str
         Why there are no standard errors; empty: they were not wanted, or are there.
     residual : ResidualCheck or None
-        How the samples of the residual depend on each other at the best values; None: that is not
-        known.
+        What noise the residual is at the best values; None: that is not known.
     expression : str
         The metric.
     command : str
@@ -284,26 +281,44 @@ def _beyond_bounds(space: SearchSpace, errors: StandardErrors) -> list[str]:
 
 def _whiteness(residual: ResidualCheck | None, samples: int) -> str:
     """Return what the standard errors assume of the residual, and what it looks like."""
-    assumed = (
-        f"the standard errors assume that the {samples} samples of the residual are white with a "
-        "constant standard deviation"
-    )
-    if residual is not None and samples != residual.rows:
-        assumed = (
-            f"the standard errors assume that {samples} of the {residual.rows} samples of the "
-            "residual are independent with a constant standard deviation"
-        )
+    given = "the standard errors assume that"
+    white = f"the {samples} samples of the residual are white with a constant standard deviation"
     if residual is None:
-        return f"{assumed} (not checked)"
+        return f"{given} {white} (not checked)"
     found = f"the autocorrelation at lag 1 is {residual.neighbours:.2g}"
-    tested = f"over {residual.lags} lags"
-    if residual.probability >= NOT_WHITE:
-        return f"{assumed}; {found}, and whiteness is not rejected {tested}"
-    cause = "colored noise, or a model error that also biases the values"
-    text = f"{assumed}; it is not white {tested}, {found}: {cause}"
-    if samples > ABOUT * residual.independent:
-        text += (
-            f"; the errors are too small: only about {residual.independent} samples are "
-            f"independent; set {option('samples')}"
+    others = residual.rows - residual.samples
+    if others:
+        found += f", and {others} of {residual.rows} rows are interpolated or held between samples"
+    if samples == residual.samples and not residual.problem:
+        return f"{given} {white}; whiteness is not rejected, {found}"
+    said = residual.problem or f"by their color {residual.independent} are"
+    return (
+        f"{given} {samples} of the {residual.samples} samples of the residual are independent with "
+        f"a constant standard deviation; {said}; {found}"
+    )
+
+
+def with_residual(result: TuningResult) -> TuningResult:
+    """Return a result with the standard errors that its residual allows."""
+    residual = result.residual
+    if residual is None or result.errors is None:
+        return result
+    if residual.problem:
+        problem = (
+            f"{residual.problem}; where a wrong model is not the cause, {option('samples')} says "
+            f"how many of the {residual.samples} samples are independent"
         )
-    return text
+        return replace(result, errors=None, errors_problem=problem)
+    if residual.independent == result.errors.samples:
+        return result
+    try:
+        errors = of_samples(
+            result.errors,
+            result.space,
+            residual.independent,
+            ratio=residual.ratio,
+            freedom=residual.freedom,
+        )
+    except NoStandardErrors as problem:
+        return replace(result, errors=None, errors_problem=str(problem))
+    return replace(result, errors=errors)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -122,12 +122,7 @@ def standard_errors(
     SearchEnded
         If the members are used up.
     """
-    free = samples - len(space.keys)
-    if free < 1:
-        raise NoStandardErrors(
-            f"expected more samples than values, got {len(space.keys)} values from {samples} "
-            "samples"
-        )
+    free = _free(space, samples)
     squares = _SumOfSquares(space, trials, samples)
     center = space.coordinates(best)
     level = squares.at([center])[0]
@@ -142,6 +137,73 @@ def standard_errors(
     steps = _steps(squares, center, wanted * level / free)
     curvature = _centered(squares, center, steps, noise)
     return _result(space, curvature, samples)
+
+
+def of_samples(
+    errors: StandardErrors, space: SearchSpace, samples: int, *, ratio: float, freedom: float
+) -> StandardErrors:
+    """Return the standard errors for another number of samples, and another deviation of these.
+
+    Parameters
+    ----------
+    errors : StandardErrors
+    space : SearchSpace
+    samples : int
+    ratio : float
+        Of their deviation over that of the rms.
+    freedom : float
+        Degrees of freedom with which that number is known.
+
+    Raises
+    ------
+    NoStandardErrors
+        If they are too few.
+    """
+    free = _free(space, samples)
+    factor = ratio * math.sqrt(_free(space, errors.samples) / free)
+    wide = _student(min(float(free), freedom))
+    deviations = {}
+    intervals = {}
+    for number, key in enumerate(space.bounded):
+        low, high = errors.intervals[key.key]
+        value = math.sqrt(low) * math.sqrt(high) if key.logarithmic else 0.5 * (low + high)
+        deviations[key.key] = factor * errors.errors[key.key]
+        interval = _interval(key, value, wide * deviations[key.key])
+        if interval is None:
+            raise NoStandardErrors(
+                _hardly_determined(space, number, np.array(errors.correlation[number]))
+            )
+        intervals[key.key] = interval
+    return replace(
+        errors,
+        errors=deviations,
+        intervals=intervals,
+        deviation=ratio * errors.deviation,
+        samples=samples,
+    )
+
+
+def _free(space: SearchSpace, samples: int) -> int:
+    """Return how many more samples there are than values.
+
+    Raises
+    ------
+    NoStandardErrors
+        If there are not.
+    """
+    free = samples - len(space.keys)
+    if free < 1:
+        raise NoStandardErrors(
+            f"expected more samples than values, got {len(space.keys)} values from {samples} "
+            "samples"
+        )
+    return free
+
+
+def _student(freedom: float) -> float:
+    from cosim.studies.analysis.interval_quantiles import student_quantile
+
+    return student_quantile(freedom + 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,14 +406,12 @@ def _hardly_determined(space: SearchSpace, number: int, correlations: Vector) ->
 
 
 def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> StandardErrors:
-    from cosim.studies.analysis.interval_quantiles import student_quantile
-
-    free = samples - len(space.keys)
+    free = _free(space, samples)
     variance = curvature.level / free
     scaled = 2.0 * variance * np.linalg.inv(curvature.hessian)
     deviations = np.sqrt(np.diag(scaled))
     correlation = scaled / np.outer(deviations, deviations)
-    wide = student_quantile(free + 1)
+    wide = _student(free)
     errors = {}
     intervals = {}
     values = space.point(curvature.center)

@@ -18,7 +18,7 @@ from cosim.studies.tuning.keys import read_space
 from cosim.studies.tuning.members import RunTrials, TrialMembers, in_pool
 from cosim.studies.tuning.planning import TuningPlan, plan_tuning
 from cosim.studies.tuning.recorded import TuningDataset
-from cosim.studies.tuning.result import TuningResult
+from cosim.studies.tuning.result import TuningResult, with_residual
 from cosim.studies.tuning.searching import TuningMethod, TuningSearch, search_best
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask
 from cosim.studies.tuning.whiteness import residual_check
@@ -76,7 +76,8 @@ def tune(
     standard_errors : bool
         Find those of values fitted by the rms of a residual, too.
     samples : int, optional
-        Independent samples of the residual; left out: all that the rms has.
+        Independent samples of the residual; left out: all that it has, fewer where their noise is
+        colored.
     replay : str, optional
         A log that every trial replays.
     allow_code : bool
@@ -189,7 +190,8 @@ def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
         return result
     member = plan.member(0, point)
     residual = residual_check(plan.study.subject, OBJECTIVE, member, timeout=plan.task.timeout)
-    return replace(result, residual=residual)
+    result = replace(result, residual=residual)
+    return result if plan.search.samples is not None else with_residual(result)
 
 
 def _expression(minimize: str | None, maximize: str | None) -> str:

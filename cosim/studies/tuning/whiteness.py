@@ -1,14 +1,11 @@
-"""Whether the residual of the best values is white: one more run, which keeps its rows.
+"""What noise the residual of the best values is: one more run, which keeps its rows.
 
-It runs in a worker as all members do. The test is that of Ljung and Box [1]_. How many samples
-count as independent is their number over the integrated autocorrelation time, summed up to the
-first lag that is five times as long [2]_: so it is for parameters that change the output slowly.
-
-References
-----------
-.. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65
-   (1978).
-.. [2] A. Sokal, "Monte Carlo methods in statistical mechanics", 1996, section 3.
+It runs in a worker as all members do. Of signals that are interpolated or held between samples, as
+those of recorded data and of slow sensors are, only the rows with new samples count. The tests are
+those of identification (:mod:`cosim.scenario.identification.residual`): where the residual has
+structure, as a wrong model leaves it, no interval holds. Where it is colored noise, N samples say
+as much as N over its largest power at a frequency, relative to white noise: that is so for
+parameters whose effect is at that frequency, and for all others there is more.
 """
 
 from __future__ import annotations
@@ -20,8 +17,10 @@ from typing import Final, final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.blocks.field_data import samples_of
 from cosim.core.contracts import Block
+from cosim.core.recorded.signals import RecordedPort
 from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan
 from cosim.errors import RunError
@@ -33,69 +32,83 @@ from cosim.studies.metrics.binding import find_element
 from cosim.studies.metrics.language import Reduction, parse_metric_text
 from cosim.studies.workers.pool import WorkerPool
 
-MOST_LAGS: Final = 20  # of the test
 LEAST_ROWS: Final = 10
-_WINDOW: Final = 5.0  # autocorrelation times
+TINY: Final = float(np.finfo(np.float64).tiny)
 _OPENER: Final = f"{__name__}:open_residual_runner"
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualCheck:
-    """How the rows of a residual depend on each other.
+    """What noise a residual is.
 
     Parameters
     ----------
     rows : int
+        Of which the rms is.
+    samples : int
+        Rows with new samples.
+    ratio : float
+        Of their rms over that of all rows: lines between samples average the noise.
     neighbours : float
-        Their correlation.
-    lags : int
-        Of the test.
-    probability : float
-        Of autocorrelations as large as these, if the rows were white.
+        The correlation of one sample with the next.
+    problem : str
+        Why it is not what noise leaves; empty: it is.
     independent : int
-        As many rows of white noise say as much of a mean.
+        As many samples of white noise say as much; all of them where it is white.
+    freedom : float
+        Degrees of freedom with which that is known.
     """
 
     rows: int
+    samples: int
+    ratio: float
     neighbours: float
-    lags: int
-    probability: float
+    problem: str
     independent: int
+    freedom: float
 
 
-def check_rows(residual: Vector) -> ResidualCheck | None:
-    """Return how the rows of a residual depend on each other.
+def check_rows(t: Vector, residual: Vector, is_sample: Mask) -> ResidualCheck | None:
+    """Return what noise a residual is.
 
-    None: there are too few, or all are zero. Its mean is not removed: that of the noise is zero.
+    None: there are too few rows, or all are zero. Its mean is not removed: that of noise is 0.
+
+    Parameters
+    ----------
+    t : Vector, shape (N,)
+        Instants of the rows [s].
+    residual : Vector, shape (N,)
+    is_sample : Mask, shape (N,)
+        Rows with new samples.
     """
-    from scipy.stats import chi2
+    from cosim.scenario.identification.residual import residual_noise  # takes long to import
 
     rows = residual.size
     largest = float(np.abs(residual).max(initial=0.0))
     if rows < LEAST_ROWS or not 0.0 < largest < math.inf:
         return None
-    padded = np.fft.rfft(residual / largest, 2 * rows)
-    products = np.fft.irfft(np.abs(padded) ** 2, 2 * rows)[:rows]
-    correlations = products[1:] / products[0]
-    lags = min(MOST_LAGS, rows // 5)
-    squares = correlations[:lags] ** 2 / (rows - np.arange(1, lags + 1))
-    statistic = rows * (rows + 2) * float(squares.sum())
-    times = 1.0 + 2.0 * np.cumsum(correlations)
-    is_wide = np.arange(1, rows) >= _WINDOW * times
-    time = float(times[int(is_wide.argmax()) if is_wide.any() else -1])
+    whole = residual / largest
+    scaled = whole[is_sample]
+    samples = scaled.size
+    if samples < LEAST_ROWS:
+        few = f"{samples} samples are too few to tell whether noise explains the residual"
+        return ResidualCheck(rows, samples, 1.0, math.nan, few, samples, math.inf)
+    noise = residual_noise(t[is_sample], scaled)
     return ResidualCheck(
         rows=rows,
-        neighbours=float(correlations[0]),
-        lags=lags,
-        probability=float(chi2.sf(statistic, lags)),
-        independent=max(1, round(rows / max(time, 1.0))),
+        samples=samples,
+        ratio=math.sqrt(float(np.mean(scaled**2)) / float(np.mean(whole**2))),
+        neighbours=float(scaled[1:] @ scaled[:-1]) / max(float(scaled @ scaled), TINY),
+        problem=noise.problem,
+        independent=max(1, round(samples / noise.power)),
+        freedom=noise.freedom,
     )
 
 
 def residual_check(
     subject: StudySubject, objective: str, member: StudyMember, *, timeout: float | None = None
 ) -> ResidualCheck | None:
-    """Return how the rows of the residual of a member depend on each other.
+    """Return what noise the residual of a member is.
 
     None: it is not known, as the run failed or could not begin, its rows are chosen by a condition
     with a duration, or they are too few.
@@ -122,7 +135,7 @@ def residual_check(
 
 
 def open_residual_runner(subject: StudySubject) -> MemberRunner:
-    """Return a runner whose metrics say how rows of the first metric depend on each other."""
+    """Return a runner whose metrics say what noise the first metric is the rms of."""
     name, text = next(iter(subject.metrics.items()))
     reduction = parse_metric_text(name, text).reductions[0]
     return open_runner(subject, sink_of=lambda: ResidualRecorder(reduction))
@@ -145,7 +158,8 @@ class ResidualRecorder(Nothing):
         self._period = 1
         self._values: RowProgram | None = None
         self._where: RowProgram | None = None
-        self._parts: list[Vector] = []
+        self._sampled: list[slice] = []
+        self._parts: list[tuple[Vector, Vector, Mask]] = []
 
     def begin(self, plan: Plan) -> None:
         """Begin a run.
@@ -164,6 +178,7 @@ class ResidualRecorder(Nothing):
         self._values = _bound(self._reduction.values, columns)
         where = self._reduction.where
         self._where = None if where is None else _bound(where, columns)
+        self._sampled = [own for own in map(_sample_columns, ports.values()) if own is not None]
         self._parts = []
 
     def write(self, block: Block, signals: Matrix) -> None:
@@ -174,15 +189,34 @@ class ResidualRecorder(Nothing):
         rows = np.ascontiguousarray(signals[begin : block.steps + 1 : self._period])
         times = np.ascontiguousarray(block.time[begin : block.steps + 1 : self._period])
         values = self._values.evaluate(times, rows)
+        is_sample = np.full(len(rows), not self._sampled)
+        for places in self._sampled:
+            is_sample |= np.isfinite(rows[:, places]).any(axis=1)
+        counts = ~np.isnan(values)
         if self._where is not None:
-            values = values[self._where.evaluate(times, rows) > 0.5]
-        self._parts.append(values)
+            counts &= self._where.evaluate(times, rows) > 0.5
+        self._parts.append((times[counts], values[counts], is_sample[counts]))
 
     def values(self) -> dict[str, MetricValue]:
         """Return what is known of the rows; empty: nothing."""
-        residual = np.concatenate([*self._parts, np.empty(0)])
-        found = check_rows(residual[~np.isnan(residual)])
+        if not self._parts:
+            return {}
+        t, residual, is_sample = map(np.concatenate, zip(*self._parts, strict=True))
+        found = check_rows(t, residual, is_sample)
         return {} if found is None else asdict(found)
+
+
+def _sample_columns(port: RecordedPort) -> slice | None:
+    """Return the columns that have the samples of an element; None: it has no other values."""
+    name = samples_of(port.signal.name)
+    columns = port.channel.signal_columns
+    if name not in columns:
+        return None
+    whole = columns[name]
+    most = (whole.stop - whole.start) // port.signal.size
+    element = port.channel.start + port.columns.start - columns[port.signal.name].start
+    first = whole.start + element * most
+    return slice(first, first + most)
 
 
 def _bound(part: Program | ConditionProgram, columns: Mapping[str, int]) -> RowProgram:

@@ -76,6 +76,12 @@ class ResidualTest:
         """Whether the statistic is what noise makes it."""
         return self.statistic <= self.threshold
 
+    @property
+    def failure(self) -> str:
+        """What the test says where it did not pass."""
+        where = f" ({self.largest})" if self.largest else ""
+        return f"{self.name}: {self.statistic:.3g}, noise makes at most {self.threshold:.3g}{where}"
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {**asdict(self), "passed": self.passed}
@@ -139,6 +145,16 @@ class Consistency:
     def failed(self) -> tuple[str, ...]:
         """The names of the tests that did not pass."""
         return tuple(test.name for test in self.tests if not test.passed)
+
+    @property
+    def contradiction(self) -> str:
+        """What noise does not explain, as a sentence."""
+        found = []
+        for number, tests in enumerate(self.tests_by_data, start=1):
+            owner = f"data set {number}, " if len(self.tests_by_data) > 1 else ""
+            found += [f"{owner}{test.failure}" for test in tests if not test.passed]
+        remark = f"; {self.remark}" if self.remark else ""
+        return f"noise does not explain the residual: {'; '.join(found)}{remark}"
 
     @property
     def is_structured(self) -> bool:

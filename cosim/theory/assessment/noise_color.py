@@ -146,12 +146,22 @@ def correlation_length(a: Vector) -> float:
         return 1.0
     if float(np.abs(np.roots(np.concatenate([[1.0], -a]))).max()) >= 1.0:
         return np.inf
+    power, weights = _spectrum(a)
+    return float(np.average(power**2, weights=weights))
+
+
+def largest_power(a: Vector) -> float:
+    """Return the largest power of a stable model at a frequency, over its mean."""
+    return float(_spectrum(a)[0].max())
+
+
+def _spectrum(a: Vector) -> tuple[Vector, Vector]:
+    """Return the power of a model over frequency, of mean 1, and the weights of that mean."""
     response = np.fft.rfft(np.concatenate([[1.0], -a]), 2 * SPECTRUM_POINTS)
     power = 1.0 / np.abs(response) ** 2
     weights = np.ones(len(power))
     weights[[0, -1]] = 0.5  # both ends are there once, all others twice
-    mean = float(np.average(power, weights=weights))
-    return float(np.average(power**2, weights=weights)) / mean**2
+    return power / float(np.average(power, weights=weights)), weights
 
 
 @dataclass(frozen=True, eq=False)

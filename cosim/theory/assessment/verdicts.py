@@ -21,7 +21,7 @@ with it (:func:`judge`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, Final
@@ -34,7 +34,6 @@ from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.assessment.consistency import (
     MARGIN,
     Consistency,
-    ResidualTest,
 )
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.problem import OutputErrorProblem
@@ -498,20 +497,4 @@ class VerdictMaker:
                     f"{self._at_bound(j)}: widen it; where it stands, noise does not explain the "
                     "residual"
                 )
-        found = "; ".join(_failures(consistency.tests, len(self._fit.records)))
-        remark = f"; {consistency.remark}" if consistency.remark else ""
-        return f"noise does not explain the residual: {found}{remark}"
-
-
-def _failures(tests: Sequence[ResidualTest], data_sets: int) -> Iterator[str]:
-    """Yield which tests failed, of several data sets with that of each."""
-    each = len(tests) // data_sets
-    for number, test in enumerate(tests):
-        if test.passed:
-            continue
-        where = f" ({test.largest})" if test.largest else ""
-        owner = f"data set {number // each + 1}, " if data_sets > 1 else ""
-        yield (
-            f"{owner}{test.name}: {test.statistic:.3g}, noise makes at most {test.threshold:.3g}"
-            f"{where}"
-        )
+        return consistency.contradiction

@@ -14,6 +14,7 @@ from cosim.theory.assessment.noise_color import (
     Criterion,
     autoregression,
     correlation_length,
+    largest_power,
 )
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
@@ -115,6 +116,14 @@ def test_the_memory_of_noise_is_that_of_its_autocorrelations(subtests):
             expected = (1.0 + a**2) / (1.0 - a**2)
             assert correlation_length(np.array([a])) == pytest.approx(expected, rel=1e-9)
             assert correlation_length(np.array([1.001])) == np.inf
+
+
+def test_the_largest_power_of_noise_is_that_of_its_spectrum(subtests):
+    """Of a first order (1 + |a|)/(1 - |a|) times the mean, at an end of the spectrum."""
+    for a in [0.0, 0.5, 0.95, -0.6]:
+        with subtests.test(a=a):
+            expected = (1.0 + abs(a)) / (1.0 - abs(a))
+            assert largest_power(np.array([a])) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_ratio_with_a_known_scale_is_a_chi_square():
