@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
-from cosim.core.signals import Interface, Signal, Variability
+from cosim.core.signals import Interface, Signal, Variability, samples_of
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.instants import NANOSECONDS
 from cosim.native.blocks.field_data import field_data_step
@@ -28,11 +28,6 @@ from cosim.native.step import NativeStep
 SAMPLE_TIMES: Final = "sample_times"
 USUAL_GAP: Final = 10.0  # median distances of samples
 JITTER: Final = 1.1  # communication steps: so far apart are samples that come once in a step
-
-
-def samples_of(output: str) -> str:
-    """Return the name of the output that has the samples of another output."""
-    return f"{output}_samples"
 
 
 @dataclass(frozen=True, eq=False)

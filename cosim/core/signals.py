@@ -175,6 +175,11 @@ def _are_numbers(values: object) -> bool:
     return True
 
 
+def samples_of(output: str) -> str:
+    """Return the name of the output that has the samples of another output."""
+    return f"{output}_samples"
+
+
 def element_names(signals: Iterable[Signal]) -> list[str]:
     """Return the names of the elements of all signals, in their order."""
     names: list[str] = []

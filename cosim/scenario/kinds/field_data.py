@@ -19,13 +19,12 @@ from cosim.blocks.field_data import (
     at_points,
     check_covers,
     check_step,
-    samples_of,
 )
 from cosim.blocks.renaming import Renaming
 from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface, Signal, samples_of
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY

@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from cosim.blocks.field_data import samples_of
 from cosim.blocks.late_samples import MOST_IN_A_STEP
 from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.sensor import Sensor
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
+from cosim.core.signals import samples_of
 from cosim.errors import UsageError
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of

@@ -18,11 +18,11 @@ from typing import Final, final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.blocks.field_data import samples_of
 from cosim.core.contracts import Block
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan
+from cosim.core.signals import samples_of
 from cosim.errors import RunError
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.programs import RowProgram
