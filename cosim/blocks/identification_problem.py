@@ -7,6 +7,7 @@ the signals of the problem.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -23,10 +24,11 @@ from cosim.native.estimation.identifier import IdentifierConstants
 from cosim.native.estimation.output_error import KnownInput, OutputErrorConstants
 from cosim.native.estimation.rayleigh import RayleighConstants
 from cosim.native.estimation.regression import RegressorConstants
-from cosim.theory.disturbances.families import SearchBox
+from cosim.theory.disturbances.families import Family, SearchBox, search_box
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model
+from cosim.theory.estimators.rayleigh import shortest_delay
 from cosim.theory.interchangeable import interchangeable
 from cosim.theory.predictor import stationary_predictor, unstable_modes
 
@@ -83,8 +85,8 @@ class IdentificationProblem:
         Of the regressor that makes mu.
     alphas : sequence of Alpha
         The known factor of every component.
-    box : SearchBox
-        Where theta is searched.
+    families : sequence of Family
+        Of the components of the disturbance.
     stated : Matrix, shape (n_y, n_y), or None
         Covariance of the noise of y; None: it is not known.
     disturbances : int
@@ -97,9 +99,51 @@ class IdentificationProblem:
     rayleigh: RayleighConstants
     products: RegressorConstants
     alphas: Sequence[Alpha]
-    box: SearchBox
+    families: Sequence[Family]
     stated: Matrix | None = None
     disturbances: int = 1
+
+    @property
+    def box(self) -> SearchBox:
+        """The theta that delays tell apart, of data of any length: its step is that of a fit."""
+        shortest = shortest_delay(self.rayleigh.delays)
+        return search_box(self.families, span=math.inf, shortest=shortest)
+
+    def reach(self, number: int) -> float:
+        """Return the length of the data that a grid of starts on y is for [s].
+
+        Each is for data four times as long as the one before, the first for those of the delays:
+        a start must not depend on how long a run will be.
+        """
+        delays = self.rayleigh.delays
+        return float(4.0**number * (max(delays) - min(delays)))
+
+    def boxes(self, span: float, lower: Vector, upper: Vector) -> Matrix:
+        """Return the ends of the grids that data up to a length need, shape (grids, 2, P).
+
+        Parameters
+        ----------
+        span : float
+            [s].
+        lower, upper : Vector, shape (P,)
+            Bounds of theta.
+        """
+        shortest = shortest_delay(self.rayleigh.delays)
+        count = 1
+        while self.reach(count - 1) < span:
+            count += 1
+        ends = []
+        for number in range(count):
+            box = search_box(self.families, span=self.reach(number), shortest=shortest)
+            ends.append(np.clip([box.lower, box.upper], lower, upper))
+        boxes = np.array(ends)
+        # All have as many points: one that bounds leave none has those of the nearest.
+        for j, wide in enumerate((boxes[:, 1] > boxes[:, 0]).T):
+            there = np.flatnonzero(wide)
+            for number in np.flatnonzero(~wide) if there.size else ():
+                nearest = there[np.abs(there - number).argmin()]
+                boxes[number, :, j] = boxes[nearest, :, j]
+        return boxes
 
     @property
     def has_regression(self) -> bool:

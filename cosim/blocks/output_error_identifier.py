@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +30,9 @@ from cosim.theory.estimators.start_grid import (
     axis_points,
     start_grid,
 )
+
+LONGEST: Final = 1e6  # s: a mode that grows less in it is simulated
+MOST_SAMPLES: Final = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,19 +102,23 @@ class OutputErrorIdentifier:
         """Discretize the models of y and of delta."""
         problem = self.problem
         span = self.schedule.steps * h
-        predicts = needs_predictor(problem.plant.A, span)
+        grows = needs_predictor(problem.plant.A, span)
         misses = self.most > 0 and self.at_points
-        if self.most and predicts and not misses:
+        if self.most and grows and not misses:
             raise AssumptionError(
                 "the plant is unstable, so that its output is predicted from equidistant samples; "
                 "expected samples at the communication points"
             )
-        if predicts and problem.stated is None and len(problem.plant.C) > 1:
+        has_noise = problem.stated is not None or len(problem.plant.C) == 1
+        if grows and not has_noise:
             raise AssumptionError(
                 "the plant is unstable, so that its outputs are predicted from the statistics of "
                 "their noise; expected its standard deviation (one number per output) or its "
                 "covariance"
             )
+        # what a run computes does not depend on how long it will be
+        is_predictable = has_noise and (not self.most or misses)
+        predicts = is_predictable and needs_predictor(problem.plant.A, max(span, LONGEST))
         design = problem.design_of_y(h, held, predicts=predicts and not misses)
         if predicts and misses:
             design |= problem.design_of_predictor(h)
@@ -121,6 +130,7 @@ class OutputErrorIdentifier:
         # from logarithms and exponentials of the C library
         rayleigh = problem.rayleigh
         design["box"] = np.stack([rayleigh.lower, rayleigh.upper, problem.box.step])
+        design["grids"] = problem.boxes(span, self.lower, self.upper)
         design["forgetting"] = np.array([self.schedule.forgetting])
         return design
 
@@ -140,6 +150,7 @@ class OutputErrorIdentifier:
             h, design, offset=self.offset, forgetting=float(forgetting)
         )
         lower, upper, scale = design["box"]
+        boxes = design.get("grids", design["box"][np.newaxis, :2])  # older logs have one for all
         return replace(
             stages,
             rayleigh=replace(problem.rayleigh, lower=lower, upper=upper),
@@ -148,10 +159,15 @@ class OutputErrorIdentifier:
             scale=scale,
             threshold=design["threshold"],
             deviations=None if problem.stated is None else problem.noise.deviations,
-            grid=self._grid(on_y, lower, upper),
+            grids=tuple(self._grid(on_y, *ends) for ends in boxes),
+            reach=tuple(self._reach(number, h) for number in range(len(boxes))),
             between=self._between(design, held),
             predictor=_predictor(design),
         )
+
+    def _reach(self, number: int, h: float) -> int:
+        """Return the samples up to which a grid counts."""
+        return min(math.ceil(self.problem.reach(number) / h), MOST_SAMPLES)
 
     def _grid(self, on_y: OutputErrorConstants, lower: Vector, upper: Vector) -> StartGridConstants:
         schedule = self.schedule

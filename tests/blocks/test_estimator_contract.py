@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,11 +26,16 @@ from cosim.native.numerics.expression import compile_expression
 from cosim.testing import check_estimator
 from cosim.theory.disturbances.families import group_by_alpha
 from cosim.theory.disturbances.regression import expand
+from cosim.theory.disturbed_plant import DisturbedPlant
 from cosim.theory.estimators import defaults
 from cosim.theory.estimators.least_squares import plan
-from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
+from cosim.theory.estimators.rayleigh import rayleigh_constants
+from tests.native.estimation.online import online
 
 BOUNDS = np.full(2, np.inf)
+GROWING = DisturbedPlant(
+    A=[[1.0]], B=[[1.0]], Bd=[[1.0, 1.0]], C=[[1.0]], D=[[0.0]], Dd=[[0.0, 0.0]]
+)
 
 
 def regression(case):
@@ -41,7 +48,7 @@ def problem(case):
     programs = [compile_expression(group.alpha) for group in groups]
     steps = [round(delay / case.h) for delay in case.delays]
     products = Regressor(terms, alphas=programs, steps=steps, delays=case.delays).constants
-    rayleigh = rayleigh_constants(case.families, groups, terms, case.delays, span=case.span)
+    rayleigh = rayleigh_constants(case.families, groups, terms, case.delays)
     return IdentificationProblem(
         plant=case.plant,
         modes=np.zeros((0, 0)),
@@ -49,7 +56,7 @@ def problem(case):
         rayleigh=rayleigh,
         products=products,
         alphas=[compile_expression(alpha) for alpha in case.alphas],
-        box=rayleigh_box(case.families, case.delays, span=case.span),
+        families=case.families,
     )
 
 
@@ -136,6 +143,41 @@ def test_a_method_keeps_the_contract_of_an_estimator(name):
     """With the error that it is known to leave."""
     make, accuracy = ESTIMATORS[name]
     check_estimator(make, accuracy=accuracy)
+
+
+@pytest.mark.parametrize("growth", [-0.5, 0.0, 0.01, 1.0])
+def test_what_is_designed_for_a_run_does_not_depend_on_its_length(growth):
+    """But for the grids that only longer data need; a mode that grows is always predicted."""
+    plant = replace(GROWING, A=[[growth]])
+    first, longer = (
+        online(plant, steps=steps).method.design(0.01, np.zeros(9, np.bool_))
+        for steps in (100, 100_000)
+    )
+    assert bool(longer["K"].any()) == (growth > 0.0)
+    grids = len(first["grids"])
+    assert grids < len(longer["grids"])
+    assert first.keys() == longer.keys()
+    for name, value in first.items():
+        of_longer = longer[name][:grids] if name == "grids" else longer[name]
+        np.testing.assert_array_equal(of_longer, value)
+
+
+def test_grids_of_starts_cover_what_data_of_their_length_tell_apart():
+    """The first has growth by ten over the delays, each other over four times as much data.
+
+    Within bounds; where they leave a grid no width, it is that of the nearest that has one.
+    """
+    of = online(GROWING).method.problem  # delays of 0.1, 0.2, 0.3 s
+    assert [of.reach(number) for number in range(3)] == pytest.approx([0.2, 0.8, 3.2])
+    free = of.boxes(3.0, -BOUNDS, BOUNDS)
+    assert free.shape == (3, 2, 2)
+    assert free[:, 0] == pytest.approx(np.full((3, 2), -30.0))
+    growth = np.log(10.0) / np.array([0.2, 0.8, 3.2])
+    np.testing.assert_allclose(free[:, 1], np.column_stack([growth, growth]))
+    bounded = of.boxes(3.0, np.array([2.0, -1.0]), np.array([4.0, 0.5]))
+    np.testing.assert_allclose(bounded[:, 1, 0], [4.0, growth[1], growth[1]])
+    np.testing.assert_allclose(bounded[:, 0], [[2.0, -1.0]] * 3)
+    np.testing.assert_allclose(bounded[:, 1, 1], [0.5, 0.5, 0.5])
 
 
 def test_the_extended_filter_is_overconfident():

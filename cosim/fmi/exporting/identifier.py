@@ -56,6 +56,12 @@ class _Writer:
         self, kind: str, name: str, values: ctypes.Structure, pointers: Sequence[Pointer]
     ) -> str:
         """Write a struct, whose pointers are given in their order; return its address."""
+        entries = self.entries(name, values, pointers)
+        self.lines.append(f"static const {kind} {name} = {{{entries}}};")
+        return f"&{name}"
+
+    def entries(self, name: str, values: ctypes.Structure, pointers: Sequence[Pointer]) -> str:
+        """Write the arrays of a struct; return its entries."""
         entries = []
         left = list(pointers)
         for field, field_type, *_ in values._fields_:
@@ -67,8 +73,7 @@ class _Writer:
                 entries.append(_number(value))
             else:
                 entries.append(str(value))
-        self.lines.append(f"static const {kind} {name} = {{{', '.join(entries)}}};")
-        return f"&{name}"
+        return ", ".join(entries)
 
 
 def output_error(constants: IdentifierConstants) -> Kernel:
@@ -101,7 +106,7 @@ def output_error(constants: IdentifierConstants) -> Kernel:
     pointers.append(_known(writer, constants))
     pointers += [constants.lower, constants.upper, constants.scale, constants.threshold]
     pointers.append(constants.known_deviations)
-    pointers.append(_grid(writer, constants))
+    pointers += [_grids(writer, constants), np.array(constants.reach, np.int32)]
     # no predictor, and the memory is the instance's
     pointers += [_between(writer, constants), NOTHING, NOTHING]
     writer.struct("cosim_identifier", "kernel_constants", step.step.state, pointers)
@@ -127,12 +132,17 @@ def _known(writer: _Writer, constants: IdentifierConstants) -> str:
     return writer.struct("cosim_known_input", "known", struct, arrays)
 
 
-def _grid(writer: _Writer, constants: IdentifierConstants) -> str:
-    if constants.grid is None:
+def _grids(writer: _Writer, constants: IdentifierConstants) -> str:
+    entries = []
+    for number, one in enumerate(constants.grids):
+        grid = StartGridModel(one)
+        model = _model(writer, f"on_grid_{number}", grid.model)
+        entries.append(writer.entries(f"grid_{number}", grid.struct, [model, *grid.arrays]))
+    if not entries:
         return NOTHING
-    grid = StartGridModel(constants.grid)
-    model = _model(writer, "on_grid", grid.model)
-    return writer.struct("cosim_start_grid", "grid", grid.struct, [model, *grid.arrays])
+    rows = ", ".join(f"{{{entry}}}" for entry in entries)
+    writer.lines.append(f"static const cosim_start_grid grids[] = {{{rows}}};")
+    return "grids"
 
 
 def _between(writer: _Writer, constants: IdentifierConstants) -> str:

@@ -133,13 +133,13 @@ static storage storage_of(const cosim_identifier *s)
     const int64_t sources = modes ? s->on_y->sources : 0, room = modes ? capacity : 0;
     m.P = cosim_place(s->memory, &next, n_modes * n_modes);
     m.gain = cosim_place(s->memory, &next, states * outputs);
-    const cosim_output_error *on_grid = s->grid ? s->grid->model : NULL;
+    const cosim_output_error *on_grid = s->grids ? s->grid->model : NULL;
     m.state = next;
     m.grid_work = cosim_place(s->memory, &next, memory_of(on_grid));
-    m.grid_G0 = cosim_place(s->memory, &next, s->grid ? entries_of(s->grid, 2) : 0);
-    m.grid_theta = cosim_place(s->memory, &next, s->grid ? entries_of(s->grid, 1) : 0);
+    m.grid_G0 = cosim_place(s->memory, &next, s->grids ? entries_of(s->grid, 2) : 0);
+    m.grid_theta = cosim_place(s->memory, &next, s->grids ? entries_of(s->grid, 1) : 0);
     m.grid_search =
-        cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid, 1) : 0);
+        cosim_place(s->memory, &next, s->grids ? cosim_start_grid_memory(s->grid, 1) : 0);
     m.at_point = cosim_place(s->memory, &next, n_outputs(s));
     m.pair = cosim_place(s->memory, &next, 2 * n_outputs(s));
     m.covariance = cosim_place(s->memory, &next, n_outputs(s) * n_outputs(s));
@@ -627,10 +627,19 @@ static int32_t start_on_regression(const cosim_identifier *s, const storage *m, 
     return 1;
 }
 
-/* Put a fit beside the points of the grid. */
-static void put_fit(const cosim_identifier *s, const storage *m, const double *fit)
+/* The grid for the samples so far: a start must not depend on how many there will be. */
+static const cosim_start_grid *grid_of(const cosim_identifier *s, const storage *m)
 {
-    const cosim_start_grid *grid = s->grid;
+    int32_t k = 0;
+    while (k + 1 < s->grids && *m->count > (double)s->reach[k])
+        ++k;
+    return s->grid + k;
+}
+
+/* Put a fit beside the points of a grid. */
+static void put_fit(const cosim_identifier *s, const storage *m, const cosim_start_grid *grid,
+                    const double *fit)
+{
     const double *G0 = s->on_y->G0, *G1 = s->on_y->G1;
     double *to = m->grid_G0, *theta = m->grid_theta;
     memcpy(to, grid->model->G0, (size_t)entries_of(grid, 2) * sizeof *to);
@@ -650,8 +659,8 @@ static void put_fit(const cosim_identifier *s, const storage *m, const double *f
 static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, const double *fit,
                               double *theta)
 {
-    cosim_start_grid grid = *s->grid;
-    cosim_output_error model = model_of_y(s, m, s->grid->model, 0);
+    cosim_start_grid grid = *grid_of(s, m);
+    cosim_output_error model = model_of_y(s, m, grid.model, 0);
     const int32_t unknowns = cosim_output_error_columns(s->on_y);
     estimation e;
     if (*m->count < (double)ROWS_A_TERM * unknowns * model.average)
@@ -659,7 +668,7 @@ static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, const
     if (s->weighs)
         model.W = m->W;
     if (fit) {
-        put_fit(s, m, fit);
+        put_fit(s, m, &grid, fit);
         model.G0 = m->grid_G0;
         grid.theta = m->grid_theta;
     }
@@ -745,7 +754,7 @@ static int put_in_order(const cosim_identifier *s, double *theta)
 {
     const size_t size = (size_t)s->rayleigh->parameters * sizeof *theta;
     double before[COSIM_MOST_PARAMETERS];
-    if (!s->grid)
+    if (!s->grids)
         return 0;
     memcpy(before, theta, size);
     cosim_start_grid_order(s->grid, theta);
@@ -861,7 +870,7 @@ static int search_beside(const cosim_identifier *s, const storage *m, int32_t *f
 {
     double starts[BESIDE * COSIM_MOST_PARAMETERS];
     int is_minimum = choose_best(s, m, *fitted, fits, best);
-    if (!s->grid || (*m->time < s->start && is_doubtful(s, *fitted, fits, best)))
+    if (!s->grids || (*m->time < s->start && is_doubtful(s, *fitted, fits, best)))
         return is_minimum; /* it will have no value */
     for (int round = 0; is_minimum && round < ROUNDS; ++round) {
         const double before = best->squares;
@@ -884,7 +893,7 @@ static int search(const cosim_identifier *s, const storage *m, int found, candid
     int32_t count = (int32_t)*m->rivals, fitted = 0;
     memcpy(starts, m->rival_theta, (size_t)(count * P) * sizeof *starts);
     count += start_on_regression(s, m, starts + count * P);
-    if (s->grid && !found)
+    if (s->grids && !found)
         count += starts_on_grid(s, m, NULL, starts + count * P);
     if (found)
         fits[fitted++] = *best;
@@ -949,7 +958,7 @@ static void estimate(const cosim_identifier *s, const storage *m)
         found = search(s, m, found, &best);
         if (found) {
             memcpy(m->theta, best.theta, (size_t)P * sizeof *m->theta);
-            if (s->grid)
+            if (s->grids)
                 cosim_start_grid_order(s->grid, m->theta);
             prepare_last_fit(s, m, m->theta, &e);
             found = fit_weighed(s, m, &e, WEIGHINGS) == COSIM_OK;

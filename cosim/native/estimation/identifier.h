@@ -32,6 +32,7 @@ typedef struct {
     int32_t average;  /* samples of mu that make one row */
     int32_t weighs;   /* whether W is estimated, of several outputs; else it is that of on_y */
     int32_t disturbances; /* elements of delta */
+    int32_t grids;        /* 0: none */
     int64_t window;   /* samples; 0: all */
     int64_t capacity; /* samples */
     double start;     /* first instant of which mu counts [s] */
@@ -44,7 +45,8 @@ typedef struct {
     const double *lower, *upper, *scale; /* (parameters) as in cosim_fit */
     const double *threshold;             /* (components) */
     const double *deviations;            /* (outputs) of the noise that the W of on_y makes white */
-    const cosim_start_grid *grid;
+    const cosim_start_grid *grid; /* (grids) of equal sizes, for longer and longer data */
+    const int32_t *reach;         /* (grids) samples up to which each counts; the last one for all */
     const cosim_between *between; /* NULL: y is sampled at the communication points */
     /* of y whose samples, of communication points alone, may be missing; NULL: its gain is K of
      * on_y */

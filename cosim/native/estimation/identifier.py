@@ -23,8 +23,8 @@ from cosim.native.estimation.predictor import ModePredictorConstants
 from cosim.native.estimation.rayleigh import RayleighConstants, RayleighModel
 from cosim.native.estimation.regression import RegressorConstants, regressor_struct
 from cosim.native.estimation.samples import SampleMemory, SavedSamples, used_parts
-from cosim.native.estimation.start_grid import StartGridConstants, StartGridModel
-from cosim.native.library import address, declare, library, pointer
+from cosim.native.estimation.start_grid import StartGridConstants, StartGridModel, StartGridStruct
+from cosim.native.library import address, declare, int32, library, pointer
 from cosim.native.step import NativeStep
 
 
@@ -32,12 +32,16 @@ class IdentifierStruct(ctypes.Structure):
     """cosim_identifier."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("period", "width", "average", "weighs", "disturbances")),
+        *(
+            (name, c_int32)
+            for name in ("period", "width", "average", "weighs", "disturbances", "grids")
+        ),
         *((name, c_int64) for name in ("window", "capacity")),
         *((name, c_double) for name in ("start", "settled")),
         *((name, c_void_p) for name in ("products", "lagging", "rayleigh", "on_delta", "on_y")),
         *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
-        *((name, c_void_p) for name in ("deviations", "grid", "between", "predictor", "memory")),
+        *((name, c_void_p) for name in ("deviations", "grid", "reach", "between", "predictor")),
+        ("memory", c_void_p),
     )
 
 
@@ -75,8 +79,10 @@ class IdentifierConstants:
     deviations : Vector, shape (n_y,)
         Of the noise that the W of on_y makes white, which is known; none: it is estimated, of one
         output with W = 1.
-    grid : StartGridConstants, optional
-        Of starts on y.
+    grids : tuple of StartGridConstants
+        Of starts on y, of equal sizes, for longer and longer data.
+    reach : tuple of int
+        Samples up to which each grid counts; the last one counts for all.
     between : BetweenConstants or None
         Where y is sampled at instants of its own.
     predictor : ModePredictorConstants or None
@@ -103,7 +109,8 @@ class IdentifierConstants:
     scale: Vector
     threshold: Vector
     deviations: Vector | None = None
-    grid: StartGridConstants | None = None
+    grids: tuple[StartGridConstants, ...] = ()
+    reach: tuple[int, ...] = ()
     between: BetweenConstants | None = None
     predictor: ModePredictorConstants | None = None
     disturbances: int = 1
@@ -161,20 +168,24 @@ class IdentifierStep:
             known,
         )
         structs = (products, lagging, rayleigh.struct, *stages)
-        grid = None if constants.grid is None else StartGridModel(constants.grid)
+        grids = [StartGridModel(grid) for grid in constants.grids]
+        grid_structs = (StartGridStruct * len(grids))(*[grid.struct for grid in grids])
+        reach = int32(constants.reach)
         state = IdentifierStruct(
             constants.period,
             constants.n_y,
             constants.average,
             constants.weighs,
             constants.disturbances,
+            len(grids),
             constants.window,
             constants.capacity,
             constants.start,
             constants.settled,
             *map(_address_of, structs),
             *map(pointer, vectors),
-            _address_of(None if grid is None else grid.struct),
+            ctypes.addressof(grid_structs),
+            pointer(reach),
         )
         keep_between: tuple[object, ...] = ()
         if constants.between is not None:
@@ -190,7 +201,7 @@ class IdentifierStep:
         state.memory = pointer(memory)
         small = int(library.cosim_identifier_state(byref(state)))
         keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, keep_lagging, *structs)
-        keep = (*keep_models, grid, *vectors, *keep_between, *keep_predictor)
+        keep = (*keep_models, *grids, grid_structs, reach, *vectors, *keep_between, *keep_predictor)
         self._samples = SampleMemory(memory, small, used_parts("cosim_identifier_samples", state))
         function = address("cosim_identifier_step")
         self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)

@@ -50,7 +50,7 @@ from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.theory.disturbances import regression
 from cosim.theory.estimators import defaults
-from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
+from cosim.theory.estimators.rayleigh import rayleigh_constants
 
 if TYPE_CHECKING:
     from cosim.blocks.identifier import LeastSquaresIdentifier
@@ -311,7 +311,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         begin: float,
         context: BuildContext,
     ) -> Component:
-        problem = _problem(source.regression, observer, identified, context)
+        problem = _problem(source.regression, observer, identified)
         schedule = self._schedule(source, begin, context)
         lower, upper = identified.limits
         if self.method == "output-error":
@@ -486,23 +486,18 @@ def _problem(
     design: RegressorDesign,
     observer: ObserverSource,
     identified: IdentifiedPlant,
-    context: BuildContext,
 ) -> IdentificationProblem:
     """Return what is identified: the model of y, and the regression for a start."""
-    clock = context.clock
-    span = clock.steps * clock.step_ns / 1e9
     families = design.families
     transient = observer.transient
     return IdentificationProblem(
         plant=identified.plant,
         modes=transient.A,
         row=transient.C[0],
-        rayleigh=rayleigh_constants(
-            families, design.groups, design.terms, design.delays, span=span
-        ),
+        rayleigh=rayleigh_constants(families, design.groups, design.terms, design.delays),
         products=design.constants,
         alphas=design.alphas,
-        box=rayleigh_box(families, design.delays, span=span),
+        families=families,
         stated=identified.stated,
         disturbances=1 + max(design.elements),
     )

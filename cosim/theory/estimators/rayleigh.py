@@ -12,8 +12,9 @@ not eta. Its basin is large, which makes it the start of the estimators that are
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -56,8 +57,6 @@ def rayleigh_constants(
     groups: Sequence[AlphaGroup],
     terms: Sequence[Term],
     delays: Sequence[float],
-    *,
-    span: float,
 ) -> RayleighConstants:
     """Return the numbers of the kernel.
 
@@ -71,8 +70,6 @@ def rayleigh_constants(
         ``expand`` of the sizes of the groups.
     delays : sequence of float
         D_j [s].
-    span : float
-        Length of the record [s].
 
     Raises
     ------
@@ -80,7 +77,7 @@ def rayleigh_constants(
         If there are more terms, delays or parameters than the kernel holds.
     """
     matrices = generators(families)
-    box = rayleigh_box(families, delays, span=span)
+    box = rayleigh_box(families, delays)
     group_of = [0] * len(families)
     for b, group in enumerate(groups):
         for component in group.components:
@@ -100,10 +97,25 @@ def rayleigh_constants(
     )
 
 
-def rayleigh_box(families: Sequence[Family], delays: Sequence[float], *, span: float) -> SearchBox:
-    """Return where theta is searched: what the delays can tell apart."""
+def rayleigh_box(families: Sequence[Family], delays: Sequence[float]) -> SearchBox:
+    """Return where theta is searched: what the delays can tell apart, and all that is slower.
+
+    It does not depend on how long the record is, or will be.
+    """
+    shortest = shortest_delay(delays)
+    over_delays = search_box(families, span=max(delays) - min(delays), shortest=shortest)
+    slow = search_box(families, span=math.inf, shortest=shortest)
+    return replace(
+        slow,
+        lower=np.minimum(over_delays.lower, slow.lower),
+        upper=np.maximum(over_delays.upper, slow.upper),
+    )
+
+
+def shortest_delay(delays: Sequence[float]) -> float:
+    """Return the smallest difference of two delays [s]."""
     gaps = np.diff(np.sort(np.asarray(delays, np.float64)))
-    return search_box(families, span=span, shortest=float(gaps.min()))
+    return float(gaps.min())
 
 
 def noise_covariance(terms: Sequence[Term], alpha_products: Matrix) -> Matrix:

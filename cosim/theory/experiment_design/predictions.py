@@ -238,7 +238,7 @@ class RegressionExperiment:
         delays = np.array(steps) * self.step
         span = (len(self.delta) - 1) * self.step
         constants = rayleigh_constants(
-            self.families, self.groups, self.terms.terms, delays.tolist(), span=span
+            self.families, self.groups, self.terms.terms, delays.tolist()
         )
         N = regression.unit_noise
         R = regression.triangle

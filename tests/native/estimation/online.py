@@ -9,36 +9,36 @@ from cosim.blocks.regressor import Regressor
 from cosim.native.numerics.expression import compile_expression
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import expand
-from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
+from cosim.theory.estimators.rayleigh import rayleigh_constants
 
 H = 0.01  # s
 ALPHAS = ("1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)")
 
 
-def online(plant, *, count=2, modes=1):
+def online(plant, *, count=2, modes=1, steps=1000):
     """Return the identifier of one or two exponentials on a plant, with an estimate every second.
 
-    It has room for 1000 steps of ``H``.
+    It has room for so many steps of ``H``.
     """
     families = [Exponential()] * count
     alphas = ALPHAS[:count]
     groups = group_by_alpha(alphas, families)
     terms = expand((1,) * count)
     delays = (0.1, 0.2, 0.3)[: count + 1]
-    steps = [10, 20, 30][: count + 1]
+    ages = [10, 20, 30][: count + 1]
     programs = [compile_expression(alpha) for alpha in alphas]
     problem = IdentificationProblem(
         plant=plant,
         modes=-np.eye(modes),
         row=np.ones(modes),
-        rayleigh=rayleigh_constants(families, groups, terms, delays, span=10.0),
-        products=Regressor(terms, alphas=programs, steps=steps, delays=delays).constants,
+        rayleigh=rayleigh_constants(families, groups, terms, delays),
+        products=Regressor(terms, alphas=programs, steps=ages, delays=delays).constants,
         alphas=programs,
-        box=rayleigh_box(families, delays, span=10.0),
+        families=families,
     )
     schedule = IdentificationSchedule(
         period=100,
-        steps=1000,
+        steps=steps,
         average=5,
         window=0,
         forgetting=1.0,

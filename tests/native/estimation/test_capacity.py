@@ -265,7 +265,7 @@ def test_the_quotient_of_many_rows_is_that_of_the_determinants():
     groups = group_by_alpha(["1"] * 6, families)
     terms = expand((12,))
     delays = [0.25 * (j + 1) for j in range(13)]
-    constants = rayleigh_constants(families, groups, terms, delays, span=40.0)
+    constants = rayleigh_constants(families, groups, terms, delays)
     mu = np.random.default_rng(0).standard_normal((800, 13))
     N = noise_covariance(terms, np.ones((800, 13)))
     theta = np.linspace(0.7, 7.2, 6)
@@ -283,7 +283,7 @@ def test_a_regression_of_too_many_rows_is_refused():
     groups = group_by_alpha(["1"] * 24, families)
     delays = [0.25 * (j + 1) for j in range(49)]
     with pytest.raises(AssumptionError, match=f"at most {MOST_ROWS} delays, got 49"):
-        rayleigh_constants(families, groups, expand((48,)), delays, span=40.0)
+        rayleigh_constants(families, groups, expand((48,)), delays)
 
 
 def test_a_regression_of_too_many_parameters_is_refused():
@@ -292,7 +292,7 @@ def test_a_regression_of_too_many_parameters_is_refused():
     groups = group_by_alpha(["1"] * 17, families)
     delays = [0.25 * (j + 1) for j in range(18)]
     with pytest.raises(AssumptionError, match="at most 16 parameters, got 17"):
-        rayleigh_constants(families, groups, expand((17,)), delays, span=40.0)
+        rayleigh_constants(families, groups, expand((17,)), delays)
 
 
 def test_the_extended_filter_takes_many_components():

@@ -184,6 +184,27 @@ def test_an_estimate_rests_on_all_samples_before_it():
     np.testing.assert_allclose(theta(seldom)[-1], THETA, rtol=1e-11)
 
 
+@pytest.mark.parametrize("method", ["output-error", "extended-kalman", "rayleigh", "projection"])
+@pytest.mark.usefixtures("without_verdicts")
+def test_an_estimate_does_not_know_how_long_the_run_will_be(method):
+    """Bit for bit the same rows, of a run and of one twice as long."""
+    short, long = (
+        cosim.run(
+            "academic",
+            set={
+                **COARSE,
+                "identifier.method": method,
+                "identifier.start": 4.0,
+                "scenario.stop": stop,
+            },
+        )
+        for stop in (16.0, 32.0)
+    )
+    rows = theta(short)
+    assert np.isfinite(rows).any()
+    np.testing.assert_array_equal(theta(long)[: len(rows)], rows)
+
+
 def test_there_is_no_value_before_there_is_an_estimate(sensed):
     """The same NaN in all outputs, and numbers in all of them afterwards."""
     log = run(sensed)

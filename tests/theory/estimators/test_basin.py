@@ -57,8 +57,7 @@ class Recorded:
         self.mu = means(self.log["regressor.mu"][counts], average)
         self.N = noise_covariance(terms, means(alpha_products(terms, factors), average))
         groups = group_by_alpha(["a", "b"], FAMILIES)
-        span = float(self.t[-1])
-        self.rayleigh = rayleigh_constants(FAMILIES, groups, terms, DELAYS, span=span)
+        self.rayleigh = rayleigh_constants(FAMILIES, groups, terms, DELAYS)
         self.optimum = self.fit(np.array(THETA))
 
     def fit(self, theta):

@@ -209,7 +209,7 @@ def estimates(of: RegressionExperiment, method: str, steps, seeds: int):
     delays = [H * count for count in steps]
     recovery = plan(terms, groups, delays)
     weights = trapezoid_weights(T[begin:])
-    constants = rayleigh_constants(of.families, groups, terms, delays, span=T[-1])
+    constants = rayleigh_constants(of.families, groups, terms, delays)
     count = max(1, round(0.5 * np.diff(np.sort(steps)).min()))
     N = noise_covariance(terms, means(products, count))
     found = []
