@@ -285,7 +285,6 @@ class DelayFault:
     def at(self, instant: FaultInstant) -> tuple[float, float]:
         """Return what was sent so long ago, or first."""
         if instant.steps == 0:
-            self.past.clear()
             return 0.0, instant.source
         self.past.append(instant.source)
         if len(self.past) > self.steps:

@@ -115,9 +115,14 @@ class LocalSearch:
 
         sequence = qmc.Sobol(len(self.space.bounded), rng=np.random.default_rng(seed))
         starts: list[Vector] = []
+        drawn: list[Vector] = []
         for _ in range(MOST_FAILING_STARTS if count else 0):
             number = 1 << (count - 1).bit_length()  # a sequence is balanced in powers of two
-            points = list(sequence.random(number))[: count - len(starts)]
+            missing = count - len(starts)
+            if len(drawn) < missing:
+                drawn += list(sequence.random(number))
+            points = drawn[:missing]
+            drawn = drawn[missing:]  # those left out would lie in one half of the first axis
             costs = self._costs(points)
             for point, cost in zip(points, costs, strict=True):
                 if math.isfinite(cost):

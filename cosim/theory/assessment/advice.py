@@ -121,6 +121,8 @@ class _Advisor:
             except AssumptionError:  # an alpha has no value there
                 return "", outlook
             longer = self._outlook(records, j)
+            if not np.isfinite(longer.error):  # the response is beyond all numbers there
+                break
             if longer.is_enough:
                 return f"{times * span:.4g} s of data", longer
             saturated = longer.error > SATURATED * outlook.error
@@ -128,6 +130,8 @@ class _Advisor:
             if saturated:
                 return "data of any length", outlook
             times *= 2
+        if times == 2:
+            return "", outlook
         return f"{times // 2 * span:.4g} s of data", outlook
 
     def _less_noise(self, j: int) -> tuple[int, Outlook]:

@@ -9,6 +9,7 @@ held is larger than noise makes it, too (the likelihood ratio; S. Wilks, 1938).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -167,9 +168,18 @@ def _difference(
     of_theta = _squared_length(excess[tested], covariance[np.ix_(tested, tested)])
     squares = held.squares - own.fit.squares
     of_residual = squares / own.fit.deviation**2 if own.fit.deviation > 0.0 else 0.0
-    place = int(np.argmax(np.where(tested, np.abs(excess), -1.0)))
+    errors = np.sqrt(np.diag(covariance))
+    relative = np.abs(excess) / np.where(errors > 0.0, errors, np.finfo(np.float64).tiny)
+    place = int(np.argmax(np.where(tested, relative, -1.0)))
     statistic = min(of_theta, max(of_residual, 0.0))
     return ResidualTest(name, statistic, threshold, degrees, f"theta[{place}]")
+
+
+def _digits(value: float, difference: float) -> int:
+    """Return how many digits of a value show a difference, of which two are."""
+    if not difference or not value:
+        return 6
+    return min(max(6, math.ceil(math.log10(abs(value / difference))) + 2), 17)
 
 
 def _squared_length(vector: Vector, covariance: Matrix) -> float:
@@ -191,8 +201,9 @@ def _verdict(
     if not difference.passed:
         changes = []
         for j in np.flatnonzero(tested):
-            there = f"{own.fit.theta[j]:.6g} +- {own.half_width[j]:.2g}"
-            here = f"{assessment.fit.theta[j]:.6g}"
+            digits = _digits(own.fit.theta[j], own.fit.theta[j] - assessment.fit.theta[j])
+            there = f"{own.fit.theta[j]:.{digits}g} +- {own.half_width[j]:.2g}"
+            here = f"{assessment.fit.theta[j]:.{digits}g}"
             if np.isfinite(assessment.half_width[j]):
                 here += f" +- {assessment.half_width[j]:.2g}"
             changes.append(f"theta[{j}] is {there} there, {here} in the fit")

@@ -45,6 +45,7 @@ FALSE_CHOICE: Final = 0.01
 # Probability that noise alone makes an absent component look present, for a given theta; that of
 # the largest over all theta, which the fit finds, is about a hundred times as large.
 FALSE_PRESENCE: Final = 1e-8
+LARGEST_ENTRY: Final = 1e150  # of a column: the squares of larger ones are no numbers
 ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
 NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
@@ -213,11 +214,12 @@ def squares_at(records: Sequence[ResponseRecord], theta: Vector) -> float:
 
 def _least_squares(record: ResponseRecord, R: Matrix) -> float:
     linear = record.model.linear
-    lengths = np.linalg.norm(R[:, :linear], axis=0)
-    lengths[lengths == 0.0] = 1.0
-    columns = R[:, :linear] / lengths
-    if not np.isfinite(columns).all():
+    columns = R[:, :linear]
+    if not (np.abs(columns) < LARGEST_ENTRY).all():
         return np.inf
+    lengths = np.linalg.norm(columns, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    columns = columns / lengths
     solution = np.linalg.lstsq(columns, R[:, -1], rcond=1e-12)[0]
     rest = R[:, -1] - columns @ solution
     return float(rest @ rest)

@@ -184,6 +184,23 @@ def test_each_start_is_searched_from_with_the_first_radius(asked):
     assert [call.start.tolist() for call in asked[9:]] != starts[1:]
 
 
+def test_starts_that_fail_in_half_of_the_box_are_replaced_from_the_other(asked):
+    """Whichever half that is: all points of the sequence are tried in their order."""
+
+    def fails(point):
+        if (point["x"] >= 0.5) == right:
+            raise ArithmeticError("a half")
+        return bowl(point)
+
+    for right in (False, True):
+        search, _ = search_of(fails)
+        search.from_starts(np.array([0.5, 0.5]), 6, seed=3)
+        starts = [call.start for call in asked if call.start.tolist() != [0.5, 0.5]]
+        assert len(starts) == 5
+        assert all((start[0] >= 0.5) != right for start in starts)
+        asked.clear()
+
+
 def test_one_start_asks_for_no_other(asked):
     search, recorded = search_of(bowl)
     search.from_starts(np.array([0.5, 0.5]), 1, seed=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -110,6 +111,21 @@ def test_a_change_of_a_strong_term_shows_beside_a_weak_one():
     assert found.verdict is ValidationVerdict.FAILS
     variance = strong**2 + found.own.fit.standard_error[0] ** 2
     assert found.difference.statistic == pytest.approx(change**2 / variance, rel=0.1)
+
+
+def test_the_theta_that_differs_most_is_that_by_its_own_errors():
+    """Not the one that is farthest off; and both values have the digits that tell them apart."""
+    assessment = fitted(1e-5)
+    theta = assessment.fit.theta.copy()
+    # theta[1] is known a few times worse
+    theta += np.array([30.0, 10.0]) * assessment.fit.standard_error
+    assert abs(theta - assessment.fit.theta).argmax() == 1
+    moved = replace(assessment.fitted, fit=replace(assessment.fit, theta=theta))
+    found = validate(replace(assessment, fitted=moved), other(1e-5, 12))
+    assert found.difference.largest == "theta[0]"
+    there, here = re.search(r"theta\[0\] is (\S+) .*? there, (\S+)", found.reason).groups()
+    difference = 30.0 * assessment.fit.standard_error[0]
+    assert float(here) - float(there) == pytest.approx(difference, rel=0.2)
 
 
 def test_a_fixed_theta_is_held_against_other_data():

@@ -19,7 +19,11 @@ from cosim.theory.disturbed_plant import (
     sample_plant,
     white_noise,
 )
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import (
+    fit_output_error,
+    response_records,
+    squares_at,
+)
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
 
@@ -342,3 +346,23 @@ def test_a_covariance_is_symmetric_and_positive_definite(subtests):
     ]:
         with subtests.test(matrix=matrix):
             assert is_covariance(np.array(matrix)) == is_one
+
+
+@pytest.mark.parametrize("rate", [2.0, 8.9, 10.0, 16.0, 20.0])
+def test_squares_of_a_response_beyond_all_numbers_are_infinite(rate):
+    """Of e^(2 t) over 40 s they are those of regression; of e^(8.9 t) = e^356 no square is one."""
+    plant = DisturbedPlant(
+        A=[[-1.0]], B=np.zeros((1, 0)), Bd=[[1.0]], C=[[1.0]], D=np.zeros((1, 0)), Dd=[[0.0]]
+    )
+    t = np.arange(401) * 0.1
+    y = np.random.default_rng(1).standard_normal((401, 1))
+    record = DataSet(t, y, np.zeros((401, 0)), np.ones((401, 1)))
+    records = response_records([record], plant, generators([Exponential()]), noise=white_noise(1))
+    squares = squares_at(records, np.array([rate]))
+    if rate > 2.0:
+        assert squares == np.inf
+        return
+    columns = np.column_stack([np.exp(-t), np.exp(rate * (t - 40.0))])
+    _, expected, *_ = np.linalg.lstsq(columns, y[:, 0], rcond=None)
+    # the disturbance is a straight line between samples, which a column takes up but at its end
+    assert squares == pytest.approx(expected[0], rel=0.02)
