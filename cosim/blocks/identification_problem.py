@@ -140,9 +140,9 @@ class IdentificationProblem:
         # All have as many points: one that bounds leave none has those of the nearest.
         for j, wide in enumerate((boxes[:, 1] > boxes[:, 0]).T):
             there = np.flatnonzero(wide)
-            for number in np.flatnonzero(~wide) if there.size else ():
-                nearest = there[np.abs(there - number).argmin()]
-                boxes[number, :, j] = boxes[nearest, :, j]
+            for narrow in np.flatnonzero(~wide) if there.size else ():
+                nearest = there[np.abs(there - narrow).argmin()]
+                boxes[narrow, :, j] = boxes[nearest, :, j]
         return boxes
 
     @property
