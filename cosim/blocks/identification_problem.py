@@ -32,6 +32,7 @@ from cosim.theory.estimators.rayleigh import shortest_delay
 from cosim.theory.interchangeable import interchangeable
 from cosim.theory.predictor import stationary_predictor, unstable_modes
 
+MOST_GRIDS: Final = 12
 OF_Y: Final = ("Ad", "B0", "B1", "K", "L", "C", "D", "W")
 
 
@@ -118,22 +119,17 @@ class IdentificationProblem:
         delays = self.rayleigh.delays
         return float(4.0**number * (max(delays) - min(delays)))
 
-    def boxes(self, span: float, lower: Vector, upper: Vector) -> Matrix:
-        """Return the ends of the grids that data up to a length need, shape (grids, 2, P).
+    def boxes(self, lower: Vector, upper: Vector) -> Matrix:
+        """Return the ends of all grids, shape (MOST_GRIDS, 2, P).
 
         Parameters
         ----------
-        span : float
-            [s].
         lower, upper : Vector, shape (P,)
             Bounds of theta.
         """
         shortest = shortest_delay(self.rayleigh.delays)
-        count = 1
-        while self.reach(count - 1) < span:
-            count += 1
         ends = []
-        for number in range(count):
+        for number in range(MOST_GRIDS):
             box = search_box(self.families, span=self.reach(number), shortest=shortest)
             ends.append(np.clip([box.lower, box.upper], lower, upper))
         boxes = np.array(ends)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Mask, Vector
-from cosim.blocks.estimator import estimate, optional_input
+from cosim.blocks.estimator import GRIDS, estimate, optional_input
 from cosim.blocks.identification_problem import (
     IdentificationProblem,
     IdentificationSchedule,
@@ -130,7 +130,7 @@ class OutputErrorIdentifier:
         # from logarithms and exponentials of the C library
         rayleigh = problem.rayleigh
         design["box"] = np.stack([rayleigh.lower, rayleigh.upper, problem.box.step])
-        design["grids"] = problem.boxes(span, self.lower, self.upper)
+        design[GRIDS] = problem.boxes(self.lower, self.upper)
         design["forgetting"] = np.array([self.schedule.forgetting])
         return design
 
@@ -150,7 +150,7 @@ class OutputErrorIdentifier:
             h, design, offset=self.offset, forgetting=float(forgetting)
         )
         lower, upper, scale = design["box"]
-        boxes = design.get("grids", design["box"][np.newaxis, :2])  # older logs have one for all
+        boxes = design.get(GRIDS, design["box"][np.newaxis, :2])[: self._needed_grids(h)]
         return replace(
             stages,
             rayleigh=replace(problem.rayleigh, lower=lower, upper=upper),
@@ -164,6 +164,13 @@ class OutputErrorIdentifier:
             between=self._between(design, held),
             predictor=_predictor(design),
         )
+
+    def _needed_grids(self, h: float) -> int:
+        """Return how many grids a run of the longest length comes to."""
+        number = 0
+        while self.problem.reach(number) < self.schedule.steps * h:
+            number += 1
+        return number + 1
 
     def _reach(self, number: int, h: float) -> int:
         """Return the samples up to which a grid counts."""

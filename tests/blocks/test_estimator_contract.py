@@ -147,19 +147,29 @@ def test_a_method_keeps_the_contract_of_an_estimator(name):
 
 @pytest.mark.parametrize("growth", [-0.5, 0.0, 0.01, 1.0])
 def test_what_is_designed_for_a_run_does_not_depend_on_its_length(growth):
-    """But for the grids that only longer data need; a mode that grows is always predicted."""
+    """A mode that grows is always predicted; only longer data need all grids of starts."""
     plant = replace(GROWING, A=[[growth]])
-    first, longer = (
-        online(plant, steps=steps).method.design(0.01, np.zeros(9, np.bool_))
-        for steps in (100, 100_000)
-    )
-    assert bool(longer["K"].any()) == (growth > 0.0)
-    grids = len(first["grids"])
-    assert grids < len(longer["grids"])
-    assert first.keys() == longer.keys()
-    for name, value in first.items():
-        of_longer = longer[name][:grids] if name == "grids" else longer[name]
-        np.testing.assert_array_equal(of_longer, value)
+    first, longer = (online(plant, steps=steps).method for steps in (100, 100_000))
+    held = np.zeros(9, np.bool_)
+    design = first.design(0.01, held)
+    of_longer = longer.design(0.01, held)
+    assert bool(of_longer["K"].any()) == (growth > 0.0)
+    assert design.keys() == of_longer.keys()
+    for name, value in design.items():
+        np.testing.assert_array_equal(of_longer[name], value)
+    # delays of 0.1, 0.2, 0.3 s: 0.2 s 4^2 > 1 s, 0.2 s 4^7 > 1000 s
+    assert first.constants(0.01, held, design).reach == (20, 80, 320)
+    assert len(longer.constants(0.01, held, design).reach) == 8
+
+
+def test_an_older_design_has_one_grid_for_all_data():
+    """As logs have it: what they replay is what they were."""
+    component = online(GROWING)
+    held = np.zeros(9, np.bool_)
+    design = dict(component.method.design(0.01, held))
+    del design["grids"]
+    assert component.prepare(0.01, held, design) == design
+    assert len(component.method.constants(0.01, held, design).grids) == 1
 
 
 def test_grids_of_starts_cover_what_data_of_their_length_tell_apart():
@@ -169,12 +179,11 @@ def test_grids_of_starts_cover_what_data_of_their_length_tell_apart():
     """
     of = online(GROWING).method.problem  # delays of 0.1, 0.2, 0.3 s
     assert [of.reach(number) for number in range(3)] == pytest.approx([0.2, 0.8, 3.2])
-    free = of.boxes(3.0, -BOUNDS, BOUNDS)
-    assert free.shape == (3, 2, 2)
+    free = of.boxes(-BOUNDS, BOUNDS)[:3]
     assert free[:, 0] == pytest.approx(np.full((3, 2), -30.0))
     growth = np.log(10.0) / np.array([0.2, 0.8, 3.2])
     np.testing.assert_allclose(free[:, 1], np.column_stack([growth, growth]))
-    bounded = of.boxes(3.0, np.array([2.0, -1.0]), np.array([4.0, 0.5]))
+    bounded = of.boxes(np.array([2.0, -1.0]), np.array([4.0, 0.5]))[:3]
     np.testing.assert_allclose(bounded[:, 1, 0], [4.0, growth[1], growth[1]])
     np.testing.assert_allclose(bounded[:, 0], [[2.0, -1.0]] * 3)
     np.testing.assert_allclose(bounded[:, 1, 1], [0.5, 0.5, 0.5])

@@ -46,7 +46,7 @@ typedef struct {
     const double *threshold;             /* (components) */
     const double *deviations;            /* (outputs) of the noise that the W of on_y makes white */
     const cosim_start_grid *grid; /* (grids) of equal sizes, for longer and longer data */
-    const int32_t *reach;         /* (grids) samples up to which each counts; the last one for all */
+    const int32_t *reach;         /* (grids) samples up to which each counts; the last for all */
     const cosim_between *between; /* NULL: y is sampled at the communication points */
     /* of y whose samples, of communication points alone, may be missing; NULL: its gain is K of
      * on_y */
