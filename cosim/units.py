@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, TypeVar
@@ -261,6 +261,19 @@ def conversion(first: Unit, second: Unit) -> Conversion | None:
     if source.exponents != target.exponents:
         return None
     return Conversion(source.factor, source.offset, target.offset, target.factor)
+
+
+def conversions_between(first: Sequence[Unit], second: Sequence[Unit]) -> list[Conversion | None]:
+    """Return the conversion of each element in the units ``first`` to those in ``second``."""
+    pairs = list(zip(first, second, strict=True))
+    by_pair = {pair: conversion(*pair) for pair in set(pairs)}
+    return [by_pair[pair] for pair in pairs]
+
+
+def units_text(units: Sequence[Unit]) -> str:
+    """Return the units of the elements of a vector for people: ``mm``, or ``mm, m/s``."""
+    names = [unit.name for unit in units if unit.name is not None]
+    return ", ".join(names[:1] if len(set(units)) == 1 else names)
 
 
 def comparable(first: Unit, second: Unit) -> bool:

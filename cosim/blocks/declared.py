@@ -20,32 +20,32 @@ from cosim.core.contracts import (
     take_wiring,
 )
 from cosim.core.linearization import Linearized
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface, PortUnit, Signal
 from cosim.errors import GraphError, nearest
 from cosim.native.step import NativeStep
 from cosim.units import Unit
 
 
-def with_units(component: Component, units: Mapping[str, str]) -> Component:
+def with_units(component: Component, units: Mapping[str, PortUnit]) -> Component:
     """Return a component whose ports have the units given; itself, where they have them already.
 
     Raises
     ------
     GraphError
-        If there is no such port, or it has another unit that is known.
+        If there is no such port, its size is another, or it has another unit that is known.
     """
     interface = declare_units(component.interface, units)
     return component if interface == component.interface else Declared(component, interface)
 
 
-def declare_units(interface: Interface, units: Mapping[str, str]) -> Interface:
+def declare_units(interface: Interface, units: Mapping[str, PortUnit]) -> Interface:
     """Return an interface with the units given, by port.
 
     Raises
     ------
     GraphError
-        If there is no such port, or it has another unit that is known: values in it would be taken
-        for what they are not.
+        If there is no such port, its size is another, or it has another unit that is known: values
+        in it would be taken for what they are not.
     """
     names = [signal.name for signal in interface.signals]
     for port in units:
@@ -56,17 +56,27 @@ def declare_units(interface: Interface, units: Mapping[str, str]) -> Interface:
     return replace(interface, inputs=inputs, outputs=outputs)
 
 
-def _declared(signal: Signal, units: Mapping[str, str]) -> Signal:
-    unit = units.get(signal.name)
-    if unit is None or unit == signal.unit:
+def _declared(signal: Signal, units_by_port: Mapping[str, PortUnit]) -> Signal:
+    if signal.name not in units_by_port:
         return signal
-    if signal.measure.si is not None:
+    unit = units_by_port[signal.name]
+    names = (unit,) * signal.size if isinstance(unit, str) else tuple(unit)
+    if len(names) != signal.size:
+        raise GraphError(
+            f"unit of {signal.name!r}: expected {signal.size} units, one for each element, or one "
+            f"for all, got {list(names)}"
+        )
+    own = signal.measures
+    units = [
+        of_element if of_element.name == name else Unit(name)
+        for of_element, name in zip(own, names, strict=True)
+    ]
+    if any(old.si is not None and old != new for old, new in set(zip(own, units, strict=True))):
         raise GraphError(
             f"unit of {signal.name!r}: got {unit!r}, but the component itself declares "
-            f"{signal.unit!r}; omit it, as connections convert units"
+            f"{signal.unit_text!r}; omit it, as connections convert units"
         )
-    measure = Unit(unit)
-    return replace(signal, unit=measure.name, base=measure.base)
+    return signal.in_units(units)
 
 
 @final

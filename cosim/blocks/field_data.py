@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
-from cosim.core.signals import Interface, Signal, Variability, samples_of
+from cosim.core.signals import Interface, PortUnit, Signal, Variability, samples_of
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.instants import NANOSECONDS
 from cosim.native.blocks.field_data import field_data_step
@@ -30,6 +30,13 @@ USUAL_GAP: Final = 10.0  # median distances of samples
 JITTER: Final = 1.1  # communication steps: so far apart are samples that come once in a step
 
 
+def units_of_samples(units: PortUnit, most: int) -> str | tuple[str, ...]:
+    """Return the units of the samples of an output, of which each element has ``most``."""
+    if isinstance(units, str):
+        return units
+    return tuple(unit for unit in units for _ in range(most))
+
+
 @dataclass(frozen=True, eq=False)
 class FieldSignal:
     """A recorded signal.
@@ -37,14 +44,14 @@ class FieldSignal:
     Parameters
     ----------
     name : str
-    unit : str or None
-        None: not declared.
+    unit : str, tuple of str, or None
+        One for all elements, or one for each; None: not declared.
     values : Matrix, shape (N, size)
         NaN: not measured.
     """
 
     name: str
-    unit: str | None
+    unit: str | tuple[str, ...] | None
     values: Matrix
 
 
@@ -157,7 +164,7 @@ class FieldRecording:
             of_signal = Signal(
                 samples_of(signal.name),
                 size * most,
-                unit=signal.unit,
+                unit=None if signal.unit is None else units_of_samples(signal.unit, most),
                 variability="discrete",
                 optional=True,
             )

@@ -24,7 +24,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Causality, Dependencies, Interface, Signal
 from cosim.native.blocks.wrapping import ElementSource
-from cosim.units import Conversion, conversion
+from cosim.units import Conversion, Unit, conversions_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,11 @@ class PortElement:
     def name(self) -> str:
         """Name of the element."""
         return self.signal.element(self.index)
+
+    @property
+    def measure(self) -> Unit:
+        """Its unit, by name and definition."""
+        return self.signal.measure(self.index)
 
     @property
     def start(self) -> float:
@@ -252,12 +257,11 @@ def _conversions(ports: Iterable[ShownPort], *, outward: bool) -> list[Conversio
     """Return the conversion of every shown element, from the component's unit if ``outward``."""
     conversions = []
     for port in ports:
-        shown = port.signal.measure
-        for element in port.elements:
-            own = element.signal.measure
-            converter = conversion(own, shown) if outward else conversion(shown, own)
-            assert converter is not None
-            conversions.append(converter)
+        shown = port.signal.measures
+        own = [element.measure for element in port.elements]
+        for convert in conversions_between(*((own, shown) if outward else (shown, own))):
+            assert convert is not None
+            conversions.append(convert)
     return conversions
 
 

@@ -17,7 +17,7 @@ from cosim.blocks.port_map import PortElement, PortMap, ShownPort, names_of
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface, Need, Signal
 from cosim.errors import GraphError, nearest
-from cosim.units import Unit, comparable, conversion
+from cosim.units import Unit, comparable, conversion, conversions_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +68,8 @@ def resolve(
         Each port once; ports that are not named keep their own names.
     replaced : Interface or None
         Of the component that has the shown names. A port that is given in parts has the size of
-        its port there; a vector made of elements of different units is shown in the unit of that
-        port, where it is declared.
+        its port there; a vector made of elements of different units is shown in the units of that
+        port, where they are declared and can be converted to.
 
     Returns
     -------
@@ -179,11 +179,11 @@ class _Resolver:
             return
         try:
             _check_alike(port, elements)
-            unit = self._unit(port, elements)
+            units = self._units(port, elements)
         except GraphError as error:
             self.problems[port] = str(error)
             return
-        signal = _shown_signal(port.name, elements, unit)
+        signal = _shown_signal(port.name, elements, units)
         self._shown[port] = ShownPort(signal, tuple(elements))
 
     def _part(self, part: Renaming) -> list[PortElement]:
@@ -237,34 +237,37 @@ class _Resolver:
         first = self._elements[name][0]
         return causality in (None, first.causality)
 
-    def _unit(self, port: Port, elements: Sequence[PortElement]) -> Unit:
-        """Return the unit in which elements are shown.
+    def _units(self, port: Port, elements: Sequence[PortElement]) -> Sequence[Unit]:
+        """Return the unit in which each element is shown: all in one, or each in its own.
 
         Raises
         ------
         GraphError
-            If the unit of one of them cannot be converted to it.
+            If some elements declare a unit, and others do not.
         """
-        measures = {element.signal.measure for element in elements}
-        if len(measures) == 1:
-            return measures.pop()
+        own = [element.measure for element in elements]
+        if len(set(own)) == 1:
+            return own
+        undeclared = [element.name for element in elements if element.measure.name is None]
+        if undeclared:
+            names = ", ".join(names_of(elements))
+            declared = next(element for element in elements if element.measure.name is not None)
+            raise GraphError(
+                f"'{port}' cannot be made of {names}: {declared.name!r} has unit "
+                f"{declared.measure.name!r}, {undeclared[0]!r} has none; "
+                f"{_way_out(port, elements)}"
+            )
+        shown = (own[0],) * len(own)
         replaced = self._replaced.get(port.signal)
         if replaced is not None and replaced.unit is not None:
-            unit = replaced.measure
-        else:
-            unit = elements[0].signal.measure
-        for element in elements:
-            signal = element.signal
-            own = signal.measure
-            unlike = own.name is not None and not comparable(own, unit)
-            if unlike or conversion(own, unit) is None:
-                names = ", ".join(names_of(elements))
-                way_out = _way_out(port, elements)
-                raise GraphError(
-                    f"'{port}' cannot be made of {names}: unit {own.name!r} of {signal.name!r} "
-                    f"cannot be converted to {unit.name!r}; {way_out}"
-                )
-        return unit
+            shown = replaced.measures
+            if not isinstance(replaced.unit, tuple):
+                shown = shown[:1] * len(own)
+        if len(shown) != len(own):
+            return own
+        pairs = set(zip(own, shown, strict=True))
+        is_shown = all(comparable(*pair) and conversion(*pair) is not None for pair in pairs)
+        return shown if is_shown else own
 
     def check_inputs(self) -> None:
         """Check that the component's input elements are shown once, all of an input or none."""
@@ -335,22 +338,22 @@ def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list
     return elements
 
 
-def _shown_signal(name: str, elements: Sequence[PortElement], unit: Unit) -> Signal:
+def _shown_signal(name: str, elements: Sequence[PortElement], units: Sequence[Unit]) -> Signal:
     """Return the signal that is shown for elements of one kind, variability and causality."""
     first = elements[0].signal
     roles = {element.signal.role for element in elements}
     role = first.role if len(roles) == 1 else "output"
-    size = len(elements)
-    return replace(
+    signal = replace(
         first,
         name=name,
-        size=size,
-        unit=unit.name,
-        base=unit.base,
+        size=len(elements),
+        unit=None,
+        base=None,
         role=role,
-        start=_start(elements, unit),
+        start=_start(elements, units),
         connection=_need(elements),
     )
+    return signal.in_units(units)
 
 
 def _need(elements: Sequence[PortElement]) -> Need:
@@ -360,13 +363,13 @@ def _need(elements: Sequence[PortElement]) -> Need:
     return next(need for need in strictest if need in needs)
 
 
-def _start(elements: Sequence[PortElement], unit: Unit) -> tuple[float, ...]:
+def _start(elements: Sequence[PortElement], units: Sequence[Unit]) -> tuple[float, ...]:
     """Return the values of a shown input that nothing drives yet; empty: zeros."""
     if not any(element.signal.start for element in elements):
         return ()
+    own = [element.measure for element in elements]
     values = []
-    for element in elements:
-        to_shown = conversion(element.signal.measure, unit)
+    for element, to_shown in zip(elements, conversions_between(own, units), strict=True):
         assert to_shown is not None
         value = float(to_shown(element.start))
         values.append(value)

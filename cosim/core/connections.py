@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.port import Port
-from cosim.core.signals import Signal
-from cosim.core.structure.ports import Ports
+from cosim.core.structure.ports import ConnectionEnd, Ports
 from cosim.errors import GraphError
 from cosim.units import Conversion, Unit, conversion
 
@@ -33,9 +32,9 @@ class Connection:
     gain : float or matrix of shape (size of the input, size of all sources)
     offset : float
         In the unit reached.
-    unit : str or None
-        Unit reached by gain and offset; None: that of each source; ``"as is"``: that of the input,
-        whatever the sources declare.
+    unit : str, sequence of str, or None
+        Unit reached by gain and offset, or one for each element of the input; None: that of each
+        source; ``"as is"``: that of the input, whatever the sources declare.
 
     Attributes
     ----------
@@ -50,7 +49,7 @@ class Connection:
     source: InitVar[SourceText]
     gain: float | ArrayLike = 1.0
     offset: float = 0.0
-    unit: str | None = None
+    unit: str | Sequence[str] | None = None
     sources: tuple[Port, ...] = field(init=False)
 
     def __post_init__(self, source: SourceText) -> None:
@@ -65,8 +64,12 @@ class Connection:
                 f"'{label}': expected a number or a matrix as gain and a number as offset, got "
                 f"gain {self.gain!r} and offset {self.offset!r}"
             )
-        if self.unit is not None:
+        if isinstance(self.unit, list | tuple):
+            object.__setattr__(self, "unit", tuple(self.unit))
+        elif self.unit is not None:
             check_type(f"'{label}': unit", self.unit, str, GraphError)
+        for unit in self.unit if isinstance(self.unit, tuple) else ():
+            check_type(f"'{label}': unit", unit, str, GraphError)
         object.__setattr__(self, "gain", gain)
         object.__setattr__(self, "offset", float(offset))
         object.__setattr__(self, "sources", sources)
@@ -75,6 +78,12 @@ class Connection:
     def matrix(self) -> NDArray[np.float64]:
         """The gain as an array, of no or of two dimensions."""
         return np.asarray(self.gain, np.float64)
+
+    def unit_of(self, element: int) -> str | None:
+        """Return the unit that an element of the input reaches, where it is given."""
+        if self.unit is None or isinstance(self.unit, str):
+            return self.unit
+        return self.unit[element]
 
     @property
     def label(self) -> str:
@@ -126,32 +135,62 @@ def components_driving(connections: Mapping[Port, Connection], to: Port) -> froz
     return frozenset(drivers)
 
 
-def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit:
-    """Return the unit after gain and offset.
+class ElementUnits(NamedTuple):
+    """The units of an element of a source, after gain and offset, and of the element it drives."""
 
-    A name that either port uses means what it does there.
+    source: Unit
+    reached: Unit
+    target: Unit
+
+    @property
+    def conversion(self) -> Conversion | None:
+        """The conversion from the unit reached to that of the input; None: there is none."""
+        return conversion(self.reached, self.target)
+
+
+def element_units(
+    connection: Connection, sources: Iterable[ConnectionEnd], to: ConnectionEnd
+) -> list[tuple[ElementUnits, ...]]:
+    """Return for each element of an input the units of what drives it, each once.
+
+    A name that either port uses means what it does there. Elements with a gain of 0 drive nothing,
+    if not all of a row are 0.
     """
-    if connection.unit is None:
-        return source.measure
-    if connection.unit == AS_IS:
-        return target.measure
-    for signal in (source, target):
-        if signal.unit == connection.unit:
-            return signal.measure
-    return Unit(connection.unit)
+    measures: list[tuple[Unit, dict[str | None, Unit]]] = []
+    for source in sources:
+        used = dict.fromkeys((*to.signal.measures, *source.signal.measures))
+        known = {unit.name: unit for unit in used}
+        measures += [(unit, known) for unit in source.measures]
+    targets = to.measures
+    by_target: list[dict[ElementUnits, None]] = [{} for _ in targets]
+    for row, target in enumerate(targets):
+        name = connection.unit_of(row)
+        for column in _feeding(connection, row, len(measures)):
+            source_unit, known = measures[column]
+            reached = source_unit
+            if name == AS_IS:
+                reached = target
+            elif name is not None:
+                reached = known.get(name, Unit(name))
+            by_target[row][ElementUnits(source_unit, reached, target)] = None
+    return [tuple(units) for units in by_target]
 
 
-def conversion_of(connection: Connection, source: Signal, target: Signal) -> Conversion | None:
-    """Return the conversion from the unit reached to that of the input; None: there is none."""
-    return conversion(unit_reached(connection, source, target), target.measure)
+def _feeding(connection: Connection, row: int, size: int) -> Sequence[int]:
+    """Return the elements of the sources that drive an element; as far as there are such."""
+    gain = connection.matrix
+    if not gain.ndim:
+        return range(row, min(row + 1, size))
+    gains = gain[row, :size] if row < len(gain) else np.zeros(size)
+    return np.flatnonzero(gains).tolist() or range(size)
 
 
 def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conversion, ...]:
-    """Return the conversion at the end of a checked connection, for each of its sources."""
-    target = ports.input(to).signal
+    """Return the conversion at the end of a checked connection, for each element of the input."""
+    sources = [ports.output(port) for port in connection.sources]
     conversions = []
-    for port in connection.sources:
-        converted = conversion_of(connection, ports.output(port).signal, target)
+    for units in element_units(connection, sources, ports.input(to)):
+        converted = units[0].conversion
         assert converted is not None
         conversions.append(converted)
     return tuple(conversions)

@@ -96,7 +96,7 @@ class Graph:
     connections : dict of Port to Connection
         By input, or elements of it.
     conversions : dict of Port to tuple of Conversion
-        Where a connection converts units: its conversion for each source.
+        Where a connection converts units: its conversion for each element of the input.
     unconnected : dict of Port to tuple of float
         The inputs, or elements of them, that nothing drives, and the values that they keep.
     held : dict of component name to Mask, shape (n_u,)
@@ -555,9 +555,9 @@ class Graph:
         """Return the wires of a connection."""
         connection = self.connections[to]
         sources = [self.ports.output(source) for source in connection.sources]
-        copies = (Conversion(),) * len(sources)
-        conversions = self.conversions.get(to, copies)
-        return wires_of(self.ports.input(to).columns, connection, sources, conversions)
+        end = self.ports.input(to)
+        copies = (Conversion(),) * end.size
+        return wires_of(end.columns, connection, sources, self.conversions.get(to, copies))
 
     def _member(self, name: str, wires: Mapping[Port, tuple[Wire, ...]]) -> Member:
         flat = chain.from_iterable(wires.values())

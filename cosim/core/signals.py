@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 from cosim.errors import GraphError, nearest, quoted
-from cosim.units import BaseUnit, Unit
+from cosim.units import BaseUnit, Unit, units_text
 
 Variability = Literal["continuous", "discrete", "inherited"]
 SignalType = Literal["real", "integer", "boolean"]
@@ -20,6 +20,8 @@ Causality = Literal["input", "output"]
 Need = Literal["required", "optional", "forbidden"]
 FaultKind = Literal["freeze", "offset", "gain", "drift", "noise", "drop", "delay"]
 Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # input names by output name
+
+PortUnit: TypeAlias = str | Sequence[str]  # of all elements of a port, or one for each
 
 LARGEST_WHOLE: Final = 2.0**53  # up to here every integer is a float64
 
@@ -41,8 +43,9 @@ class Signal:
         Unique among the signals of the component.
     size : int
         Number of elements.
-    unit : str or None
-        SI unit, ``"1"`` for dimensionless; None: not declared, and so never compared.
+    unit : str, tuple of str, or None
+        SI unit, ``"1"`` for dimensionless; a tuple has that of each element, and where all are the
+        same it is kept as one text. None: not declared, and so never compared.
     variability : {"continuous", "discrete", "inherited"}
         Between two communication points a continuous signal is interpolated linearly, a discrete
         one holds its value from the start of the step (zero-order hold). An inherited one is
@@ -53,8 +56,9 @@ class Signal:
         Carried as float64 all the same.
     role : {"input", "output", "state", "estimate"}
         What it is to a reader of the log.
-    base : BaseUnit or None
-        What the unit is in SI, where a definition says so; None: what its name says.
+    base : BaseUnit, tuple of BaseUnit or None, or None
+        What the unit, or that of each element, is in SI, where a definition says so; None: what
+        its name says.
     start : tuple of float
         Of an input: its initial elements as long as its source has no value; empty: zeros (FMI:
         start).
@@ -78,12 +82,12 @@ class Signal:
 
     name: str
     size: int = 1
-    unit: str | None = None
+    unit: str | tuple[str, ...] | None = None
     variability: Variability = "continuous"
     optional: bool = False
     type: SignalType = "real"
     role: Role = "output"
-    base: BaseUnit | None = None
+    base: BaseUnit | tuple[BaseUnit | None, ...] | None = None
     start: tuple[float, ...] = ()
     connection: Need = "required"
     nominal: tuple[float, ...] = ()
@@ -97,6 +101,7 @@ class Signal:
             raise GraphError(f"signal {self.name!r}: size: expected at least 1, got {self.size!r}")
         self._check_choices()
         self._check_types()
+        self._check_units()
         if self.start and len(self.start) != self.size:
             count = len(self.start)
             raise GraphError(
@@ -111,16 +116,29 @@ class Signal:
                 raise GraphError(f"signal {self.name!r}: {key} {value!r}; {suggestion}")
 
     def _check_types(self) -> None:
-        self._need("unit", "a string or None", isinstance(self.unit, str | None))
         self._need("description", "a string", isinstance(self.description, str))
         self._need("optional", "True or False", isinstance(self.optional, bool))
-        self._need("base", "a BaseUnit or None", isinstance(self.base, BaseUnit | None))
         self._need("start", "a tuple of numbers, none of them NaN", _are_numbers(self.start))
         is_nominal = _are_numbers(self.nominal) and all(value > 0.0 for value in self.nominal)
         fits = len(self.nominal) in (0, self.size)
         self._need("nominal", "one positive number per element, or none", is_nominal and fits)
         is_whole = type(self.first) is int and self.first >= 0
         self._need("first", "an integer >= 0", is_whole)
+
+    def _check_units(self) -> None:
+        """Check the units, and keep one text, or one for each element where they differ."""
+        units = self.unit if isinstance(self.unit, tuple) else (self.unit,) * self.size
+        is_named = all(isinstance(unit, str) for unit in units)
+        is_named |= all(unit is None for unit in units)
+        needed = "a string, a tuple with one for each element, or None"
+        self._need("unit", needed, is_named and len(units) == self.size)
+        bases = self.base if isinstance(self.base, tuple) else (self.base,) * self.size
+        is_base = all(isinstance(base, BaseUnit | None) for base in bases)
+        needed = "a BaseUnit, a tuple with one or None for each element, or None"
+        self._need("base", needed, is_base and len(bases) == self.size)
+        is_one = len(set(zip(units, bases, strict=True))) == 1
+        object.__setattr__(self, "unit", units[0] if is_one else units)
+        object.__setattr__(self, "base", bases[0] if is_one else bases)
 
     def _need(self, key: str, needed: str, is_right: bool) -> None:
         if not is_right:
@@ -137,15 +155,34 @@ class Signal:
         """``nominal``, in full."""
         return self.nominal or (1.0,) * self.size
 
-    @property
-    def measure(self) -> Unit:
-        """Its unit, by name and definition."""
-        return Unit(self.unit, self.base)
+    def measure(self, index: int) -> Unit:
+        """Return the unit of an element, by name and definition."""
+        unit = self.unit[index] if isinstance(self.unit, tuple) else self.unit
+        base = self.base[index] if isinstance(self.base, tuple) else self.base
+        return Unit(unit, base)
 
     @property
-    def si(self) -> BaseUnit | None:
-        """What its unit is in SI; None: no unit, or not known."""
-        return self.measure.si
+    def measures(self) -> tuple[Unit, ...]:
+        """The units of all elements."""
+        if isinstance(self.unit, tuple):
+            return tuple(self.measure(i) for i in range(self.size))
+        return (self.measure(0),) * self.size
+
+    @property
+    def unit_text(self) -> str:
+        """Its units as people read them: ``mm``, or ``mm, m/s``; empty: none is declared."""
+        return units_text(self.measures)
+
+    def in_units(self, units: Sequence[Unit]) -> Signal:
+        """Return this signal in other units, one for each element.
+
+        Raises
+        ------
+        GraphError
+            If some of them are declared and others are not.
+        """
+        names: Any = tuple(unit.name for unit in units)
+        return replace(self, unit=names, base=tuple(unit.base for unit in units))
 
     @property
     def origin(self) -> str:

@@ -72,12 +72,12 @@ def describe(model: DescribedModel, name: str, linear: LinearModel | None) -> De
 
 def _inputs(model: DescribedModel) -> list[Variable]:
     variables = []
-    for reference, (signal, element) in enumerate(_elements(model.interface.inputs)):
+    for reference, (signal, element, unit) in enumerate(_elements(model.interface.inputs)):
         variable = Variable(
             element,
             reference,
             "input",
-            unit=signal.unit,
+            unit=unit,
             variability=_variability(signal),
             start=(0.0,),
             doc=_doc(signal),
@@ -92,13 +92,13 @@ def _outputs(
     variables = []
     reference = model.interface.n_u
     elements = _elements(model.interface.outputs)
-    for (signal, element), state in zip(elements, output_states, strict=True):
+    for (signal, element, unit), state in zip(elements, output_states, strict=True):
         initial, start = _initial_state(linear, state)
         variable = Variable(
             element,
             reference,
             "output",
-            unit=signal.unit,
+            unit=unit,
             variability=_variability(signal),
             initial=initial,
             start=start,
@@ -154,15 +154,15 @@ def _initial_state(
     return "exact", (float(linear.X0[index]),)
 
 
-def _elements(signals: Iterable[Signal]) -> Iterator[tuple[Signal, str]]:
-    """Yield the elements of signals: each with its signal and its name."""
+def _elements(signals: Iterable[Signal]) -> Iterator[tuple[Signal, str, str | None]]:
+    """Yield the elements of signals: each with its signal, its name and its unit."""
     for signal in signals:
-        for element in signal.elements:
-            yield signal, element
+        for element, unit in zip(signal.elements, signal.measures, strict=True):
+            yield signal, element, unit.name
 
 
 def _names(signals: Iterable[Signal]) -> list[str]:
-    return [name for _, name in _elements(signals)]
+    return [name for _, name, _ in _elements(signals)]
 
 
 def _derivative(state: str) -> str:

@@ -16,6 +16,7 @@ from cosim.core.signals import Interface, Need, Role, Signal
 from cosim.errors import FmuError, nearest
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
+from cosim.units import Unit
 
 InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
 PortVariables: TypeAlias = tuple[tuple[Signal, tuple[Variable, ...]], ...]
@@ -501,7 +502,7 @@ class Description:
             connection = self._need(group)
         elif all(variable.name in self.states for variable in group):
             role = "state"
-        return Signal(
+        signal = Signal(
             name,
             size=sum(variable.size for variable in group),
             unit=first.unit,
@@ -516,6 +517,8 @@ class Description:
             nominal=_nominal(group),
             description=_doc(group),
         )
+        units = [Unit(variable.unit, variable.base) for variable in group]
+        return signal if len(set(units)) == 1 else signal.in_units(units)
 
     def _need(self, group: Sequence[Variable]) -> Need:
         """Return whether something must drive an input: where an element has no start value."""
@@ -613,8 +616,15 @@ def _families(variables: Sequence[Variable]) -> dict[str, dict[int, Variable]]:
 
 
 def _is_vector(family: Mapping[int, Variable]) -> bool:
-    """Return whether scalars, by their numbers, are the elements of one vector."""
+    """Return whether scalars, by their numbers, are the elements of one vector.
+
+    Those of different units are so where they are numbered from 0: an element of the vector then
+    has the name of its variable.
+    """
     first = min(family)
     has_gaps = max(family) - first >= len(family)
-    types = {(v.signal_type, v.unit, v.base, v.variability) for v in family.values()}
-    return first in (0, 1) and not has_gaps and len(types) == 1
+    types = {(v.signal_type, v.variability) for v in family.values()}
+    units = {(v.unit, v.base) for v in family.values()}
+    names = {name for name, _ in units}
+    has_units = len(units) == 1 or (first == 0 and None not in names)
+    return first in (0, 1) and not has_gaps and len(types) == 1 and has_units

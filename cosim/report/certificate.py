@@ -188,11 +188,11 @@ def _outputs(
     channel: Channel, records: Mapping[str, StepErrorRecord]
 ) -> Iterator[SignalCertificate]:
     for signal in channel.interface.outputs:
-        for element in signal.elements:
+        for element, unit in zip(signal.elements, signal.measures, strict=True):
             label = f"{channel.name}.{element}"
             if label in records:
                 values = {key: getattr(records[label], key) for key in StepErrorRecord.model_fields}
-                yield SignalCertificate(label, signal.unit, **values)
+                yield SignalCertificate(label, unit.name, **values)
 
 
 def _shares(values: tuple[ValueOutcome, ...], record: CertificateRecord) -> Iterator[CouplingShare]:

@@ -6,11 +6,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.core.connections import Connection, unit_reached
+from cosim.core.connections import Connection, element_units
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
@@ -36,6 +37,7 @@ from cosim.scenario.recorded_metadata import (
     replay_origin,
     run_metadata,
 )
+from cosim.units import units_text
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description
@@ -256,7 +258,7 @@ def describe_samples(source: str) -> Section:
         row = {
             "signal": signal.name,
             "size": signal.values.shape[1],
-            "unit": signal.unit,
+            "unit": ", ".join(signal.unit) if isinstance(signal.unit, tuple) else signal.unit,
             "not measured": int(np.isnan(signal.values).any(axis=1).sum()),
         }
         signals.append(row)
@@ -333,27 +335,29 @@ def _connection_rows(described: DescribedScenario) -> list[Section]:
 
 def _written_row(to: Port, connection: Connection) -> Section:
     """Describe a connection as it is written, where the ports at its ends need not be known."""
+    unit = connection.unit
     return {
         "to": str(to),
         "from": connection.label,
         "map": _map(connection),
-        "unit": connection.unit,
+        "unit": ", ".join(unit) if isinstance(unit, tuple) else unit,
         "conversion": None,
     }
 
 
 def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     """Describe one connection: its map and its unit conversions, where it has them."""
-    target = graph.ports.input(to).signal
-    sources = [graph.ports.output(port).signal for port in connection.sources]
-    units = [unit_reached(connection, source, target).name for source in sources]
-    unit = ", ".join(dict.fromkeys(name for name in units if name is not None)) or None
-    by_source = graph.conversions.get(to, ())
+    end = graph.ports.input(to)
+    sources = [graph.ports.output(port) for port in connection.sources]
+    units = list(chain.from_iterable(element_units(connection, sources, end)))
+    names = [unit.reached.name for unit in units if unit.reached.name is not None]
+    unit = ", ".join(dict.fromkeys(names)) or None
     conversions = dict.fromkeys(
-        str(conversion) for conversion in by_source if not conversion.copies
+        str(conversion) for conversion in graph.conversions.get(to, ()) if not conversion.copies
     )
     if conversions:
-        unit = f"{unit} -> {target.unit}"
+        targets = [unit.target.name for unit in units if unit.target.name is not None]
+        unit = f"{unit} -> {', '.join(dict.fromkeys(targets))}"
     return {
         **_written_row(to, connection),
         "unit": unit,
@@ -363,13 +367,13 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
 
 def _start_row(graph: Graph, to: Port, values: tuple[float, ...]) -> Section:
     """Describe an input that nothing drives."""
-    target = graph.ports.input(to).signal
+    units = graph.ports.input(to).measures
     value = ", ".join(f"{value:.6g}" for value in values)
     return {
         "to": str(to),
         "from": f"start value {value}",
         "map": None,
-        "unit": target.unit,
+        "unit": units_text(units) or None,
         "conversion": None,
     }
 
@@ -478,7 +482,7 @@ def _signal_row(component: str, kind: str, signal: Signal, *, role: str) -> Sect
         "signal": f"{component}.{signal.name}",
         "role": role,
         "size": signal.size,
-        "unit": signal.unit,
+        "unit": signal.unit_text or None,
         "variability": signal.variability,
         "kind": kind,
         "description": signal.description or None,

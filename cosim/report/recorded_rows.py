@@ -17,7 +17,7 @@ from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
 from cosim.instants import NANOSECONDS
 from cosim.scenario.recorded_metadata import component_record
-from cosim.units import conversion
+from cosim.units import Unit, conversions_between, units_text
 
 _PART_STEPS: Final = 2**17  # of a run that are looked at together
 
@@ -59,7 +59,12 @@ def time_ns_of(recording: Recording, port: str) -> Nanoseconds:
     return recording.time_ns(Port.parse(port).component)
 
 
-def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matrix:
+def units_of(recording: Recording, port: str) -> tuple[Unit, ...]:
+    """Return the units of the elements of a port."""
+    return find_signal(recording.channels, port, source="the recording").measures
+
+
+def rows_of(recording: Recording, port: str, *, like: Sequence[Unit] | None = None) -> Matrix:
     """Return a port at every recorded row, shape (N, size).
 
     Parameters
@@ -67,8 +72,8 @@ def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matr
     recording : Recording
     port : str
         ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]``.
-    like : str, optional
-        Another port, in whose unit the rows are returned.
+    like : sequence of Unit, optional
+        In which the elements are returned.
 
     Raises
     ------
@@ -78,12 +83,25 @@ def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matr
     rows = as_columns(recording[port])
     if like is None:
         return rows
-    unit = signal_of(recording, port).measure
-    wanted_unit = signal_of(recording, like).measure
-    convert = conversion(unit, wanted_unit)
-    if convert is None:
-        raise LogError(f"{port!r} has a unit incompatible with {like!r}")
-    return convert(rows)
+    columns = []
+    conversions = conversions_between(units_of(recording, port), like)
+    for values, convert in zip(rows.T, conversions, strict=True):
+        if convert is None:
+            raise LogError(f"{port!r} has a unit incompatible with {units_text(like)!r}")
+        columns.append(convert(values))
+    return np.stack(columns, axis=1)
+
+
+def stacked_units(recording: Recording, ports: Sequence[str], like: str) -> list[tuple[Unit, ...]]:
+    """Return for each of several ports side by side the units of what another has there."""
+    units = units_of(recording, like)
+    parts = []
+    first = 0
+    for port in ports:
+        size = len(units_of(recording, port))
+        parts.append(units[first : first + size])
+        first += size
+    return parts
 
 
 def stacked_rows_of(
@@ -96,11 +114,12 @@ def stacked_rows_of(
     tuple
         The instants [ns], shape (N,), and the rows there, shape (N, size of all).
     """
+    units = stacked_units(recording, ports, like)
     times = time_ns_of(recording, ports[0])
-    rows = rows_of(recording, ports[0], like=like)
-    for port in ports[1:]:
+    rows = rows_of(recording, ports[0], like=units[0])
+    for port, port_units in zip(ports[1:], units[1:], strict=True):
         port_times = time_ns_of(recording, port)
-        port_rows = rows_of(recording, port, like=like)
+        port_rows = rows_of(recording, port, like=port_units)
         times, shared, port_shared = np.intersect1d(times, port_times, return_indices=True)
         rows = np.hstack([rows[shared], port_rows[port_shared]])
     return times, rows

@@ -141,7 +141,7 @@ def _model(
         )
     wiring = _GraphWiring(scenario, component, resources)
     model = spec.exportable(component, build_context(scenario, resources), wiring)
-    interface = declare_units(model.interface, spec.units)
+    interface = declare_units(model.interface, spec.units_of(model.interface))
     model = replace(model, interface=interface)
     inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)
     is_held = inherits and wiring.is_discrete

@@ -218,12 +218,11 @@ def _samples(log: CompleteRecording, experiment: Experiment, identifier: str) ->
     t_ns = log.time_ns(times.component)
     for source in connection.sources:
         t_ns = np.union1d(t_ns, log.time_ns(source.component))
-    parts = []
-    for source, convert in zip(connection.sources, conversions, strict=True):
-        reached = connection.matrix * _at_times(log, source, t_ns) + connection.offset
-        parts.append(convert(reached))
-    t = seconds(t_ns)
-    return SampleRows(t, _at_times(log, times, t_ns), np.hstack(parts))
+    rows = np.hstack([_at_times(log, source, t_ns) for source in connection.sources])
+    rows = connection.matrix * rows + connection.offset
+    for column, convert in enumerate(conversions):
+        rows[:, column] = convert(rows[:, column])
+    return SampleRows(seconds(t_ns), _at_times(log, times, t_ns), rows)
 
 
 def _at_times(log: CompleteRecording, port: Port, t_ns: Nanoseconds) -> Matrix:

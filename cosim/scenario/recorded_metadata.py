@@ -29,7 +29,7 @@ from cosim.scenario.recorded_tables import (
     StateChangeRecord,
     Text,
 )
-from cosim.units import conversion
+from cosim.units import Unit, conversions_between
 
 _Checked = TypeVar("_Checked")
 
@@ -356,19 +356,13 @@ def _check_truth(recording: Recording, estimate: str, truth: Any) -> None:
     estimated = find_signal(recording.channels, estimate, source="truth")
     ports = truth_ports(truth)
     size = len(truth) if isinstance(truth, list) else 1
-    if ports:
-        size = sum(_comparable_size(recording, port, estimate) for port in ports)
-    if size != estimated.size:
+    true_units: list[Unit] = []
+    for port in ports:
+        true_units += find_signal(recording.channels, port, source="truth").measures
+    if (len(true_units) if ports else size) != estimated.size:
         raise LogError(f"truth: {estimate!r} has another size than {truth!r}")
-
-
-def _comparable_size(recording: Recording, port: str, estimate: str) -> int:
-    """Return the size of a true signal, whose unit must be of the same kind."""
-    true = find_signal(recording.channels, port, source="truth")
-    estimated = find_signal(recording.channels, estimate, source="truth")
-    if conversion(true.signal.measure, estimated.signal.measure) is None:
-        raise LogError(f"truth: {estimate!r} has another kind of unit than {port!r}")
-    return true.size
+    if ports and None in conversions_between(true_units, estimated.measures):
+        raise LogError(f"truth: {estimate!r} has another kind of unit than {truth!r}")
 
 
 def _of_run(

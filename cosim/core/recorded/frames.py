@@ -19,6 +19,7 @@ from cosim.core.recorded.selection import SelectedColumn, select_signals, select
 from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
+from cosim.units import units_text
 
 if TYPE_CHECKING:
     import pandas
@@ -121,7 +122,7 @@ def _seconds(table: JoinedRows) -> Vector:
 def _attributes(port: RecordedPort) -> dict[str, str]:
     """Return what a signal is, in the names of the CF conventions where these have one."""
     signal = port.described
-    attributes = {"units": signal.unit or "", "long_name": signal.description}
+    attributes = {"units": units_text(port.measures), "long_name": signal.description}
     attributes |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
     return {key: text for key, text in attributes.items() if text}
 

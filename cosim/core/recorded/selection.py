@@ -34,12 +34,14 @@ class SelectedColumn:
     column : int
         Where it stands in the rows of the component.
     signal : Signal
+    unit : str or None
     """
 
     name: str
     component: str
     column: int
     signal: Signal
+    unit: str | None
 
 
 def split_names(text: str) -> list[str]:
@@ -165,9 +167,11 @@ def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedCol
     for port in selection.values():
         component = port.channel.name
         first = port.channel.signal_columns[port.signal.name].start - port.channel.start
+        described = port.described
         for column in range(port.columns.start, port.columns.stop):
-            name = f"{component}.{port.signal.element(column - first)}"
-            selected = SelectedColumn(name, component, column, port.described)
+            name = f"{component}.{described.element(column - first)}"
+            unit = described.measure(column - first).name
+            selected = SelectedColumn(name, component, column, described, unit)
             columns.setdefault((component, column), selected)
     counts = Counter(column.name for column in columns.values())
     for name, count in counts.items():

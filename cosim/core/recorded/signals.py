@@ -16,6 +16,7 @@ from cosim.core.recorded.partial import PartialRecord, partial_of
 from cosim.core.recording import MessageLevel, SignalNames
 from cosim.core.signals import Channel, Signal
 from cosim.errors import GraphError, LogError, UnknownSignalError, nearest
+from cosim.units import Unit
 
 
 class RecordedPort(NamedTuple):
@@ -43,6 +44,13 @@ class RecordedPort(NamedTuple):
     def size(self) -> int:
         """Number of elements."""
         return int(self.columns.stop - self.columns.start)
+
+    @property
+    def measures(self) -> tuple[Unit, ...]:
+        """The units of the elements."""
+        start = self.channel.start + self.columns.start
+        first = start - self.channel.signal_columns[self.signal.name].start
+        return self.signal.measures[first : first + self.size]
 
 
 class RunMessage(NamedTuple):
@@ -298,7 +306,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
             cells = (
                 name,
                 str(signal.size),
-                signal.unit or "",
+                signal.unit_text,
                 signal.role,
                 signal.variability,
                 signal.description,

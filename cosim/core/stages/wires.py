@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -69,21 +69,39 @@ def wires_of(
     sources: Sequence[ConnectionEnd],
     conversions: Sequence[Conversion],
 ) -> tuple[Wire, ...]:
-    """Return the wires of a connection: one for each source, or one for all under a matrix."""
+    """Return the wires of a connection: one for each source, or one for all under a matrix.
+
+    Where ``conversions``, of the elements of the input, differ, one for each part with the same.
+    """
     gain = connection.matrix
-    if gain.ndim == 2:
-        # Every source reaches the same unit (checked), so one conversion is that of all of them.
-        return (Wire(to, _joined(sources), gain, connection.offset, conversions[0]),)
-    identity = gain == 1.0 and connection.offset == 0.0
+    offset = connection.offset
     wires = []
-    start = to.start
-    for source, conversion in zip(sources, conversions, strict=True):
-        stop = start + source.size
-        scaled = None if identity else gain * np.eye(source.size)
-        wire = Wire(slice(start, stop), source.columns, scaled, connection.offset, conversion)
-        wires.append(wire)
-        start = stop
+    if gain.ndim == 2:
+        joined = _joined(sources)
+        for rows in _alike(conversions, 0, len(conversions)):
+            part = slice(to.start + rows.start, to.start + rows.stop)
+            wires.append(Wire(part, joined, gain[rows], offset, conversions[rows.start]))
+        return tuple(wires)
+    identity = gain == 1.0 and offset == 0.0
+    start = 0
+    for source in sources:
+        first = source.columns.start - start
+        for rows in _alike(conversions, start, start + source.size):
+            part = slice(to.start + rows.start, to.start + rows.stop)
+            columns = slice(first + rows.start, first + rows.stop)
+            scaled = None if identity else gain * np.eye(rows.stop - rows.start)
+            wires.append(Wire(part, columns, scaled, offset, conversions[rows.start]))
+        start += source.size
     return tuple(wires)
+
+
+def _alike(conversions: Sequence[Conversion], start: int, stop: int) -> Iterator[slice]:
+    """Yield the parts of a range with the same conversion."""
+    first = start
+    for i in range(start + 1, stop + 1):
+        if i == stop or conversions[i] != conversions[first]:
+            yield slice(first, i)
+            first = i
 
 
 def constant_wires(to: slice, values: Sequence[float]) -> tuple[Wire, ...]:

@@ -32,7 +32,7 @@ class CheckedConnections:
     sources : dict of component name to dict of input name to tuple of Port
         The outputs that drive each input.
     conversions : dict of Port to tuple of Conversion
-        Where a connection converts units: its conversion for each source.
+        Where a connection converts units: its conversion for each element of the input.
     unconnected : dict of Port to tuple of float
         The inputs, or elements of them, that nothing drives, and the values that they keep.
 
@@ -80,9 +80,9 @@ class CheckedConnections:
     def _conversions(self) -> dict[Port, tuple[Conversion, ...]]:
         conversions = {}
         for to, connection in self.by_port.items():
-            by_source = conversions_of(self.ports, to, connection)
-            if not all(conversion.copies for conversion in by_source):
-                conversions[to] = by_source
+            by_element = conversions_of(self.ports, to, connection)
+            if not all(conversion.copies for conversion in by_element):
+                conversions[to] = by_element
         return conversions
 
     def _find_unconnected(self) -> dict[Port, tuple[float, ...]]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 
-from cosim.core.connections import AS_IS, ONE_SOURCE, Connection, conversion_of, unit_reached
+from cosim.core.connections import AS_IS, ONE_SOURCE, Connection, ElementUnits, element_units
 from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.core.structure.ports import ConnectionEnd, Ports, undriven_parts, unknown_component
@@ -141,14 +142,9 @@ def _mismatches(
     connection: Connection, end: ConnectionEnd, sources: Sequence[ConnectionEnd]
 ) -> Iterator[str]:
     """Yield what does not fit between the sources of a connection and its input."""
-    target = end.signal
     yield from _size_mismatches(connection, end, sources)
-    for source in sources:
-        yield from _unit_mismatches(connection, source.signal, target)
-    if connection.matrix.ndim and not _one_conversion(connection, target, sources):
-        units = ", ".join(_unit_text(source.signal.measure) for source in sources)
-        yield f"a gain cannot mix the units {units}; set the resulting unit with unit = ..."
-    if not target.optional and any(source.signal.optional for source in sources):
+    yield from _unit_mismatches(connection, end, sources)
+    if not end.signal.optional and any(source.signal.optional for source in sources):
         yield "the source may be NaN; the input requires a value at every step"
 
 
@@ -165,33 +161,46 @@ def _size_mismatches(
         yield f"size {size}{source_unit} cannot drive size {target.size}{target_unit}"
 
 
-def _one_conversion(
-    connection: Connection, target: Signal, sources: Sequence[ConnectionEnd]
-) -> bool:
-    conversions = {conversion_of(connection, source.signal, target) for source in sources}
-    return len(conversions) == 1
+def _unit_mismatches(
+    connection: Connection, end: ConnectionEnd, sources: Sequence[ConnectionEnd]
+) -> Iterator[str]:
+    names = connection.unit
+    if isinstance(names, tuple) and len(names) != end.size:
+        yield f"unit: expected one for each of {end.size} elements, got {len(names)}"
+        return
+    by_element = element_units(connection, sources, end)
+    problems: dict[str, None] = {}  # each once, whatever elements have it
+    for units in chain.from_iterable(by_element):
+        problems |= dict.fromkeys(_mismatches_of(connection, units, end.signal))
+    for row in by_element:
+        if len({units.conversion for units in row}) > 1:
+            mixed = ", ".join(_unit_text(unit) for unit in dict.fromkeys(u.source for u in row))
+            text = f"a gain cannot mix the units {mixed}; set the resulting unit with unit = ..."
+            problems[text] = None
+    yield from problems
 
 
-def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> Iterator[str]:
-    reached = unit_reached(connection, source, target)
-    used = connection.unit in (None, AS_IS, source.unit, target.unit)
+def _mismatches_of(connection: Connection, units: ElementUnits, target: Signal) -> Iterator[str]:
+    """Yield what is wrong with the units of an element."""
+    source, reached, wanted = units
+    is_as_is = connection.unit == AS_IS
+    used = connection.unit is None or is_as_is or reached.name in (source.name, wanted.name)
     if not used and reached.si is None:
-        yield f"unit = {connection.unit!r}: {unknown_unit(str(connection.unit))}"
-    elif unknown := unknown_units(reached, target.measure):
+        yield f"unit = {reached.name!r}: {unknown_unit(str(reached.name))}"
+    elif unknown := unknown_units(reached, wanted):
         yield (
-            f"{unknown}, so values in {reached.name!r} cannot be converted to {target.unit!r}; "
+            f"{unknown}, so values in {reached.name!r} cannot be converted to {wanted.name!r}; "
             f'{{ from = {connection.label!r}, unit = "{AS_IS}" }} takes them as they are'
         )
-    elif conversion(reached, target.measure) is None:
+    elif conversion(reached, wanted) is None:
+        listed = list(target.unit) if isinstance(target.unit, tuple) else target.unit
         yield (
-            f"unit {_unit_text(reached)} cannot drive unit {_unit_text(target.measure)}; convert "
-            f"with {{ from = {connection.label!r}, gain = ..., unit = {target.unit!r} }}"
+            f"unit {_unit_text(reached)} cannot drive unit {_unit_text(wanted)}; convert "
+            f"with {{ from = {connection.label!r}, gain = ..., unit = {listed!r} }}"
         )
-    if connection.unit == AS_IS:
-        return
-    if _is_identity(connection) and not _same_unit(source.measure, reached):
+    if not is_as_is and _is_identity(connection) and not _same_unit(source, reached):
         yield (
-            f"the source has unit {source.unit!r}; unit = {connection.unit!r} requires a gain; "
+            f"the source has unit {source.name!r}; unit = {reached.name!r} requires a gain; "
             "without unit it is converted"
         )
 
@@ -206,17 +215,24 @@ def unit_warnings(
 ) -> Iterator[tuple[str, str]]:
     """Yield (component, text) for units of checked connections that cannot be compared."""
     for to, connection in connections.items():
-        target = ports.input(to).signal
-        units = []
-        for port in connection.sources:
-            reached = unit_reached(connection, ports.output(port).signal, target)
-            units.append(reached)
-        if target.unit is None and not _all_same(units):
-            names = ", ".join(_unit_text(unit) for unit in units)
+        end = ports.input(to)
+        sources = [ports.output(port) for port in connection.sources]
+        units = dict.fromkeys(chain.from_iterable(element_units(connection, sources, end)))
+        reached = list(dict.fromkeys(unit.reached for unit in units))
+        if end.signal.unit is None and not _all_same(reached):
+            names = ", ".join(_unit_text(unit) for unit in reached)
             yield (
                 to.component,
                 f"{connection.label} -> {to}: the input has no unit, so values in {names} are "
                 "stacked as they are",
+            )
+        beside = [unit for unit in units if unit.reached.name is None and unit.target.name]
+        if beside and not all(_same_unit(unit.reached, unit.target) for unit in units):
+            taken = ", ".join(dict.fromkeys(repr(unit.target.name) for unit in beside))
+            yield (
+                to.component,
+                f"{connection.label} -> {to}: values without a unit are taken in {taken}, as they "
+                "are, beside others that are converted",
             )
 
 
@@ -277,4 +293,4 @@ def _unit_text(unit: Unit) -> str:
 
 
 def _bracketed_unit(signal: Signal) -> str:
-    return "" if signal.unit is None else f" [{signal.unit}]"
+    return "" if signal.unit is None else f" [{signal.unit_text}]"

@@ -9,6 +9,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, nearest
+from cosim.units import Unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,11 @@ class ConnectionEnd:
     def size(self) -> int:
         """Number of elements."""
         return int(self.columns.stop - self.columns.start)
+
+    @property
+    def measures(self) -> tuple[Unit, ...]:
+        """The units of its elements."""
+        return self.signal.measures[self.elements]
 
 
 class Ports:

@@ -27,9 +27,11 @@ def element_comments(part: Part) -> list[str]:
 
 
 def _signal_comments(signal: Signal, role: str) -> list[str]:
-    unit = "" if signal.unit is None else f" [{signal.unit}]"
     kind = role if signal.type == "real" else f"{role}, {signal.type}"
-    comments = [f"{name}{unit}, {kind}" for name in signal.elements]
+    comments = []
+    for name, unit in zip(signal.elements, signal.measures, strict=True):
+        bracketed_unit = "" if unit.name is None else f" [{unit.name}]"
+        comments.append(f"{name}{bracketed_unit}, {kind}")
     if signal.description:
         comments[0] += f": {signal.description}"
     return comments

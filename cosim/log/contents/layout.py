@@ -273,10 +273,12 @@ def _read_signal(values: dict[str, Any]) -> Signal:
     # JSON has no tuples, and a list would make the signal differ from the one recorded.
     if "start" in values:
         values["start"] = _tuple("start", values["start"])
-    if "base" in values:
-        base = dict(values["base"])
-        base["exponents"] = _tuple("exponents", base["exponents"])
-        values["base"] = BaseUnit(**base)
+    if isinstance(values["unit"], list):
+        values["unit"] = tuple(values["unit"])
+    if isinstance(values.get("base"), list):
+        values["base"] = tuple(base and _read_base(base) for base in values["base"])
+    elif "base" in values:
+        values["base"] = _read_base(values["base"])
     signal = Signal(**values)
     if signal.size > _LARGEST_WHOLE:
         raise ValueError(
@@ -284,6 +286,11 @@ def _read_signal(values: dict[str, Any]) -> Signal:
             f"{signal.size}"
         )
     return signal
+
+
+def _read_base(values: Mapping[str, Any]) -> BaseUnit:
+    exponents = _tuple("exponents", values["exponents"])
+    return BaseUnit(**{**values, "exponents": exponents})
 
 
 def _tuple(name: str, values: Any) -> tuple[Any, ...]:

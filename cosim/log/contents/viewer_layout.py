@@ -7,8 +7,9 @@ panel by its identifier, ``Plot!1``, and a binary tree that divides the window a
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Final
 
 from cosim.core.recorded.signals import RecordedPort, find_signal
@@ -68,14 +69,25 @@ def output_panels(channels: Mapping[str, Channel]) -> list[ViewerPanel]:
     groups: dict[str, list[RecordedPort]] = {}
     for name, channel in channels.items():
         for signal in shown_outputs(channel):
-            title = name if signal.unit is None else f"[{signal.unit}]"
             port = find_signal(channels, f"{name}.{signal.name}", source="the run")
-            groups.setdefault(title, []).append(port)
+            for part in _in_one_unit(port):
+                unit = part.measures[0].name
+                title = name if unit is None else f"[{unit}]"
+                groups.setdefault(title, []).append(part)
     panels = []
     for title, ports in groups.items():
         for signals in _divided(ports):
             panels.append(ViewerPanel(title, signals))
     return panels
+
+
+def _in_one_unit(port: RecordedPort) -> Iterator[RecordedPort]:
+    """Yield the parts of a signal whose neighbouring elements have the same unit."""
+    start = port.columns.start
+    for _, elements in groupby(port.measures):
+        stop = start + len(list(elements))
+        yield port._replace(columns=slice(start, stop))
+        start = stop
 
 
 def shown_outputs(channel: Channel) -> Sequence[Signal]:
@@ -109,7 +121,7 @@ def _panel_config(panel: ViewerPanel, paths: Mapping[str, Sequence[str]]) -> dic
             curves.append(_curve(path, label))
     for level in panel.levels:
         curves.append(_curve(repr(level), repr(level)))
-    units = {port.signal.unit for port in panel.signals}
+    units = {unit.name for port in panel.signals for unit in port.measures}
     unit = units.pop() if len(units) == 1 else None
     return {
         # the title, by the name that each viewer has for it
@@ -134,12 +146,14 @@ def _curve(value: str, label: str) -> dict[str, Any]:
 
 def _labels(port: RecordedPort) -> list[str]:
     """Return the elements' own names with their unit: ``plant.x_a[0] [m]``."""
-    signal = port.signal
-    unit = "" if signal.unit is None else f" [{signal.unit}]"
     name = port.channel.name
     first = _first_column(port)
-    elements = signal.elements[port.columns.start - first : port.columns.stop - first]
-    return [f"{name}.{element}{unit}" for element in elements]
+    elements = port.signal.elements[port.columns.start - first : port.columns.stop - first]
+    labels = []
+    for element, unit in zip(elements, port.measures, strict=True):
+        bracketed_unit = "" if unit.name is None else f" [{unit.name}]"
+        labels.append(f"{name}.{element}{bracketed_unit}")
+    return labels
 
 
 def _first_column(port: RecordedPort) -> int:

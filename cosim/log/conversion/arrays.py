@@ -19,6 +19,7 @@ from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion.choice import LogChoice, signal_metadata
+from cosim.units import units_text
 
 TIME_KEY: Final = "t:"  # before a component's name; no signal has a name without a dot
 SIGNALS_KEY: Final = "signals"
@@ -33,7 +34,7 @@ def write_npz(stream: BinaryIO, choice: LogChoice) -> None:
     JSON text with unit, description, role, variability and type by name.
     """
     with zipfile.ZipFile(stream, "w", allowZip64=True) as archive:
-        about = {name: signal_metadata(port.described) for name, port in choice.selection.items()}
+        about = {name: _metadata(port) for name, port in choice.selection.items()}
         _write_entry(archive, SIGNALS_KEY, np.array(json.dumps(about)))
         for component, names, time_ns, rows in _by_component(choice):
             _write_entry(archive, f"{TIME_KEY}{component}", time_ns / NANOSECONDS)
@@ -72,9 +73,7 @@ def write_mat(stream: BinaryIO, choice: LogChoice) -> None:
             variable = _legal_name(name, variables)
             variables[variable] = _values(rows, choice.selection[name])
             own = {"name": name, "variable": variable, "time": time_name}
-            described[name] = (
-                own | _NOT_DECLARED | signal_metadata(choice.selection[name].described)
-            )
+            described[name] = own | _NOT_DECLARED | _metadata(choice.selection[name])
     variables[SIGNALS_KEY] = _struct_array([described[name] for name in choice.selection])
     try:
         savemat(stream, variables, long_field_names=True, oned_as="column")
@@ -115,6 +114,10 @@ def _by_component(choice: LogChoice) -> Iterator[tuple[str, list[str], Nanosecon
         time_ns = np.concatenate([times for times, _ in blocks])
         rows = np.concatenate([part for _, part in blocks])
         yield component, own, time_ns, rows
+
+
+def _metadata(port: RecordedPort) -> dict[str, str]:
+    return signal_metadata(port.described, units_text(port.measures))
 
 
 def _values(rows: Matrix, port: RecordedPort) -> Matrix:

@@ -53,9 +53,9 @@ class LogChoice:
         return joined_rows(self.run, self.columns)
 
 
-def signal_metadata(signal: Signal) -> dict[str, str]:
-    """Return what a signal is, as far as that is declared: texts by what they say."""
-    metadata = {"unit": signal.unit or "", "description": signal.description}
+def signal_metadata(signal: Signal, unit: str | None) -> dict[str, str]:
+    """Return what a signal, or an element in a unit, is, as far as that is declared."""
+    metadata = {"unit": unit or "", "description": signal.description}
     metadata |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
     return {key: text for key, text in metadata.items() if text}
 

@@ -27,9 +27,8 @@ def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
 
     fields = [arrow.field(TIME, arrow.float64(), nullable=False, metadata={"unit": "s"})]
     for column in choice.columns:
-        fields.append(
-            arrow.field(column.name, arrow.float64(), metadata=signal_metadata(column.signal))
-        )
+        about = signal_metadata(column.signal, column.unit)
+        fields.append(arrow.field(column.name, arrow.float64(), metadata=about))
     about = {"source": choice.run.label, "status": choice.run.status}
     schema = arrow.schema(fields, metadata=about)
     options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}

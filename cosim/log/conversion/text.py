@@ -47,8 +47,8 @@ def csv_text(table: TextSource) -> Iterator[str]:
     """Yield a table as CSV, a few rows at a time."""
     header = [f"{TIME} [s]"]
     for column in table.columns:
-        unit = column.signal.unit
-        header.append(column.name if unit is None else f"{column.name} [{unit}]")
+        unit = "" if column.unit is None else f" [{column.unit}]"
+        header.append(f"{column.name}{unit}")
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(header)
     yield line.getvalue()

@@ -21,8 +21,9 @@ from cosim.report.plots.curves import (
 )
 from cosim.report.plots.estimates import draw_truth, limit_to_settled, limit_to_truth
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
-from cosim.report.recorded_rows import difference, element_names, has_signal, signal_of
+from cosim.report.recorded_rows import difference, element_names, has_signal, units_of
 from cosim.scenario.recorded_metadata import truth_of
+from cosim.units import units_text
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison
@@ -82,7 +83,7 @@ def _draw_estimates(
         if has_signal(recording, estimate):
             _draw_elements(panel, curves_of(recording, estimate, options), styles[run])
     unit = _unit_of(recordings, estimate)
-    panel.set_ylabel(estimate if unit is None else f"{estimate} [{unit}]")
+    panel.set_ylabel(f"{estimate} [{unit}]" if unit else estimate)
 
 
 def _draw_differences(
@@ -126,10 +127,10 @@ def _difference_curves(
     first: Recording, other: Recording, estimate: str, options: PictureOptions
 ) -> list[Curve]:
     times, values = difference(first, other, estimate)
-    measure = signal_of(first, estimate).measure
+    names = element_names(estimate, values.shape[1])
     curves = []
-    for name, column in zip(element_names(estimate, values.shape[1]), values.T, strict=True):
-        curves.append(Curve(name, measure, times, column).within(options))
+    for name, unit, column in zip(names, units_of(first, estimate), values.T, strict=True):
+        curves.append(Curve(name, unit, times, column).within(options))
     return curves
 
 
@@ -142,8 +143,8 @@ def _dashes(count: int) -> list[object]:
     return [DASHES[i % len(DASHES)] for i in range(count)]
 
 
-def _unit_of(recordings: Mapping[str, Recording], estimate: str) -> str | None:
+def _unit_of(recordings: Mapping[str, Recording], estimate: str) -> str:
     for recording in recordings.values():
         if has_signal(recording, estimate):
-            return signal_of(recording, estimate).unit
-    return None
+            return units_text(units_of(recording, estimate))
+    return ""

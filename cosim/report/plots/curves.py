@@ -14,7 +14,7 @@ from cosim.core.recording import Recording
 from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.printable import printable_line
-from cosim.report.recorded_rows import element_names, rows_of, signal_of, time_ns_of
+from cosim.report.recorded_rows import element_names, rows_of, signal_of, time_ns_of, units_of
 from cosim.units import Unit, conversion
 
 Style: TypeAlias = Mapping[str, Any]
@@ -84,9 +84,9 @@ def curves_of(
     port: str,
     options: PictureOptions,
     *,
-    like: str | None = None,
+    like: Sequence[Unit] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each element of a port; in the unit of the port ``like``, if given.
+    """Return a curve for each element of a port; in the units ``like``, if given.
 
     Raises
     ------
@@ -95,12 +95,12 @@ def curves_of(
     """
     rows = rows_of(recording, port, like=like)
     times = time_ns_of(recording, port) / 1e9
-    signal = signal_of(recording, port)
-    unit = signal.measure if like is None else signal_of(recording, like).measure
-    held = signal.variability == "discrete"
+    units = units_of(recording, port) if like is None else like
+    held = signal_of(recording, port).variability == "discrete"
     curves = []
     options.check_shows(times)
-    for name, values in zip(element_names(port, rows.shape[1]), rows.T, strict=True):
+    names = element_names(port, rows.shape[1])
+    for name, unit, values in zip(names, units, rows.T, strict=True):
         curve = Curve(name, unit, times, values, held)
         curves.append(curve.within(options))
     return curves
@@ -109,23 +109,33 @@ def curves_of(
 def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style]) -> None:
     """Draw curves into a panel, with their names and units.
 
-    All are shown in the unit of the first.
+    All are shown in the unit of the first; where elements of one signal cannot be, each in its own.
 
     Raises
     ------
     UsageError
-        If the units are of different kinds.
+        If the units of several signals are of different kinds.
     """
-    in_one_unit = [_in_unit(curve, curves[0]) for curve in curves]
+    first = curves[0]
+    is_one_signal = len({curve.name.partition("[")[0] for curve in curves}) == 1
+    if is_one_signal and any(conversion(curve.unit, first.unit) is None for curve in curves):
+        for curve, style in zip(curves, styles, strict=True):
+            curve.draw(panel, style, label=f"{shown_text(curve.name)} {_bracketed(curve.unit)}")
+        show_legend(panel)
+        return
+    in_one_unit = [_in_unit(curve, first) for curve in curves]
     for curve, style in zip(in_one_unit, styles, strict=True):
         curve.draw(panel, style, label=shown_text(curve.name))
-    first = in_one_unit[0]
-    bracketed_unit = "" if first.unit.name is None else f"[{shown_text(first.unit.name)}]"
+    bracketed_unit = _bracketed(first.unit)
     if len(curves) == 1:
         panel.set_ylabel(f"{shown_text(first.name)} {bracketed_unit}".strip())
     else:
         panel.set_ylabel(bracketed_unit)
         show_legend(panel)
+
+
+def _bracketed(unit: Unit) -> str:
+    return "" if unit.name is None else f"[{shown_text(unit.name)}]"
 
 
 def show_legend(panel: Any) -> None:

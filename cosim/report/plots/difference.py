@@ -23,7 +23,7 @@ from cosim.report.plots.curves import (
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.plots.signals import short_labels
 from cosim.report.recorded_rows import difference as rows_apart
-from cosim.report.recorded_rows import element_names, signal_of
+from cosim.report.recorded_rows import element_names, signal_of, units_of
 
 _STYLES: Final[tuple[Style, Style]] = (
     {"color": COLORS[0], "linewidth": 2.0 * WIDTH},
@@ -75,9 +75,9 @@ def _apart(worst: SignalDifference, runs: Sequence[Recording]) -> Curve:
         number = int(np.nan_to_num(np.abs(values), nan=0.0).max(axis=0).argmax())
     else:  # where only one of both is a number
         number = names.index(worst.first.signal)
-    recorded = signal_of(runs[0], worst.signal)
-    held = recorded.variability == "discrete"
-    return Curve(names[number], recorded.measure, times, values[:, number], held)
+    held = signal_of(runs[0], worst.signal).variability == "discrete"
+    unit = units_of(runs[0], worst.signal)[number]
+    return Curve(names[number], unit, times, values[:, number], held)
 
 
 def _draw_limits(panel: Any, worst: SignalDifference) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +15,7 @@ from cosim.errors import UsageError
 from cosim.report.plots.curves import TRUTH, Curve, color_styles, curves_of, draw_curves
 from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
-from cosim.report.recorded_rows import beside_truth, rows_of, time_ns_of
+from cosim.report.recorded_rows import beside_truth, rows_of, stacked_units, time_ns_of
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.recorded_metadata import run_metadata, truth_of
 
@@ -95,12 +96,21 @@ def draw_truth(
 ) -> None:
     """Draw the true signals, or the true values, of an estimate in gray."""
     ports = truth_ports(true)
-    for port in ports:
-        for curve in curves_of(recording, port, options, like=estimate):
-            curve.draw(panel, TRUTH)
+    for curve in _true_curves(recording, estimate, ports, options):
+        curve.draw(panel, TRUTH)
     if not ports:
         for value in np.atleast_1d(true):
             panel.axhline(value, **TRUTH)
+
+
+def _true_curves(
+    recording: Recording, estimate: str, ports: Sequence[str], options: PictureOptions
+) -> list[Curve]:
+    """Return the true signals of an estimate, in its units."""
+    curves: list[Curve] = []
+    for port, units in zip(ports, stacked_units(recording, ports, estimate), strict=True):
+        curves += curves_of(recording, port, options, like=units)
+    return curves
 
 
 def error_curves(
@@ -140,8 +150,7 @@ def limit_to_truth(
     curves = [curve.values for curve in curves_of(recording, estimate, options)]
     parts = [values[len(values) // 2 :] for values in curves]
     ports = truth_ports(true)
-    for port in ports:
-        parts += [curve.values for curve in curves_of(recording, port, options, like=estimate)]
+    parts += [curve.values for curve in _true_curves(recording, estimate, ports, options)]
     if not ports:
         parts.append(np.atleast_1d(np.array(true, np.float64)))
     _limit(panel, parts)

@@ -20,7 +20,7 @@ from cosim.report.plots.estimates import (
 )
 from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
-from cosim.report.recorded_rows import has_signal, signal_of, stacked_rows_of
+from cosim.report.recorded_rows import has_signal, stacked_rows_of, units_of
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.scenario.recorded_metadata import truth_of
@@ -83,12 +83,12 @@ def _draw_residual(
     identified = identification.identified
     data = record.data
     response = identification.assessment.fitted.responses[index]
-    unit = signal_of(record.log, f"{identified.observer}.y").measure
+    units = units_of(record.log, f"{identified.observer}.y")
     names = ["residual of y"]
     if data.y.shape[1] > 1:
         names = [f"residual of y[{o}]" for o in range(data.y.shape[1])]
     curves = []
-    for name, column in zip(names, response.residual.T, strict=True):
+    for name, unit, column in zip(names, units, response.residual.T, strict=True):
         curves.append(Curve(name, unit, data.t, column).within(options))
     styles = [{**style, "linewidth": _THIN} for style in color_styles(len(curves))]
     draw(over_time, curves, styles=styles)
@@ -136,7 +136,7 @@ def _draw_disturbance(
     left, right = panels
     record = identification.records[index]
     estimate = f"{identification.identified.observer}.delta"
-    unit = signal_of(record.log, estimate).measure
+    unit = units_of(record.log, estimate)[0]
     try:
         smoothed = identification.smoothed(index)
     except AssumptionError as error:  # of an unstable plant

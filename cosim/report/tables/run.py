@@ -141,13 +141,13 @@ def _signal_table(signals: Sequence[SignalError]) -> Table:
 
 def _final_value_table(summary: Summary, recording: Recording) -> Table:
     """Return the final values of the outputs, for a run without a truth to compare with."""
-    units = {name: signal_of(recording, name).unit for name in summary.last}
+    units = {name: signal_of(recording, name).unit_text for name in summary.last}
     has_units = any(units.values())
     table = new_table("", ("signal", "final value", "unit" if has_units else ""))
     for name, last in summary.last.items():
         values = last if isinstance(last, list) else [last]
         text = " ".join(f"{value:.6g}" for value in values)
-        table.add_row(name, text, units[name] or "")
+        table.add_row(name, text, units[name])
     return table
 
 

@@ -185,7 +185,8 @@ class SettingBuilder:
             scenario, self._resources, self._recording, unpacked=unpacked
         )
         context.records.begin(name)
-        component = with_units(spec.build(name, context), spec.units)
+        component = spec.build(name, context)
+        component = with_units(component, spec.units_of(component.interface))
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
 
 

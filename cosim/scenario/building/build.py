@@ -269,7 +269,7 @@ class Builder:
         entries = self.scenario.maps.get(name)
         if entries:
             component = self._renamed(name, spec, component, entries)
-        return with_units(component, spec.units)
+        return with_units(component, spec.units_of(component.interface))
 
     def _recording_of(self, name: str, spec: Kind, component: Component, period: int) -> Component:
         """Return the recording of a component that is left out.

@@ -224,7 +224,7 @@ class KeptBuild:
             if renamed is None:
                 return None
             component = renamed
-        component = with_units(component, spec.units)
+        component = with_units(component, spec.units_of(component.interface))
         period = spec.period_steps(name, context.step_ns)
         component = spec.with_period(component, period)
         before = self._scenario.specs[name]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,15 +14,7 @@ from cosim.core.structure.connection_checks import unknown_units
 from cosim.errors import GraphError, nearest
 from cosim.scenario.document.problems import Problem
 from cosim.scenario.document.schema import File, truth_ports
-from cosim.units import conversion
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedSignal:
-    """A signal, and how many of its elements are compared."""
-
-    signal: Signal
-    size: int
+from cosim.units import Unit, conversion
 
 
 def check_truth(
@@ -60,10 +51,14 @@ def check_truth(
                 text = f"has no {str(dropped[0])!r}: the report leaves out {estimate!r}"
                 warn(dropped[0].component, text)
                 continue
-            estimated, *true_signals = [signals.find(port) for port in ports]
+            estimated, *true_signals = [signals.units(port) for port in ports]
             _check_size(estimate, truth, estimated, true_signals)
+            first = 0
             for port, true in zip(ports[1:], true_signals, strict=True):
-                _check_unit(estimate, port, estimated, true, warn)
+                beside = estimated[first : first + len(true)]
+                for pair in dict.fromkeys(zip(beside, true, strict=True)):
+                    _check_unit(estimate, port, *pair, warn)
+                first += len(true)
         except GraphError as error:
             problems.append((("truth", estimate), str(error)))
         else:
@@ -86,8 +81,8 @@ class _Signals:
         """Return those of some ports that there are not."""
         return [port for port in ports if self._match(port) is None]
 
-    def find(self, port: Port) -> ComparedSignal:
-        """Return the signal that a port names.
+    def units(self, port: Port) -> tuple[Unit, ...]:
+        """Return the units of the elements that a port names.
 
         Raises
         ------
@@ -99,14 +94,14 @@ class _Signals:
             suggestion = nearest(str(port), self._names)
             raise GraphError(f"unknown signal {str(port)!r}; {suggestion}")
         signal, elements = match
-        return ComparedSignal(signal, elements.stop - elements.start)
+        return signal.measures[elements]
 
     def _match(self, port: Port) -> tuple[Signal, slice] | None:
         return port.find(self._signals.get(port.component, {}))
 
 
 def _check_size(
-    estimate: str, truth: Any, estimated: ComparedSignal, true_signals: Sequence[ComparedSignal]
+    estimate: str, truth: Any, estimated: Sequence[Unit], true_signals: Sequence[Sequence[Unit]]
 ) -> None:
     """Check that an estimate has as many elements as its truth: all signals of it, or numbers.
 
@@ -115,13 +110,13 @@ def _check_size(
     GraphError
         If it has not.
     """
-    true_size = sum(true.size for true in true_signals)
+    true_size = sum(map(len, true_signals))
     if not true_signals:
         true_size = len(np.atleast_1d(truth))
-    if estimated.size != true_size:
+    if len(estimated) != true_size:
         shown_truth = list(truth) if isinstance(truth, tuple) else truth
         raise GraphError(
-            f"{estimate!r} has size {estimated.size}, "
+            f"{estimate!r} has size {len(estimated)}, "
             f"its true value {shown_truth!r} has size {true_size}"
         )
 
@@ -129,8 +124,8 @@ def _check_size(
 def _check_unit(
     estimate: str,
     port: Port,
-    estimated: ComparedSignal,
-    true: ComparedSignal,
+    unit: Unit,
+    true_unit: Unit,
     warn: Callable[[str, str], None],
 ) -> None:
     """Check that the unit of a true signal can be converted to that of the estimate.
@@ -142,8 +137,6 @@ def _check_unit(
     GraphError
         If it cannot.
     """
-    unit = estimated.signal.measure
-    true_unit = true.signal.measure
     if conversion(true_unit, unit) is None:
         raise GraphError(
             f"{estimate!r} has unit {unit.name!r}, its true value {str(port)!r} has unit "

@@ -299,12 +299,16 @@ class _Headers:
         return signals
 
 
-def _unit_of(table: _FieldTable, name: str, parts: Sequence[_Header]) -> str | None:
-    units = {part.unit for part in parts}
-    if len(units) > 1:
-        listed = ", ".join(f"{part.name!r} in {part.unit}" for part in parts)
-        raise UsageError(f"{table.label}: expected one unit in columns of {name!r}, got {listed}")
-    return units.pop()
+def _unit_of(
+    table: _FieldTable, name: str, parts: Sequence[_Header]
+) -> str | tuple[str, ...] | None:
+    units = [part.unit for part in parts if part.unit is not None]
+    if len(units) not in (0, len(parts)):
+        listed = ", ".join(f"{part.name!r} in {part.unit or 'no unit'}" for part in parts)
+        raise UsageError(
+            f"{table.label}: expected a unit in each column of {name!r}, or in none, got {listed}"
+        )
+    return tuple(units) if len(set(units)) > 1 else parts[0].unit
 
 
 # --- times ---

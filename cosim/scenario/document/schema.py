@@ -195,7 +195,7 @@ class ConnectionTable(TomlTable):
     source: str | list[str] = Field(alias="from")
     gain: Number | NumberRows = 1.0
     offset: Number = 0.0
-    unit: str | None = None
+    unit: str | list[str] | None = None
 
 
 class SwapTable(TomlTable):

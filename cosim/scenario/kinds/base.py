@@ -18,7 +18,7 @@ from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.recording import Recording
-from cosim.core.signals import Interface
+from cosim.core.signals import Interface, PortUnit
 from cosim.scenario.document.schema import Number, TomlTable, UnitName
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
@@ -280,12 +280,13 @@ class Wiring(Protocol):
         ...
 
 
-PortUnits: TypeAlias = UnitName | dict[str, UnitName] | None
+PortUnits: TypeAlias = UnitName | dict[str, UnitName | list[UnitName]] | None
 
 
 def unit_of(ports: str) -> str:
     """Return the description of the key ``unit``, for kinds where one unit is that of ``ports``."""
-    return f'unit of {ports}, or one per port, such as {{ u = "N", y = "mm" }}'
+    example = '{ u = "N", y = ["mm", "m/s"] }'
+    return f"unit of {ports}, or units by port, of all elements or of each, such as {example}"
 
 
 class Kind(TomlTable):
@@ -331,11 +332,15 @@ class Kind(TomlTable):
         return self.unit if isinstance(self.unit, str) else None
 
     @property
-    def units(self) -> Mapping[str, str]:
+    def units(self) -> Mapping[str, PortUnit]:
         """The units of the table by port; of ``y`` where there is one."""
         if isinstance(self.unit, str):
             return {"y": self.unit}
         return self.unit or {}
+
+    def units_of(self, interface: Interface) -> Mapping[str, PortUnit]:
+        """Return the units that the table declares of the ports of a component."""
+        return self.units
 
     @property
     def hands_on_lag(self) -> bool:

@@ -14,6 +14,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.compensator import Compensator, CompensatorOptions
 from cosim.core.contracts import Component
 from cosim.core.port import Port
+from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.scenario.document.schema import (
     Flag,
@@ -132,11 +133,11 @@ class CompensatorKind(Kind):
     unit: PortUnits = Field(None, description=unit_of("u"))
 
     @property
-    def units(self) -> dict[str, str]:
+    def units(self) -> dict[str, PortUnit]:
         """The units of the table by port; of ``u`` where there is one."""
         if isinstance(self.unit, str):
             return {"u": self.unit}
-        return self.unit or {}
+        return {**(self.unit or {})}
 
     def build(self, name: str, context: BuildContext) -> Component:
         gains = self.gains(name, context)

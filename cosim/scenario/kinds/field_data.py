@@ -19,12 +19,13 @@ from cosim.blocks.field_data import (
     at_points,
     check_covers,
     check_step,
+    units_of_samples,
 )
 from cosim.blocks.renaming import Renaming
 from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Interface, Signal, samples_of
+from cosim.core.signals import Interface, PortUnit, Signal, samples_of
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY
@@ -100,12 +101,14 @@ class FieldDataKind(PlantKind):
         """It has none."""
         return False
 
-    @property
-    def units(self) -> Mapping[str, str]:
-        """The units of the table by port, those of the samples too."""
-        units = dict(super().units)
-        for port, unit in super().units.items():
-            units.setdefault(samples_of(port), unit)
+    def units_of(self, interface: Interface) -> Mapping[str, PortUnit]:
+        """Return the units of the table by port, those of the samples too."""
+        units = dict(self.units)
+        for port, unit in self.units.items():
+            samples = samples_of(port)
+            if samples in interface.by_name:
+                places = interface.by_name[SAMPLE_TIMES].size
+                units.setdefault(samples, units_of_samples(unit, places))
         return units
 
     def decided(

@@ -24,6 +24,7 @@ from cosim.core.clock import whole_steps
 from cosim.core.connections import Connection, components_driving
 from cosim.core.contracts import Component
 from cosim.core.port import Port
+from cosim.core.signals import PortUnit
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, NumberRows
@@ -198,7 +199,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def build(self, name: str, context: BuildContext) -> Component:
         return with_units(*self._built(name, context))
 
-    def _built(self, name: str, context: BuildContext) -> tuple[Component, Mapping[str, str]]:
+    def _built(self, name: str, context: BuildContext) -> tuple[Component, Mapping[str, PortUnit]]:
         """Return the identifier, and the units that its inputs have from the observer."""
         self._check_options()
         source = IdentifierSource(name, context)

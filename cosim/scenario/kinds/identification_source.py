@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from cosim.blocks.field_data import SAMPLE_TIMES, units_of_samples
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.core.signals import Interface
+from cosim.core.signals import Interface, PortUnit
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
@@ -241,16 +242,21 @@ class ObserverSource:
         """Return its design model with a component of each of these elements of delta."""
         return disturbed_plant(self.design.model.reduced, elements)
 
-    def units(self, interface: Interface) -> dict[str, str]:
+    def units(self, interface: Interface) -> dict[str, PortUnit]:
         """Return the units of the signals that are taken where the observer takes them."""
-        designed = self.design.model.units
-        named = {signal: unit.name for signal, unit in designed.items() if unit.name is not None}
+        named: dict[str, PortUnit] = {}
+        for port, designed in self.design.model.units.items():
+            names = tuple(unit.name for unit in designed if unit.name is not None)
+            if names:
+                named[port] = names
         named |= self._kind.units
-        units = {}
+        units: dict[str, PortUnit] = {}
         for signal in interface.inputs:
-            of_observer = "y" if signal.name == "samples" else signal.name
-            if of_observer in named:
-                units[signal.name] = named[of_observer]
+            if signal.name == "samples" and "y" in named:
+                most = interface.by_name[SAMPLE_TIMES].size
+                units[signal.name] = units_of_samples(named["y"], most)
+            elif signal.name in named:
+                units[signal.name] = named[signal.name]
         return units
 
 

@@ -33,13 +33,13 @@ class DesignModel(NamedTuple):
     reduced : ReducedSystem
     constant : bool
         Whether the last input of ``reduced`` is the constant 1.
-    units : mapping of signal name to Unit
-        Those that are declared of the observer's signals u, y, x_a and delta.
+    units : mapping of signal name to tuple of Unit
+        Those that are declared of the elements of the observer's signals u, y, x_a and delta.
     """
 
     reduced: ReducedSystem
     constant: bool = False
-    units: Mapping[str, Unit] = MappingProxyType({})
+    units: Mapping[str, tuple[Unit, ...]] = MappingProxyType({})
 
     def declare(self, model: LinearModel) -> LinearModel:
         """Declare the units of the signals of an observer."""
@@ -50,11 +50,10 @@ class DesignModel(NamedTuple):
 
     def declared(self, signals: Iterable[Signal]) -> tuple[Signal, ...]:
         """Return signals of an observer with their units."""
-        declared = []
-        for signal in signals:
-            unit = self.units.get(signal.name, Unit(None))
-            declared.append(replace(signal, unit=unit.name, base=unit.base))
-        return tuple(declared)
+        return tuple(
+            signal.in_units(self.units.get(signal.name) or (Unit(None),) * signal.size)
+            for signal in signals
+        )
 
 
 def design_model(linearization: Linearization, disturbances: Sequence[str]) -> DesignModel:
@@ -90,10 +89,10 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
         Kd=np.zeros((0, len(unknown))),
     )
     units = {
-        "u": _unit(linearization, [linearization.inputs[i] for i in known]),
-        "delta": _unit(linearization, [linearization.inputs[i] for i in unknown]),
-        "y": _unit(linearization, linearization.outputs),
-        "x_a": _unit(linearization, linearization.states),
+        "u": _units(linearization, [linearization.inputs[i] for i in known]),
+        "delta": _units(linearization, [linearization.inputs[i] for i in unknown]),
+        "y": _units(linearization, linearization.outputs),
+        "x_a": _units(linearization, linearization.states),
     }
     return DesignModel(reduced, constant, units)
 
@@ -165,12 +164,10 @@ class MovingModel:
         )
 
 
-def _unit(linearization: Linearization, names: Sequence[str]) -> Unit:
-    """Return the unit that all elements of a signal have; else none is declared."""
-    units = set()
-    for name in names:
-        units.add(Unit(linearization.units.get(name), linearization.bases.get(name)))
-    return units.pop() if len(units) == 1 else Unit(None)
+def _units(linearization: Linearization, names: Sequence[str]) -> tuple[Unit, ...]:
+    """Return the units of the elements of a signal; none where one of them has none."""
+    units = [Unit(linearization.units.get(name), linearization.bases.get(name)) for name in names]
+    return () if any(unit.name is None for unit in units) else tuple(units)
 
 
 def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[list[int], list[int]]:

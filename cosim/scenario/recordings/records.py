@@ -6,9 +6,13 @@ import json
 from dataclasses import asdict
 from typing import Any, Final
 
+import numpy as np
+
 from cosim.core.connections import Connection
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
+from cosim.core.port import Port
 from cosim.core.recorded.partial import partial_layout
 from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.core.signals import Channel
@@ -18,7 +22,6 @@ from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.recordings.viewer_panels import viewer_panels
-from cosim.units import Conversion
 
 MEANS: Final = "means"  # inputs that get the mean of both ends of a step
 
@@ -54,8 +57,10 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         run["replay"] = json.dumps(asdict(experiment.origin))
     connections = {}
     for to, connection in experiment.graph.connections.items():
-        conversions = experiment.graph.conversions.get(to, ())
-        connections[str(to)] = json.dumps(_plain(connection, conversions))
+        values = _plain_connection(connection)
+        if to in experiment.graph.conversions:
+            values["conversions"] = _plain_conversions(experiment.graph, to, connection)
+        connections[str(to)] = json.dumps(values)
     records = {"cosim.run": run, "cosim.connections": connections}
     if experiment.setting_designs:
         records[SETTINGS] = dict(experiment.setting_designs)
@@ -81,17 +86,26 @@ def _plain_gain(gain: LoopGain) -> dict[str, Any]:
     return values
 
 
-def _plain(connection: Connection, conversions: tuple[Conversion, ...]) -> dict[str, Any]:
-    """Return a connection in plain values; its conversions only where units are converted."""
-    values = {
+def _plain_connection(connection: Connection) -> dict[str, Any]:
+    return {
         "from": connection.label,
         "gain": connection.matrix.tolist(),
         "offset": connection.offset,
         "unit": connection.unit,
     }
-    if conversions:
-        values["conversions"] = [asdict(conversion) for conversion in conversions]
-    return values
+
+
+def _plain_conversions(graph: Graph, to: Port, connection: Connection) -> list[dict[str, float]]:
+    """Return one conversion for each source; where its elements differ, one for each element."""
+    conversions = graph.conversions[to]
+    sizes = [graph.ports.output(source).size for source in connection.sources]
+    ends = np.cumsum(sizes).tolist()
+    parts = [conversions[end - size : end] for end, size in zip(ends, sizes, strict=True)]
+    if connection.matrix.ndim:
+        parts = [conversions] * len(sizes)
+    if all(len(set(part)) == 1 for part in parts):
+        conversions = tuple(part[0] for part in parts)
+    return [asdict(conversion) for conversion in conversions]
 
 
 def recorded_channels(experiment: Experiment) -> dict[str, Channel]:

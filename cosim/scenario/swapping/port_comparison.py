@@ -14,7 +14,7 @@ import cmath
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,18 @@ from cosim.core.signals import Causality, Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.fmi.linearizing.linearization import is_singular, pole_text, poles
 from cosim.scenario.kinds.base import LinearSystem
-from cosim.units import Conversion, comparable, conversion
+from cosim.units import (
+    Conversion,
+    Unit,
+    comparable,
+    conversion,
+    conversions_between,
+    units_text,
+)
 
 PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
 
+_WORST_FIRST: Final[tuple[PortVerdict, ...]] = ("error", "differs", "unknown", "ok")
 SAME = 1e-9  # relative difference up to which two numbers are the same
 SAME_SIZE = 10.0  # factor up to which two numbers are of one size
 
@@ -182,6 +190,17 @@ class ComparedPort:
         return self.signal.size if self.element is None else 1
 
     @property
+    def units(self) -> tuple[Unit, ...]:
+        """The units of its elements."""
+        units = self.signal.measures
+        return units if self.element is None else units[self.element : self.element + 1]
+
+    def units_for(self, size: int) -> tuple[Unit, ...]:
+        """Return the units of its elements; of another number of them, the first for all."""
+        units = self.units
+        return units if len(units) == size else units[:1] * size
+
+    @property
     def start(self) -> list[float] | None:
         """Value of an input that nothing drives; None: unknown."""
         values = self.component.start.get(self.signal.name)
@@ -281,9 +300,9 @@ def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
     factors: list[float] = []
     for signal in signals:
         port = other.port(signal.name)
-        convert = None if port is None else conversion(signal.measure, port.signal.measure)
-        factor = 1.0 if convert is None else convert.factor
-        factors += [factor] * signal.size
+        units = signal.measures if port is None else port.units_for(signal.size)
+        for convert in conversions_between(signal.measures, units):
+            factors.append(1.0 if convert is None else convert.factor)
     return np.array(factors)
 
 
@@ -407,8 +426,8 @@ def _port_aspects(
     yield _equal("causality", old.causality, new.causality, severity)
     yield _equal("type", old.signal.type, new.signal.type)
     yield _equal("size", old.size, new.size, severity)
-    unit_verdict = _unit(old.signal, new.signal, severity)
-    yield Aspect("unit", old.signal.unit, new.signal.unit, unit_verdict)
+    unit_verdict = _unit(old, new, severity)
+    yield Aspect("unit", units_text(old.units) or None, units_text(new.units) or None, unit_verdict)
     yield _equal("variability", old.signal.variability, new.signal.variability)
     nominal = _in_unit_of(old, new, new.nominal)
     ratio = _ratio(old.nominal, nominal)
@@ -559,20 +578,25 @@ def _complex_pairs(poles: Vector | None) -> list[list[float]] | None:
     return None if poles is None else poles.reshape(-1, 2).tolist()
 
 
-def _unit(old: Signal, new: Signal, severity: PortVerdict) -> PortVerdict:
-    if old.unit is None and new.unit is None:
-        return "ok"
-    if not comparable(old.measure, new.measure):
-        return "unknown"
-    converted = _conversion(old, new)
-    if converted is None:
-        return severity
-    return "ok" if converted.copies else "differs"
+def _unit(old: ComparedPort, new: ComparedPort, severity: PortVerdict) -> PortVerdict:
+    """Return the worst verdict of an element; of ports of other sizes, of the first elements."""
+    verdicts: set[PortVerdict] = set()
+    for before, after in set(zip(old.units, new.units, strict=False)):
+        converted = conversion(after, before)
+        if before.name is None and after.name is None:
+            verdicts.add("ok")
+        elif not comparable(before, after):
+            verdicts.add("unknown")
+        elif converted is None:
+            verdicts.add(severity)
+        else:
+            verdicts.add("ok" if converted.copies else "differs")
+    return next(verdict for verdict in _WORST_FIRST if verdict in verdicts)
 
 
-def _conversion(old: Signal, new: Signal) -> Conversion | None:
-    """Return the conversion of values of ``new`` to the unit of ``old``; None: there is none."""
-    return conversion(new.measure, old.measure)
+def _conversions(old: ComparedPort, new: ComparedPort) -> list[Conversion | None]:
+    """Return the conversions of elements of ``new`` to the units of ``old``, where there are."""
+    return conversions_between(new.units, old.units_for(new.size))
 
 
 def _in_unit_of(
@@ -581,9 +605,10 @@ def _in_unit_of(
     """Return values of ``new`` in the unit of ``old``, where they can be converted."""
     if values is None:
         return None
-    array = np.array(values)
-    converted = _conversion(old.signal, new.signal)
-    return array if converted is None else converted(array)
+    converted = []
+    for value, convert in zip(values, _conversions(old, new), strict=True):
+        converted.append(value if convert is None else convert(value))
+    return np.array(converted)
 
 
 def _same_values(
@@ -660,7 +685,7 @@ def _fits(old: ComparedPort, new: ComparedPort) -> bool:
     same_causality = old.causality == new.causality
     same_size = old.size == new.size
     same_type = old.signal.type == new.signal.type
-    converts = _conversion(old.signal, new.signal) is not None
+    converts = None not in _conversions(old, new)
     return same_causality and same_size and same_type and converts
 
 
@@ -668,7 +693,7 @@ def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
     signal = new.signal
     reasons = [f"{new.causality} of size {new.size}, {signal.type}"]
     if old.signal.unit is not None and signal.unit is not None:
-        reasons.append(f"unit {signal.unit!r}")
+        reasons.append(f"unit {units_text(new.units)!r}")
     if _same_count(old.feedthrough, new.feedthrough):
         reasons.append(feedthrough_text(new.causality, new.feedthrough or ()))
     initial = new.initial
