@@ -376,6 +376,8 @@ def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType,
         description = description.with_inputs(numbers)
     if options.outputs:
         description = description.recording(options.outputs)
+    if options.apart:
+        description = replace(description, apart=frozenset(options.apart))
     return interface_type, description
 
 

@@ -7,7 +7,7 @@ writes it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
@@ -133,6 +133,8 @@ class Description:
     recorded : tuple of str
         Names of further variables of a loaded FMU that are read with the outputs, since the user
         asks for them.
+    apart : frozenset of str
+        Names of variables that are signals of their own, though they may look like elements.
     default_step, default_tolerance : float or None
         Of DefaultExperiment.
     tool : str
@@ -163,6 +165,7 @@ class Description:
     platforms: tuple[str, ...] = ()
     local_states: tuple[str, ...] = ()
     recorded: tuple[str, ...] = ()
+    apart: frozenset[str] = frozenset()
     default_step: float | None = None
     default_tolerance: float | None = None
     tool: str = ""
@@ -217,7 +220,7 @@ class Description:
                 variables.append(variable)
         if causality == "output":
             variables += [self[name] for name in (*self.local_states, *self.recorded)]
-        groups = _vectors(variables)
+        groups = _vectors(variables, self.apart)
         return tuple((self._signal(name, group), group) for name, group in groups.items())
 
     def texts(self, causality: str) -> tuple[str, ...]:
@@ -579,15 +582,18 @@ def _start(group: Sequence[Variable]) -> tuple[float, ...]:
     return tuple(values) if any(values) else ()
 
 
-def _vectors(variables: Sequence[Variable]) -> dict[str, tuple[Variable, ...]]:
-    """Combine scalars ``n[0], n[1], ...`` (or from 1) to vectors; others stay alone.
+def _vectors(
+    variables: Sequence[Variable], apart: Collection[str]
+) -> dict[str, tuple[Variable, ...]]:
+    """Combine scalars ``n[0], n[1], ...`` (or from 1) to vectors; others, or ``apart``, stay alone.
 
     A vector stands where the first of its elements stands in the file.
     """
     vectors: dict[str, tuple[Variable, ...]] = {}
     vector_of: dict[str, str] = {}
     for name, family in _families(variables).items():
-        if _is_vector(family):
+        is_apart = any(variable.name in apart for variable in family.values())
+        if _is_vector(family) and not is_apart:
             vectors[name] = tuple(family[number] for number in sorted(family))
             vector_of |= {variable.name: name for variable in vectors[name]}
     groups: dict[str, tuple[Variable, ...]] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -15,7 +15,7 @@ from cosim.fmi.driving.residual import DaeForm
 class FmuOptions:
     """How an FMU is opened.
 
-    All but ``interface_type``, ``start`` and ``outputs`` are for model exchange.
+    All but ``interface_type``, ``start``, ``outputs`` and ``apart`` are for model exchange.
 
     Parameters
     ----------
@@ -33,6 +33,8 @@ class FmuOptions:
         enumerations, texts, lists; see ``cosim.fmi.driving.initialization``.
     outputs : sequence of str
         Names of local variables and parameters that become outputs too.
+    apart : collection of str
+        Names of variables that are signals of their own, though they may look like elements.
     """
 
     interface_type: InterfaceType | None = None
@@ -41,6 +43,7 @@ class FmuOptions:
     dae: DaeForm = "ode"
     start: Starts = field(default_factory=dict)
     outputs: Sequence[str] = ()
+    apart: Collection[str] = ()
 
 
 DEFAULT_OPTIONS: Final = FmuOptions()

@@ -10,7 +10,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface, Signal
 
 INTERFACE = Interface(
-    (Signal("push", start=(0.5,)), Signal("f", 2, unit="N"), Signal("g", unit="kN")),
+    (Signal("push", unit="kN", start=(0.5,)), Signal("f", 2, unit="N"), Signal("g", unit="kN")),
     (Signal("s", 2, role="state"), Signal("out", 3), Signal("v")),
     {"out": ("f",), "v": ("push",)},
     {"s": ("g",), "out": ("f", "g")},

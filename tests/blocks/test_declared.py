@@ -21,6 +21,18 @@ def test_a_declared_component_keeps_the_contract():
     assert [signal.unit for signal in declared.interface.signals] == [None, "mm"]
 
 
+def test_each_element_may_have_a_unit_of_its_own():
+    """One for all elements is kept as one; another number of them is refused."""
+    component = Linear(lag(time_constant=0.1, size=2))
+    declared = with_units(component, {"u": ["mm", "mm"], "y": ["mm", "m/s"]})
+    assert [signal.unit for signal in declared.interface.signals] == ["mm", ("mm", "m/s")]
+    check_component(lambda: with_units(Linear(lag(time_constant=0.1, size=2)), {"y": ["mm", "N"]}))
+    with pytest.raises(GraphError, match=r"unit of 'y': expected 2 units.*got \['m', 's', 'm'\]"):
+        with_units(component, {"y": ["m", "s", "m"]})
+    with pytest.raises(GraphError, match=r"unit of 'y':.*\['mm', 'N'\].*declares 'mm, m/s'"):
+        with_units(declared, {"y": ["mm", "N"]})
+
+
 def test_components_that_declare_their_units_need_no_adapter():
     """The component itself is returned."""
     component = make("m")

@@ -160,6 +160,18 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
     assert compiled.native().outputs_at(0.0, np.array([2.0, 0.003])) == pytest.approx([200.0, 0.3])
 
 
+def test_a_vector_of_units_of_different_kinds_keeps_them():
+    """Or has those of the port that it replaces: 2 m and 1 kg are 200 cm and 1000 g."""
+    shown = map_ports(MIXED, renamings({"y": ["r", "m"]}))
+    assert shown.interface.by_name["y"].unit == ("m", "kg")
+    replaced = Interface((), (Signal("y", 2, unit=("cm", "g")),))
+    shown = map_ports(MIXED, renamings({"y": ["r", "m"]}), replaced)
+    assert shown.interface.by_name["y"].unit == ("cm", "g")
+    values = dict(zip(MIXED.output_columns(), [2.0, 0.0, 0.0, 1.0, 0.0, 0.0], strict=True))
+    y = shown.shown_outputs(np.array(list(values.values())))[shown.interface.output_columns()["y"]]
+    assert y == pytest.approx([200.0, 1000.0], rel=1e-15)
+
+
 @pytest.mark.parametrize("order", [["p", "q"], ["q", "p"]])
 def test_the_linearization_is_that_of_the_shown_ports(order):
     """In their order, and in their units: the output is linear in the inputs."""
@@ -268,6 +280,7 @@ MIXED = Interface(
         Signal("k", variability="discrete"),
         Signal("m", unit="kg"),
         Signal("o", optional=True),
+        Signal("v"),
     ),
 )
 WRONG = {
@@ -284,7 +297,7 @@ WRONG = {
         r"\"plant\.k\"\]",
     ),
     "values that may be missing": ({"y": ["r", "o"]}, r"'r' is never NaN, 'o' is optional"),
-    "units": ({"y": ["r", "m"]}, r"unit 'kg' of 'm' cannot be converted to 'm'; leave 'plant\.y'"),
+    "a unit and none": ({"y": ["r", "v"]}, r"'r' has unit 'm', 'v' has none; leave 'plant\.y'"),
     "causality": ({"y": ["r", "w"]}, r"'r' is output, 'w' is input"),
     "size": ({"y[1]": ["u"]}, r"'plant\.y\[1\]':.*size 1.*2: u"),
     "an input twice": (

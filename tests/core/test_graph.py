@@ -174,9 +174,11 @@ def test_elements_gains_offsets_and_matrices_reach_the_input():
 
 
 def conversions_of(components, connections):
-    """Return the one conversion of each connection that converts."""
-    conversions = Graph(components, connections).conversions
-    return {str(to): conversion for to, (conversion,) in conversions.items()}
+    """Return the one conversion of all elements of each connection that converts."""
+    alike = {}
+    for to, by_element in Graph(components, connections).conversions.items():
+        (alike[str(to)],) = set(by_element)
+    return alike
 
 
 def converted(connection, source, target):
@@ -223,7 +225,7 @@ def test_a_connection_selects_and_stacks():
         ([], {}, r"a connection has no source.*at least one"),
         (
             ["a.y[0:2]", "b.y"],
-            {"gain": np.eye(3)},
+            {"gain": np.ones((3, 3))},
             r"a\.y\[0:2\], b\.y -> d\.u: a gain cannot mix the units 'm', 'mm'.*unit.*unit",
         ),
     ],
@@ -232,6 +234,37 @@ def test_a_stack_that_does_not_fit_is_refused(sources, options, text):
     """With all its sources, and what was needed."""
     with pytest.raises(GraphError, match=text):
         stacked(sources, ("m", "mm"), **options)
+
+
+def test_each_element_is_converted_from_its_own_unit():
+    """To its own unit, through slices, gains and rows of a matrix: 2 m is 2000 mm, 1 m/s 3.6 km/h.
+
+    A matrix mixes only what its row takes.
+    """
+    units = (("m", "m/s", "m"), "mm")
+    assert stacked("a.y", units, target=("mm", "km/h", "m")) == pytest.approx([1000.0, 7.2, 3.0])
+    assert stacked(["a.y[1:3]", "b.y"], units, target=("km/h", "mm", "m")) == pytest.approx(
+        [7.2, 3000.0, 0.01]
+    )
+    assert stacked("a.y", units, target=("mm", "km/h", "m"), gain=2.0) == pytest.approx(
+        [2000.0, 14.4, 6.0]
+    )
+    rows = [[1.0, 0.0, 1.0], [0.0, 5.0, 0.0], [0.0, 0.0, 0.0]]
+    rows[2][0] = -1.0
+    assert stacked("a.y", units, target=("mm", "km/h", "m"), gain=rows) == pytest.approx(
+        [4000.0, 36.0, -1.0]
+    )
+    named = {"gain": 2.0, "unit": ["N", "m/s", "kN"]}
+    assert stacked("a.y", units, target=("kN", "m/s", "N"), **named) == pytest.approx(
+        [0.002, 4.0, 6000.0]
+    )
+    with pytest.raises(GraphError, match=r"a\.y -> d\.u: unit 'm/s' cannot drive unit 'm'"):
+        stacked("a.y", units, target=("m", "m", "m"))
+    with pytest.raises(GraphError, match=r"unit: expected one for each of 3 elements, got 2"):
+        stacked("a.y", units, target=None, gain=2.0, unit=["N", "m"])
+    rows[0][1] = 1.0
+    with pytest.raises(GraphError, match="a gain cannot mix the units 'm', 'm/s'"):
+        stacked("a.y", units, target=None, gain=rows)
 
 
 def test_a_stack_holds_the_elements_that_are_discrete():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,7 +18,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
-from cosim.core.signals import Interface
+from cosim.core.signals import Interface, Signal
 from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.context.build_records import BuildRecords, KeptAnswer, LookedUpKinds
@@ -323,6 +324,11 @@ class ScenarioBuildContext:
             return None
         return find_channel(self._recording.channels, name, source=self._recording.label).interface
 
+    def recorded_signals(self, name: str) -> Mapping[str, Signal]:
+        """Return the signals that the recording has of a component, also of one computed again."""
+        channel = None if self._recording is None else self._recording.channels.get(name)
+        return {} if channel is None else channel.by_name
+
     def lag(self, to: Port) -> float:
         """Return how far the signal that drives an input lags behind what it estimates [s].
 
@@ -470,7 +476,12 @@ class ScenarioBuildContext:
         return self._classes.load(name, class_name, package)
 
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
-        """Load an FMU; see :meth:`ScenarioFmus.component`."""
+        """Load an FMU; see :meth:`ScenarioFmus.component`.
+
+        What a recording has as signals of their own is no vector: of different units, it once was
+        none.
+        """
+        options = replace(options, apart=self.recorded_signals(name))
         return self.fmus.component(name, path, options)
 
     def add_states(self, name: str, component: ModelExchange) -> None:

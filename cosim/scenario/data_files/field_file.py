@@ -19,7 +19,7 @@ import json
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -249,12 +249,13 @@ class _Headers:
 
     def _candidates(self) -> list[_Header]:
         named = [header for header in self.all if header.is_named_as_times]
-        index = [header for header in self.all if header.name in self._table.index]
-        with_names = [header for header in index if not _UNNAMED.fullmatch(header.name)]
-        if len(with_names) > 1:
-            return [header for header in with_names if header in named] or with_names
         stamps = [header for header in self.all if self._table.has_stamps(header.position)]
-        return with_names or named or stamps or index
+        index = [header for header in self.all if header.name in self._table.index]
+        of_times = [header for header in index if header in named or header in stamps]
+        with_names = [header for header in index if not _UNNAMED.fullmatch(header.name)]
+        if of_times or not with_names:
+            return of_times or named or stamps or index
+        return [*with_names, *(named or stamps)]
 
     def notes(self, clock: _Header) -> tuple[str, ...]:
         """Return what is to be known where nothing says which column has the times."""
@@ -572,6 +573,16 @@ class _ParquetTable:
             self._schema = self._file.schema_arrow
             self.names: Sequence[str] = self._schema.names
             rows = self._file.metadata.num_rows
+        # pandas keeps an index of evenly spaced integers, row numbers or others, only there
+        self._ranges = {}
+        for entry in self._index:
+            if isinstance(entry, dict) and isinstance(entry.get("name"), str):
+                with suppress(KeyError, TypeError, ValueError):  # of another tool
+                    numbers = range(entry["start"], entry["stop"], entry["step"])
+                    named = _Header.parse(entry["name"], 0).is_named_as_times
+                    if len(numbers) == rows and (named or numbers.step > 1):
+                        self._ranges[len(self.names)] = numbers
+                        self.names = [*self.names, entry["name"]]
         if rows * max(1, len(self.names)) * _BYTES > LARGEST:
             raise UsageError(
                 f"{self.label}: expected at most {LARGEST // _BYTES} numbers, got {rows} rows of "
@@ -586,21 +597,28 @@ class _ParquetTable:
             raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
     @cached_property
-    def index(self) -> Collection[str]:
-        written = (self._schema.metadata or {}).get(b"pandas")
-        if written is None:
-            return ()
+    def _index(self) -> list[Any]:
+        """What pandas wrote of the index: names of columns, and what makes a range."""
+        written = (self._schema.metadata or {}).get(b"pandas", b"null")
         try:
-            columns = json.loads(written)["index_columns"]
-            return [column for column in columns if isinstance(column, str)]
+            return list(json.loads(written)["index_columns"])
         except (ValueError, KeyError, TypeError, RecursionError):
-            return ()  # of another tool
+            return []  # of another tool
+
+    @property
+    def index(self) -> Collection[str]:
+        columns = [column for column in self._index if isinstance(column, str)]
+        return [*columns, *(self.names[position] for position in self._ranges)]
 
     def unit(self, position: int) -> str | None:
+        if position in self._ranges:
+            return None
         written = (self._schema.field(position).metadata or {}).get(b"unit")
         return None if written is None else str(written.decode("utf-8", "replace")).strip() or None
 
     def has_stamps(self, position: int) -> bool:
+        if position in self._ranges:
+            return False
         column = self._schema.field(position).type
         types = self._arrow.types
         return bool(types.is_timestamp(column) or types.is_duration(column))
@@ -627,6 +645,8 @@ class _ParquetTable:
 
     def _column(self, position: int, *, is_time: bool = False) -> list[Any]:
         """Return the numbers of a column, None where there is none."""
+        if position in self._ranges:
+            return list(self._ranges[position])
         types = self._arrow.types
         column_type = self._schema.field(position).type
         is_stamp = is_time and self.has_stamps(position)

@@ -18,7 +18,7 @@ from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.recording import Recording
-from cosim.core.signals import Interface, PortUnit
+from cosim.core.signals import Interface, PortUnit, Signal
 from cosim.scenario.document.schema import Number, TomlTable, UnitName
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
@@ -187,6 +187,10 @@ class BuildContext(Protocol):
 
     def of_kind(self, kind: type[AnyKind]) -> Mapping[str, AnyKind]:
         """Return the tables of all components of a kind."""
+        ...
+
+    def recorded_signals(self, name: str) -> Mapping[str, Signal]:
+        """Return the signals that the recording has of a component, also of one computed again."""
         ...
 
     def recorded(self, name: str) -> Interface | None:

@@ -595,7 +595,13 @@ class UnknownInputObserverKind(ExportableKind):
         if isinstance(model, str):
             return DesignModel(reduce(context.model(model)))
         linearization = context.linearization(name, model.fmu, model.request)
-        return design_model(linearization, model.disturbances)
+        designed = design_model(linearization, model.disturbances)
+        units = dict(designed.units)
+        for port, signal in context.recorded_signals(name).items():
+            # logs of before elements had units of their own keep their signals
+            if signal.unit is None and len(set(units.get(port, ()))) > 1:
+                units.pop(port)
+        return designed._replace(units=units)
 
 
 def _gain_of_x_a(L: Matrix, coordinates: UserCoordinates, n_y: int) -> Matrix:

@@ -361,9 +361,9 @@ def test_declarations_of_what_is_not_there_are_refused(options, text):
         ({"type": "int"}, "signal 'y': type 'int'; did you mean 'integer'"),
         ({"role": "out"}, "signal 'y': role 'out'; did you mean"),
         ({"name": ""}, r"signal name:.*string.*''"),
-        ({"unit": 5}, r"signal 'y': unit:.*a string or None.*5"),
+        ({"unit": 5}, r"signal 'y': unit:.*a string, a tuple.*or None.*5"),
         ({"optional": 1}, r"signal 'y': optional:.*True or False.*1"),
-        ({"base": "m"}, r"signal 'y': base:.*a BaseUnit or None.*'m'"),
+        ({"base": "m"}, r"signal 'y': base:.*a BaseUnit, a tuple.*or None.*'m'"),
         (
             {"start": [1.0]},
             r"signal 'y': start:.*a tuple of numbers, none of them NaN.*\[1\.0\]",

@@ -99,11 +99,20 @@ def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path):
 
 
 def test_a_frame_of_pandas_gives_its_index(tmp_path):
-    """Whatever is named like a time beside it; an index of no name only where nothing else is."""
+    """Of times, whatever is named like a time beside it; of numbers only where nothing else is.
+
+    An index that has a name, but not that of a time, is refused beside a column that has one. Evenly
+    spaced integers are in no column of the file.
+    """
     pandas = pytest.importorskip("pandas")
     values = {"y": [1.0, 2.0, 3.0, 4.0], "date": [7.0, 7.0, 8.0, 8.0]}
     frame = pandas.DataFrame(values, index=pandas.Index(RAMP, name="instant"))
-    frame.to_parquet(tmp_path / "named.parquet")
+    frame[["y"]].to_parquet(tmp_path / "named.parquet")
+    frame.to_parquet(tmp_path / "either.parquet")
+    steps = pandas.Index([0, 10, 20, 30], name="time_ms")
+    frame.set_index(steps).to_parquet(tmp_path / "range.parquet")
+    numbered = pandas.DataFrame({"y": values["y"], "t": RAMP}).rename_axis("row")
+    numbered.to_parquet(tmp_path / "rows.parquet")
     frame.set_index(pandas.to_timedelta(RAMP, "s")).to_parquet(tmp_path / "durations.parquet")
     frame.set_index(pandas.to_timedelta(RAMP, "s"))[["y"]].to_csv(tmp_path / "durations.csv")
     frame[["y"]].set_index(pandas.Index(RAMP)).to_parquet(tmp_path / "unnamed.parquet")
@@ -113,14 +122,17 @@ def test_a_frame_of_pandas_gives_its_index(tmp_path):
     for name in (
         "named.parquet",
         "durations.csv",
+        "durations.parquet",
         "unnamed.parquet",
         "both.parquet",
+        "rows.parquet",
     ):
         data = read_field_data(tmp_path / name)
         assert data.t.tolist() == RAMP.tolist(), name
         assert data["y"][:, 0].tolist() == values["y"]
-    with pytest.raises(UsageError, match=r"increasing times.*select another column by time"):
-        read_field_data(tmp_path / "durations.parquet")  # that named date
+    assert read_field_data(tmp_path / "range.parquet").t.tolist() == [0.0, 0.01, 0.02, 0.03]
+    with pytest.raises(UsageError, match=r"one column of times, got 'instant', 'date';.*by time"):
+        read_field_data(tmp_path / "either.parquet")
 
 
 def test_a_log_written_as_a_table_is_read_as_it_was(tmp_path):
@@ -197,7 +209,7 @@ NO_SAMPLES = [
     (("t,level\n0,1\n", {"time": "tt"}), r"no column 'tt'; did you mean 't'"),
     (("t,level\n0,1\n", {"columns": {"y": []}}), r"columns: expected a column .*'y': \[\]"),
     (("t [mm],y\n0,1\n", {}), r"column 't': .*unit of time.*'mm'"),
-    (("t,x[0] [m],x[1] [mm]\n0,1,1\n", {}), r"'x', got 'x\[0\]' in m, 'x\[1\]' in mm"),
+    (("t,x[0] [m],x[1]\n0,1,1\n", {}), r"'x', or in none, got 'x\[0\]' in m, 'x\[1\]' in no unit"),
     (('t,y\n0,"1\n1,2"\n', {}), r"a cell spans several lines, from line 2"),
     (('t,y\n0,"1"x\n', {}), r"line 2 cannot be split"),
     (("t,y\n0,1\n", {"decimal": ";"}), r"decimal: expected .*got ';'"),
