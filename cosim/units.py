@@ -21,6 +21,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import Final, TypeVar
 
 import numpy as np
@@ -148,7 +149,7 @@ _MICRO: Final = {"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"}  # the
 # only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min, no kt (knot)
 _PREFIXED: Final[Mapping[str, str]] = {
     "m": "pnumcdk", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
-    "Hz": "mkMG", "N": "umkM", "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum",
+    "Hz": "mkMG", "N": "umkM", "Pa": "mhkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum",
     "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum", "H": "num", "Wb": "m", "T": "num",
     "l": "umcd", "L": "umcd", "Nm": "mkM", "Wh": "kMG", "Ah": "mk", "VA": "kM", "var": "kM",
     "cal": "k", "lbf": "k", "As": "m", "Vs": "m", "Ws": "k",
@@ -298,6 +299,7 @@ def unknown_unit(name: str) -> str:
     )
 
 
+@lru_cache(maxsize=1024)
 def base_unit(unit: str) -> BaseUnit | None:
     """Return the meaning of the name of a unit; None where a part of it is not known."""
     text = _plain_text(unit)
@@ -329,6 +331,7 @@ def _plain_text(unit: str) -> str:
     """Return the text of a unit in letters, digits and the signs of a product."""
     text = unit.strip().translate(_SIGNS).replace("**", "^")
     text = re.sub(r"\^\((-?\d)\)", r"^\1", text)  # s^(-1)
+    text = re.sub(r"\bdeg\s+(?=[CF]\b)", "deg", text)
     text = re.sub(r"\bkgm(?=2?\b)", "kg.m", text)
     text = re.sub(r"(?<=\w)\s+(?=[^\W\d])", ".", text)  # N m
     return _WORDS.get(text, text)

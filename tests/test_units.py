@@ -44,7 +44,8 @@ IN_USE = {  # as FMUs, measuring systems and spreadsheets write them
     "sec": (1.0, "s"), "msec": (1e-3, "s"), "r/min": (2.0 * si.pi / 60.0, "rad/s"),
     "U/min": (2.0 * si.pi / 60.0, "rad/s"), "rps": (2.0 * si.pi, "rad/s"), "Ah": (3600.0, "C"),
     "mAh": (3.6, "C"), "VA": (1.0, "W"), "kVA": (1e3, "W"), "var": (1.0, "W"), "kvar": (1e3, "W"),
-    "MVAr": (1e6, "W"), "cP": (1e-3, "Pa.s"), "cSt": (1e-6, "m2/s"), "ohm": (1.0, "V/A"),
+    "MVAr": (1e6, "W"), "cP": (1e-3, "Pa.s"), "mPa.s": (1e-3, "Pa.s"),
+    "cSt": (1e-6, "m2/s"), "ohm": (1.0, "V/A"),
     "kohm": (1e3, "V/A"), "\N{OHM SIGN}": (1.0, "V/A"), "m\u03a9": (1e-3, "V/A"),
     "ppm": (1e-6, "1"), "ppb": (1e-9, "1"), "N\u00b7m": (1.0, "J"), "N m": (1.0, "J"),
     "kg m2 / s2": (1.0, "J"), "m\u00b2": (1.0, "m2"), "kg\u22c5m\u00b2": (1.0, "kg.m2"),
@@ -138,7 +139,7 @@ def test_values_are_converted_by_definition():
     assert between("degF", "degC")(212.0) == pytest.approx(100.0, abs=1e-13)
     assert between("degC", "degF")(0.0) == pytest.approx(32.0, abs=1e-13)
     assert between("%", "1")(50.0) == 0.5
-    for celsius in ("\N{DEGREE SIGN}C", "\N{DEGREE CELSIUS}", "Celsius"):
+    for celsius in ("\N{DEGREE SIGN}C", "\N{DEGREE CELSIUS}", "Celsius", "deg C"):
         assert between(celsius, "K")(100.0) == 373.15
     assert between("\N{DEGREE SIGN}F", "\N{DEGREE SIGN}C")(212.0) == pytest.approx(100.0, abs=1e-13)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from cosim.core.arguments import check_type, kind_of
 from cosim.core.port import Port
 from cosim.core.structure.ports import ConnectionEnd, Ports
 from cosim.errors import GraphError
-from cosim.units import Conversion, Unit, conversion
+from cosim.units import Conversion, Unit, conversion, conversions_between
 
 SourceText: TypeAlias = str | Port | Sequence[str | Port]
 AS_IS: Final = "as is"  # the unit of a connection that converts nothing
@@ -156,41 +156,47 @@ def element_units(
     A name that either port uses means what it does there. Elements with a gain of 0 drive nothing,
     if not all of a row are 0.
     """
-    measures: list[tuple[Unit, dict[str | None, Unit]]] = []
+    distinct: list[tuple[Unit, Mapping[str | None, Unit]]] = []
+    kinds: list[int] = []  # of the elements of all sources: which of the distinct ones
     for source in sources:
         used = dict.fromkeys((*to.signal.measures, *source.signal.measures))
         known = {unit.name: unit for unit in used}
-        measures += [(unit, known) for unit in source.measures]
-    targets = to.measures
-    by_target: list[dict[ElementUnits, None]] = [{} for _ in targets]
-    for row, target in enumerate(targets):
-        name = connection.unit_of(row)
-        for column in _feeding(connection, row, len(measures)):
-            source_unit, known = measures[column]
-            reached = source_unit
-            if name == AS_IS:
-                reached = target
-            elif name is not None:
-                reached = known.get(name, Unit(name))
-            by_target[row][ElementUnits(source_unit, reached, target)] = None
-    return [tuple(units) for units in by_target]
-
-
-def _feeding(connection: Connection, row: int, size: int) -> Sequence[int]:
-    """Return the elements of the sources that drive an element; as far as there are such."""
+        own = source.measures
+        numbers = {unit: len(distinct) + i for i, unit in enumerate(dict.fromkeys(own))}
+        distinct += [(unit, known) for unit in numbers]
+        kinds += [numbers[unit] for unit in own]
+    found: dict[Any, tuple[ElementUnits, ...]] = {}
+    by_target = []
     gain = connection.matrix
-    if not gain.ndim:
-        return range(row, min(row + 1, size))
-    gains = gain[row, :size] if row < len(gain) else np.zeros(size)
-    return np.flatnonzero(gains).tolist() or range(size)
+    for row, target in enumerate(to.measures):
+        name = connection.unit_of(row)
+        feeding = tuple(kinds[row : row + 1])
+        if gain.ndim:
+            driving = np.flatnonzero(gain[row, : len(kinds)]) if row < len(gain) else ()
+            feeding = tuple({kinds[column]: None for column in driving} or dict.fromkeys(kinds))
+        key = (feeding, name, target)
+        if key not in found:
+            rows = [_element_units(distinct[kind], name, target) for kind in feeding]
+            found[key] = tuple(dict.fromkeys(rows))
+        by_target.append(found[key])
+    return by_target
+
+
+def _element_units(
+    source: tuple[Unit, Mapping[str | None, Unit]], name: str | None, target: Unit
+) -> ElementUnits:
+    """Return the units where ``name`` is given; beside that of the source those of all names."""
+    own, known = source
+    if name is None:
+        return ElementUnits(own, own, target)
+    return ElementUnits(own, target if name == AS_IS else known.get(name, Unit(name)), target)
 
 
 def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conversion, ...]:
     """Return the conversion at the end of a checked connection, for each element of the input."""
     sources = [ports.output(port) for port in connection.sources]
-    conversions = []
-    for units in element_units(connection, sources, ports.input(to)):
-        converted = units[0].conversion
-        assert converted is not None
-        conversions.append(converted)
-    return tuple(conversions)
+    pairs = [row[0] for row in element_units(connection, sources, ports.input(to))]
+    reached = [units.reached for units in pairs]
+    conversions = conversions_between(reached, [units.target for units in pairs])
+    assert None not in conversions
+    return tuple(filter(None, conversions))

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 from cosim.errors import GraphError, nearest, quoted
-from cosim.units import BaseUnit, Unit, units_text
+from cosim.units import BaseUnit, Unit
 
 Variability = Literal["continuous", "discrete", "inherited"]
 SignalType = Literal["real", "integer", "boolean"]
@@ -127,18 +127,23 @@ class Signal:
 
     def _check_units(self) -> None:
         """Check the units, and keep one text, or one for each element where they differ."""
-        units = self.unit if isinstance(self.unit, tuple) else (self.unit,) * self.size
+        units = self.unit if isinstance(self.unit, tuple) else (self.unit,)
         is_named = all(isinstance(unit, str) for unit in units)
         is_named |= all(unit is None for unit in units)
         needed = "a string, a tuple with one for each element, or None"
-        self._need("unit", needed, is_named and len(units) == self.size)
-        bases = self.base if isinstance(self.base, tuple) else (self.base,) * self.size
+        fits = not isinstance(self.unit, tuple) or len(units) == self.size
+        self._need("unit", needed, is_named and fits)
+        bases = self.base if isinstance(self.base, tuple) else (self.base,)
         is_base = all(isinstance(base, BaseUnit | None) for base in bases)
         needed = "a BaseUnit, a tuple with one or None for each element, or None"
-        self._need("base", needed, is_base and len(bases) == self.size)
-        is_one = len(set(zip(units, bases, strict=True))) == 1
-        object.__setattr__(self, "unit", units[0] if is_one else units)
-        object.__setattr__(self, "base", bases[0] if is_one else bases)
+        fits = not isinstance(self.base, tuple) or len(bases) == self.size
+        self._need("base", needed, is_base and fits)
+        if len({*units}) == len({*bases}) == 1:
+            object.__setattr__(self, "unit", units[0])
+            object.__setattr__(self, "base", bases[0])
+        else:
+            object.__setattr__(self, "unit", units * (self.size // len(units)))
+            object.__setattr__(self, "base", bases * (self.size // len(bases)))
 
     def _need(self, key: str, needed: str, is_right: bool) -> None:
         if not is_right:
@@ -161,17 +166,22 @@ class Signal:
         base = self.base[index] if isinstance(self.base, tuple) else self.base
         return Unit(unit, base)
 
+    def measures_of(self, elements: slice) -> tuple[Unit, ...]:
+        """Return the units of some elements."""
+        numbers = range(elements.start, elements.stop)
+        if isinstance(self.unit, tuple):
+            return tuple(self.measure(i) for i in numbers)
+        return (self.measure(0),) * len(numbers)
+
     @property
     def measures(self) -> tuple[Unit, ...]:
         """The units of all elements."""
-        if isinstance(self.unit, tuple):
-            return tuple(self.measure(i) for i in range(self.size))
-        return (self.measure(0),) * self.size
+        return self.measures_of(slice(0, self.size))
 
     @property
     def unit_text(self) -> str:
         """Its units as people read them: ``mm``, or ``mm, m/s``; empty: none is declared."""
-        return units_text(self.measures)
+        return ", ".join(self.unit) if isinstance(self.unit, tuple) else self.unit or ""
 
     def in_units(self, units: Sequence[Unit]) -> Signal:
         """Return this signal in other units, one for each element.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.core.connections import Connection, element_units
+from cosim.core.connections import AS_IS, Connection, element_units
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
@@ -351,7 +351,7 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     sources = [graph.ports.output(port) for port in connection.sources]
     units = list(chain.from_iterable(element_units(connection, sources, end)))
     names = [unit.reached.name for unit in units if unit.reached.name is not None]
-    unit = ", ".join(dict.fromkeys(names)) or None
+    unit = AS_IS if connection.unit == AS_IS else ", ".join(dict.fromkeys(names)) or None
     conversions = dict.fromkeys(
         str(conversion) for conversion in graph.conversions.get(to, ()) if not conversion.copies
     )

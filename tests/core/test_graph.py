@@ -263,8 +263,8 @@ def test_each_element_is_converted_from_its_own_unit():
     with pytest.raises(GraphError, match=r"unit: expected one for each of 3 elements, got 2"):
         stacked("a.y", units, target=None, gain=2.0, unit=["N", "m"])
     rows[0][1] = 1.0
-    with pytest.raises(GraphError, match="a gain cannot mix the units 'm', 'm/s'"):
-        stacked("a.y", units, target=None, gain=rows)
+    with pytest.raises(GraphError, match=r"unit 'm/s' cannot drive unit 'mm'"):
+        stacked("a.y", units, target=("mm", "km/h", "m"), gain=rows)
 
 
 def test_a_stack_holds_the_elements_that_are_discrete():

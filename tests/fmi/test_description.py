@@ -36,6 +36,27 @@ def test_vectors_are_put_together_again():
     assert outputs("a[1].b[1]", "a[1].b[2]", "a[1,1]") == [("a[1].b", 2), ("a[1,1]", 1)]
 
 
+def test_scalars_of_different_units_are_a_vector_where_they_are_numbered_from_0():
+    """Its elements have the names of the variables then: x[1] is no other one than it was.
+
+    One without a unit stands alone, and so do those that a recording has by themselves.
+    """
+
+    def signals(units, first=0, **options):
+        variables = []
+        for i, unit in enumerate(units):
+            variables.append(Variable(f"x[{i + first}]", i, "output", unit=unit))
+        described = Description("m", "", "2.0", tuple(variables), **options)
+        return [(signal.name, signal.unit) for signal in described.interface.outputs]
+
+    assert signals(["mm", "m/s"]) == [("x", ("mm", "m/s"))]
+    assert signals(["mm", "m/s"], first=1) == [("x[1]", "mm"), ("x[2]", "m/s")]
+    assert signals(["mm", "mm"], first=1) == [("x", "mm")]
+    assert signals(["mm", None]) == [("x[0]", "mm"), ("x[1]", None)]
+    alone = signals(["mm", "m/s"], apart=frozenset({"x[0]", "x[1]"}))
+    assert alone == [("x[0]", "mm"), ("x[1]", "m/s")]
+
+
 def test_arrays_of_fmi_3_are_vectors():
     """One variable of several elements is one signal."""
     assert outputs("x", size=6) == [("x", 6)]

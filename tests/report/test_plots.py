@@ -90,6 +90,19 @@ def test_units_of_one_kind_share_an_axis_and_others_do_not(runs, tmp_path):
         plot_signals(runs[0], ["a.y,c.y[0]"], tmp_path / "b.svg")
 
 
+def test_elements_of_different_units_have_them_in_their_names(tmp_path):
+    """They are one signal, and have no common axis."""
+    (tmp_path / "a.toml").write_text("""
+        scenario = { name = "a", stop = 0.1, step = 0.1 }
+        components.a = { kind = "constant", value = [1.0, 2.0], unit = { y = ["mm", "m/s"] } }
+    """)
+    run = cosim.run(tmp_path / "a.toml")
+    plot_signals(run, ["a.y"], tmp_path / "a.svg")
+    assert {"a.y[0] [mm]", "a.y[1] [m/s]"} <= set(texts(tmp_path / "a.svg"))
+    plot_signals(run, ["a.y[1]"], tmp_path / "b.svg")
+    assert "a.y[1] [m/s]" in texts(tmp_path / "b.svg")
+
+
 def test_several_logs_share_a_panel(runs, tmp_path):
     """Each curve says which log it is from; logs of one name say their folders."""
     plot_signals(runs, ["a.y"], tmp_path / "a.svg")

@@ -50,7 +50,7 @@ class RecordedPort(NamedTuple):
         """The units of the elements."""
         start = self.channel.start + self.columns.start
         first = start - self.channel.signal_columns[self.signal.name].start
-        return self.signal.measures[first : first + self.size]
+        return self.signal.measures_of(slice(first, first + self.size))
 
 
 class RunMessage(NamedTuple):

@@ -170,9 +170,11 @@ def _unit_mismatches(
         return
     by_element = element_units(connection, sources, end)
     problems: dict[str, None] = {}  # each once, whatever elements have it
-    for units in chain.from_iterable(by_element):
-        problems |= dict.fromkeys(_mismatches_of(connection, units, end.signal))
-    for row in by_element:
+    rows = dict.fromkeys((connection.unit_of(i) == AS_IS, row) for i, row in enumerate(by_element))
+    for is_as_is, row in rows:
+        for units in row:
+            found = _mismatches_of(connection, units, end.signal, is_as_is=is_as_is)
+            problems |= dict.fromkeys(found)
         if len({units.conversion for units in row}) > 1:
             mixed = ", ".join(_unit_text(unit) for unit in dict.fromkeys(u.source for u in row))
             text = f"a gain cannot mix the units {mixed}; set the resulting unit with unit = ..."
@@ -180,10 +182,11 @@ def _unit_mismatches(
     yield from problems
 
 
-def _mismatches_of(connection: Connection, units: ElementUnits, target: Signal) -> Iterator[str]:
+def _mismatches_of(
+    connection: Connection, units: ElementUnits, target: Signal, *, is_as_is: bool
+) -> Iterator[str]:
     """Yield what is wrong with the units of an element."""
     source, reached, wanted = units
-    is_as_is = connection.unit == AS_IS
     used = connection.unit is None or is_as_is or reached.name in (source.name, wanted.name)
     if not used and reached.si is None:
         yield f"unit = {reached.name!r}: {unknown_unit(str(reached.name))}"

@@ -34,7 +34,7 @@ class ConnectionEnd:
     @property
     def measures(self) -> tuple[Unit, ...]:
         """The units of its elements."""
-        return self.signal.measures[self.elements]
+        return self.signal.measures_of(self.elements)
 
 
 class Ports:

@@ -94,7 +94,7 @@ class _Signals:
             suggestion = nearest(str(port), self._names)
             raise GraphError(f"unknown signal {str(port)!r}; {suggestion}")
         signal, elements = match
-        return signal.measures[elements]
+        return signal.measures_of(elements)
 
     def _match(self, port: Port) -> tuple[Signal, slice] | None:
         return port.find(self._signals.get(port.component, {}))

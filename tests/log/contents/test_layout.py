@@ -137,6 +137,17 @@ def test_a_declaration_has_defaults_only_of_the_first_fields():
     assert signals_json(Interface((driven,))) == f'[{{"causality":"input",{plain},{added}}}]'
 
 
+def test_elements_of_one_unit_are_declared_as_before():
+    """One text; others have a list, and its definitions another, and are read back."""
+    one = Signal("u", 2, unit=("m", "m"), base=(None, None))
+    assert signals_json(Interface((one,))) == signals_json(Interface((Signal("u", 2, unit="m"),)))
+    foot = BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)
+    two = Channel("c", Interface((), (Signal("y", 2, ("ft", "s"), base=(foot, None)),)), 0)
+    (part,) = split_channel(two, kind="", step_ns=1)
+    assert json.loads(part.metadata["cosim.signals"])[0]["unit"] == ["ft", "s"]
+    assert read_part(part.metadata).channel == two
+
+
 def test_a_declaration_of_anything_else_is_refused(subtests):
     """Every field that is read has the type and one of the values that a signal may have."""
     (part,) = split_channel(layout()["plant"], kind="", step_ns=1)
@@ -145,6 +156,8 @@ def test_a_declaration_of_anything_else_is_refused(subtests):
         ("size", 0),
         ("size", 2**63),
         ("unit", 5),
+        ("unit", ["m", "s", "m", "s"]),
+        ("base", [{"exponents": [0] * len(BASE)}, None, None, None]),
         ("variability", 5),
         ("optional", 1),
         ("type", "text"),

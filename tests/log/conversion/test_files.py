@@ -15,6 +15,7 @@ from cosim.errors import LogError, UsageError
 from cosim.log import open_log
 from cosim.log.conversion.choice import LogChoice, choose
 from cosim.log.conversion.files import ENDINGS, convert
+from cosim.scenario.data_files.field_file import read_field_data
 from tests.log.recordings import record
 
 
@@ -31,6 +32,35 @@ def test_descriptions_are_kept_where_the_format_has_a_place(tmp_path):
     with np.load(tmp_path / "a.npz") as arrays:
         assert json.loads(str(arrays["signals"]))["observer.delta"]["description"] == text
     assert loadmat(tmp_path / "a.mat")["signals"][0, 0]["description"].item() == text
+
+
+def test_each_column_has_the_unit_of_its_element(tmp_path):
+    """In every format; of an array the units stand side by side. The log has them too."""
+    text = """
+        scenario = { name = "a", stop = 0.1, step = 0.1 }
+        components.c = { kind = "constant", value = [1.0, 2.0], unit = { y = ["mm", "m/s"] } }
+    """
+    (tmp_path / "a.toml").write_text(text)
+    log = cosim.run(tmp_path / "a.toml", out=tmp_path / "a.mcap")
+    assert log.signals["c.y"].unit == ("mm", "m/s")
+    assert log.to_xarray("c.y")["c.y"].attrs["units"] == "mm, m/s"
+    assert log.to_xarray("c.y[1]")["c.y[1]"].attrs["units"] == "m/s"
+    assert "<td>mm, m/s</td>" in log._repr_html_()
+    choice = LogChoice.of(log)
+    for ending in ENDINGS:
+        convert(choice, tmp_path / f"a{ending}")
+    assert (tmp_path / "a.csv").read_text().splitlines()[0] == "t [s],c.y[0] [mm],c.y[1] [m/s]"
+    schema = pyarrow.parquet.read_table(tmp_path / "a.parquet").schema
+    assert [schema.field(i).metadata[b"unit"] for i in range(3)] == [b"s", b"mm", b"m/s"]
+    with np.load(tmp_path / "a.npz") as arrays:
+        assert json.loads(str(arrays["signals"]))["c.y"]["unit"] == "mm, m/s"
+    assert loadmat(tmp_path / "a.mat")["signals"][0, 0]["unit"].item() == "mm, m/s"
+    layout = json.loads(log.attachment("viewer-layout.json"))
+    labels = [panel["yAxisLabel"] for panel in layout["configById"].values()]
+    assert labels == ["mm", "m/s"]
+    for ending in (".csv", ".parquet"):
+        (signal,) = read_field_data(tmp_path / f"a{ending}").signals
+        assert (signal.name, signal.unit) == ("c.y", ("mm", "m/s"))
 
 
 def test_csv_has_the_rows_that_are_chosen(recorded, tmp_path):

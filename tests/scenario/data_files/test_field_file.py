@@ -101,8 +101,8 @@ def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path):
 def test_a_frame_of_pandas_gives_its_index(tmp_path):
     """Of times, whatever is named like a time beside it; of numbers only where nothing else is.
 
-    An index that has a name, but not that of a time, is refused beside a column that has one. Evenly
-    spaced integers are in no column of the file.
+    An index that has a name, but not that of a time, is refused beside a column that has one.
+    Evenly spaced integers are in no column of the file.
     """
     pandas = pytest.importorskip("pandas")
     values = {"y": [1.0, 2.0, 3.0, 4.0], "date": [7.0, 7.0, 8.0, 8.0]}

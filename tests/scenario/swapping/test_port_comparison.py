@@ -80,6 +80,22 @@ def test_values_are_compared_in_one_unit():
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
+def test_each_element_is_compared_in_its_unit():
+    """2 m and 1 s are 2000 mm and 1 s; an element of another kind is an error or differs."""
+
+    def initial(units, values):
+        interface = Interface((), (Signal("y", 2, unit=units),))
+        return ComparedComponent(interface, ABLE, initial={"y": np.array(values)})
+
+    before = initial(("m", "s"), [2.0, 1.0])
+    found = verdicts(before, initial(("mm", "s"), [2e3, 1.0]))
+    assert (found["y", "unit"], found["y", "initial output"]) == ("differs", "ok")
+    found = verdicts(before, initial(("m", "ms"), [2.0, 1.0]))
+    assert (found["y", "unit"], found["y", "initial output"]) == ("differs", "differs")
+    assert verdicts(before, initial(("m", "V"), [2.0, 1.0]), refused={"y"})["y", "unit"] == "error"
+    assert verdicts(before, initial(None, [2.0, 1.0]))["y", "unit"] == "unknown"
+
+
 def test_sizes_are_compared_in_one_unit():
     """A factor of ten is the limit; zeros and what is not known have no size."""
     before = ComparedComponent(BEFORE, ABLE, nominal={"s": np.array([2.0])})

@@ -54,6 +54,40 @@ def by_hand(other):
     return cosim.run(parse(replace(find("academic"), text=text).with_changes(COARSE)))
 
 
+def test_a_table_of_two_units_takes_the_place_of_a_vector(tmp_path):
+    """A plant gives position and speed in m and m/s; the table has them in mm and mm/s."""
+    text = """
+        scenario = { name = "a", stop = 0.2, step = 0.01 }
+        [models.mass]
+        A = [[0, 1], [-4, -2]]
+        Bu = [[0], [1]]
+        C = [[1, 0], [0, 1]]
+        [components]
+        force = { kind = "sine", rate = 9.0 }
+        plant = { kind = "descriptor", model = "mass", x0 = [1, 0], unit = { y = ["m", "m/s"] } }
+        control = { kind = "gain", K = [[5, 2]], unit = { u = ["m", "km/h"] } }
+        [connections]
+        "plant.u" = "force.y"
+        "control.u" = "plant.y"
+    """
+    (tmp_path / "a.toml").write_text(text)
+    log = cosim.run(tmp_path / "a.toml", out=tmp_path / "a.mcap")
+    y = log["plant.y"]
+    assert log["control.u"] == pytest.approx(y * [1.0, 3.6], rel=1e-12)
+    table = np.column_stack([log.t, 1e3 * y]).tolist()
+    rows = "\n".join(",".join(map(repr, row)) for row in table)
+    (tmp_path / "y.csv").write_text(f"t [s],place [mm],speed [mm/s]\n{rows}\n")
+    swap = {"plant": tmp_path / "y.csv"}
+    for names in ({"plant.y": ["place", "speed"]}, {"plant.y[0]": "place", "plant.y[1]": "speed"}):
+        swapped = cosim.run(tmp_path / "a.toml", swap=swap, map=names)
+        assert swapped.signals["plant.y"].unit == ("m", "m/s")
+        assert swapped["control.u"] == pytest.approx(log["control.u"], rel=1e-12)
+    assert swapped.signals["plant.y_samples"].unit == ("mm", "mm/s")
+    (tmp_path / "y.csv").write_text(f"t [s],place [mm],speed\n{rows}\n")
+    with pytest.raises(ScenarioError, match=r"'place' has unit 'mm', 'speed' has none"):
+        cosim.run(tmp_path / "a.toml", swap=swap, map={"plant.y": ["place", "speed"]})
+
+
 def signals(run):
     """Return the bits of every signal by its name."""
     names = []
