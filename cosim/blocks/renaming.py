@@ -17,7 +17,7 @@ from cosim.blocks.port_map import PortElement, PortMap, ShownPort, names_of
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface, Need, Signal
 from cosim.errors import GraphError, nearest
-from cosim.units import Unit, comparable, conversion, conversions_between
+from cosim.units import Conversion, Unit, comparable, conversion, conversions_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,6 +351,7 @@ def _shown_signal(name: str, elements: Sequence[PortElement], units: Sequence[Un
         base=None,
         role=role,
         start=_start(elements, units),
+        nominal=_nominal(elements, units),
         connection=_need(elements),
     )
     return signal.in_units(units)
@@ -367,13 +368,28 @@ def _start(elements: Sequence[PortElement], units: Sequence[Unit]) -> tuple[floa
     """Return the values of a shown input that nothing drives yet; empty: zeros."""
     if not any(element.signal.start for element in elements):
         return ()
-    own = [element.measure for element in elements]
     values = []
-    for element, to_shown in zip(elements, conversions_between(own, units), strict=True):
-        assert to_shown is not None
+    for element, to_shown in zip(elements, _to_shown(elements, units), strict=True):
         value = float(to_shown(element.start))
         values.append(value)
     return tuple(values)
+
+
+def _nominal(elements: Sequence[PortElement], units: Sequence[Unit]) -> tuple[float, ...]:
+    """Return what size shown elements usually have; empty: that of none is known."""
+    if not any(element.signal.nominal for element in elements):
+        return ()
+    values = []
+    for element, to_shown in zip(elements, _to_shown(elements, units), strict=True):
+        nominal = element.signal.nominal_values[element.index]
+        values.append(nominal if to_shown.copies else nominal * abs(to_shown.factor))
+    return tuple(values)
+
+
+def _to_shown(elements: Sequence[PortElement], units: Sequence[Unit]) -> list[Conversion]:
+    """Return the conversions of elements to the units in which they are shown."""
+    own = [element.measure for element in elements]
+    return [convert for convert in conversions_between(own, units) if convert is not None]
 
 
 def _check_size(port: Port, elements: Sequence[PortElement]) -> None:

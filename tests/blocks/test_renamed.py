@@ -109,6 +109,15 @@ def test_inputs_keep_their_initial_values_and_roles():
     assert renamed(CASES["other names"]).interface.outputs[0].role == "state"
 
 
+def test_shown_elements_have_their_nominal_sizes():
+    """In their order and unit; 1 where only others have one."""
+    small = Signal("a", 2, unit=("mm", "m"), nominal=(10.0, 20.0))
+    own = Interface((), (small, Signal("b", unit="m"), Signal("c")))
+    shown = map_ports(own, renamings({"y": ["a[1]", "a[0]", "b"], "z": ["c"]})).interface
+    nominal = {signal.name: signal.nominal for signal in shown.outputs}
+    assert nominal == {"y": (20.0, pytest.approx(0.01), 1.0), "z": ()}
+
+
 class Gauge:
     """Two lengths in and out, in m and mm; keeps what it was given."""
 
