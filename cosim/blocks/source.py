@@ -149,7 +149,8 @@ class Table:
         Zero-order hold instead: each value until the next instant (a discrete signal).
     extrapolate : bool
         Hold the first value before the first instant, and the last value after the last.
-    unit : str, optional
+    unit : str, or tuple of str, optional
+        One for all elements, or one for each.
 
     Raises
     ------
@@ -166,7 +167,7 @@ class Table:
         *,
         hold: bool = False,
         extrapolate: bool = False,
-        unit: str | None = None,
+        unit: str | tuple[str, ...] | None = None,
     ) -> None:
         check_points(t, y, hold=hold)
         self.t = frozen(t, 1)

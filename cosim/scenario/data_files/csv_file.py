@@ -7,21 +7,111 @@ of another may be able to read what that other is not.
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
+from cosim.units import base_unit
 
 LARGEST: Final = 2**28  # bytes
 MOST_COLUMNS: Final = 100_000
 SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "bars"}
+_HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
+NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
+_TIMES: Final = re.compile(
+    r"(t|(?i:times?|time_?stamps?|date|date_?time|(elapsed|simulation|log)_?time))(_(?P<unit>[mun]?s|min|h))?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The name of a column, its unit, and where it stands."""
+
+    name: str
+    unit: str | None
+    position: int
+
+    @staticmethod
+    def parse(text: str, position: int) -> Header:
+        """Split ``y [mm]`` or ``y (mm)``; what is in parentheses may be no unit."""
+        text = text.strip()
+        match = _HEADER.fullmatch(text)
+        if match is None or not match["name"]:
+            return Header(text, None, position)
+        unit = (match["unit"] or match["known"]).strip()
+        is_spaced = text[len(match["name"])].isspace()
+        is_index = unit.isdecimal() and not (is_spaced and unit == "1")
+        if is_index or (match["known"] and base_unit(unit) is None):
+            return Header(text, None, position)
+        return Header(match["name"], "1" if unit in NO_UNIT else unit, position)
+
+    @property
+    def _times(self) -> re.Match[str] | None:
+        return _TIMES.fullmatch(re.sub("[ -]", "_", self.name))
+
+    @property
+    def is_named_as_times(self) -> bool:
+        """Whether it is named ``t``, ``Time``, ``time_ms``, ``Timestamp`` or the like; no ``T``."""
+        return self._times is not None
+
+    @property
+    def time_unit(self) -> str | None:
+        """The unit of times at the end of the name, as in ``time_ms``."""
+        match = self._times
+        return None if match is None else match["unit"]
+
+
+def unit_of(label: str, name: str, parts: Sequence[Header]) -> str | tuple[str, ...] | None:
+    """Return the unit of a signal made of columns: one for all, one for each, or none.
+
+    Raises
+    ------
+    UsageError
+        If some of them have a unit, and others have not.
+    """
+    units = [part.unit for part in parts if part.unit is not None]
+    if len(units) not in (0, len(parts)):
+        listed = ", ".join(f"{part.name!r} in {part.unit or 'no unit'}" for part in parts)
+        raise UsageError(
+            f"{label}: expected a unit in each column of {name!r}, or in none, got {listed}"
+        )
+    if len(set(units)) > 1:
+        return tuple(units)
+    return units[0] if units else None
+
+
+def second_of(
+    label: str,
+    clock: Header,
+    unit: str | None = None,
+    way_out: str = "select another column by time",
+) -> Decimal:
+    """Return the unit of the times in s: the one given, or that of their column.
+
+    Raises
+    ------
+    UsageError
+        If it is no unit of time.
+    """
+    name = unit or clock.unit or clock.time_unit or "s"
+    meaning = base_unit(name)
+    second = base_unit("s")
+    assert second is not None
+    if meaning is None or meaning.exponents != second.exponents:
+        raise UsageError(
+            f"{label}: column {clock.name!r}: expected times in a unit of time, such as ms, "
+            f"got {name!r}; {way_out}"
+        )
+    return Decimal(repr(meaning.factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,30 +130,45 @@ class NamedColumns:
     names: tuple[str, ...]
     values: Matrix
 
-    def column(self, name: str) -> Vector:
-        """Return a column, shape (N,).
+    @property
+    def label(self) -> str:
+        """How messages name it."""
+        return f"file {self.file}"
 
-        Raises
-        ------
-        UsageError
-            If there is none of that name, or there are several.
-        """
-        return self.columns([name])[:, 0]
+    @property
+    def headers(self) -> list[Header]:
+        """The columns, in their order."""
+        return [Header.parse(text, position) for position, text in enumerate(self.names)]
 
-    def columns(self, names: Sequence[str]) -> Matrix:
-        """Return columns side by side, shape (N, number of ``names``).
+    def find(self, names: Iterable[str]) -> list[Header]:
+        """Return columns by their names, with their units or without them.
 
         Raises
         ------
         UsageError
             If there is none of a name, or there are several.
         """
-        position = {name: index for index, name in enumerate(self.names)}
+        headers = self.headers
+        named: dict[str, list[Header]] = {}
+        for header in headers:
+            named.setdefault(header.name, []).append(header)
+        written = {text: [header] for text, header in zip(self.names, headers, strict=True)}
+        found = []
         for name in names:
-            if name not in position:
+            matches = written.get(name) or named.get(name, [])
+            if not matches:
                 suggestion = nearest(name, self.names)
-                raise UsageError(f"file {self.file} has no column {name!r}; {suggestion}")
-        selected: Matrix = self.values[:, [position[name] for name in names]]
+                raise UsageError(f"{self.label} has no column {name!r}; {suggestion}")
+            if len(matches) > 1:
+                raise UsageError(
+                    f"{self.label}: expected a unique column {name!r}, got {len(matches)}"
+                )
+            found += matches
+        return found
+
+    def columns(self, headers: Sequence[Header]) -> Matrix:
+        """Return columns side by side, shape (N, number of ``headers``)."""
+        selected: Matrix = self.values[:, [header.position for header in headers]]
         return selected
 
 

@@ -20,7 +20,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from functools import cached_property
@@ -35,24 +35,27 @@ from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
 from cosim.instants import NANOSECONDS
-from cosim.scenario.data_files.csv_file import LARGEST, MOST_COLUMNS, is_number, read_lines
+from cosim.scenario.data_files.csv_file import (
+    LARGEST,
+    MOST_COLUMNS,
+    NO_UNIT,
+    Header,
+    is_number,
+    read_lines,
+    second_of,
+    unit_of,
+)
 from cosim.scenario.data_files.recorded_fields import (
     MCAP,
     check_asked,
     read_samples,
     recorded_data,
 )
-from cosim.units import base_unit
 
 TimeOffset: TypeAlias = float | Literal["first"]
 
 PARQUET: Final = ".parquet"
 _SEPARATORS: Final = ("\t", ";", "|", ",")
-_HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
-_NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
-_TIMES: Final = re.compile(
-    r"(t|(?i:times?|time_?stamps?|date|date_?time|(elapsed|simulation|log)_?time))(_(?P<unit>[mun]?s|min|h))?"
-)
 _UNNAMED: Final = re.compile(r"__index_level_\d+__")  # as pandas names an index without a name
 _BYTES: Final = 8  # of a number
 
@@ -120,7 +123,7 @@ def read_field_data(
     signals = []
     for name, parts in chosen.items():
         stacked = np.array([values[part.position] for part in parts]).T
-        signals.append(FieldSignal(name, _unit_of(table, name, parts), stacked))
+        signals.append(FieldSignal(name, unit_of(table.label, name, parts), stacked))
     notes = () if time is not None else headers.notes(clock)
     return FieldData(table.label, np.array(stamps.t), tuple(signals), notes)
 
@@ -159,44 +162,6 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
 # --- what the columns are ---
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """The name of a column, its unit, and where it stands."""
-
-    name: str
-    unit: str | None
-    position: int
-
-    @staticmethod
-    def parse(text: str, position: int) -> _Header:
-        """Split ``y [mm]`` or ``y (mm)``; what is in parentheses may be no unit."""
-        text = text.strip()
-        match = _HEADER.fullmatch(text)
-        if match is None or not match["name"]:
-            return _Header(text, None, position)
-        unit = (match["unit"] or match["known"]).strip()
-        is_spaced = text[len(match["name"])].isspace()
-        is_index = unit.isdecimal() and not (is_spaced and unit == "1")
-        if is_index or (match["known"] and base_unit(unit) is None):
-            return _Header(text, None, position)
-        return _Header(match["name"], "1" if unit in _NO_UNIT else unit, position)
-
-    @property
-    def _times(self) -> re.Match[str] | None:
-        return _TIMES.fullmatch(re.sub("[ -]", "_", self.name))
-
-    @property
-    def is_named_as_times(self) -> bool:
-        """Whether it is named ``t``, ``Time``, ``time_ms``, ``Timestamp`` or the like; no ``T``."""
-        return self._times is not None
-
-    @property
-    def time_unit(self) -> str | None:
-        """The unit of times at the end of the name, as in ``time_ms``."""
-        match = self._times
-        return None if match is None else match["unit"]
-
-
 class _Headers:
     """The columns of a table that have a name."""
 
@@ -204,13 +169,13 @@ class _Headers:
         self._label = table.label
         self._table = table
         self._written = [name.strip() for name in table.names]
-        self.all: list[_Header] = []
+        self.all: list[Header] = []
         for position, text in enumerate(self._written):
             if text:
-                header = _Header.parse(text, position)
+                header = Header.parse(text, position)
                 self.all.append(self._with_unit(header, table.unit(position)))
         # pandas writes an index without a name as a first column without one
-        self._unnamed = [] if not self._written or self._written[0] else [_Header("", None, 0)]
+        self._unnamed = [] if not self._written or self._written[0] else [Header("", None, 0)]
         if len(self._unnamed + self.all) < 2:
             raise UsageError(
                 f"{table.label}: expected at least two named columns (times and samples), got "
@@ -219,11 +184,11 @@ class _Headers:
         if all(is_number(header.name) for header in self.all):
             raise UsageError(f"{table.label}: expected column names in line 1, got numbers")
 
-    def _with_unit(self, header: _Header, declared: str | None) -> _Header:
+    def _with_unit(self, header: Header, declared: str | None) -> Header:
         """Return a column with the unit that is declared beside its name."""
         if declared is None:
             return header
-        unit = "1" if declared in _NO_UNIT else declared
+        unit = "1" if declared in NO_UNIT else declared
         if header.unit not in (None, unit):
             raise UsageError(
                 f"{self._label}, column {self._written[header.position]!r}: expected one unit, got "
@@ -231,7 +196,7 @@ class _Headers:
             )
         return replace(header, unit=unit)
 
-    def clock(self) -> _Header:
+    def clock(self) -> Header:
         """Return the column of the times, where none is selected.
 
         Raises
@@ -247,7 +212,7 @@ class _Headers:
             )
         return [*candidates, *self._unnamed, *self.all][0]
 
-    def _candidates(self) -> list[_Header]:
+    def _candidates(self) -> list[Header]:
         named = [header for header in self.all if header.is_named_as_times]
         stamps = [header for header in self.all if self._table.has_stamps(header.position)]
         index = [header for header in self.all if header.name in self._table.index]
@@ -257,7 +222,7 @@ class _Headers:
             return of_times or named or stamps or index
         return [*with_names, *(named or stamps)]
 
-    def notes(self, clock: _Header) -> tuple[str, ...]:
+    def notes(self, clock: Header) -> tuple[str, ...]:
         """Return what is to be known where nothing says which column has the times."""
         if self._candidates():
             return ()
@@ -268,7 +233,7 @@ class _Headers:
             "is named t, time or the like; time selects another",
         )
 
-    def named(self, name: str) -> _Header:
+    def named(self, name: str) -> Header:
         """Return a column, by its name or by all that its header says."""
         matches = []
         for header in self.all:
@@ -284,8 +249,8 @@ class _Headers:
         return matches[0]
 
     def signals(
-        self, clock: _Header, columns: Mapping[str, str | Sequence[str]] | None
-    ) -> dict[str, list[_Header]]:
+        self, clock: Header, columns: Mapping[str, str | Sequence[str]] | None
+    ) -> dict[str, list[Header]]:
         """Return the columns of every signal."""
         signals = {}
         if columns is None:
@@ -300,22 +265,10 @@ class _Headers:
         return signals
 
 
-def _unit_of(
-    table: _FieldTable, name: str, parts: Sequence[_Header]
-) -> str | tuple[str, ...] | None:
-    units = [part.unit for part in parts if part.unit is not None]
-    if len(units) not in (0, len(parts)):
-        listed = ", ".join(f"{part.name!r} in {part.unit or 'no unit'}" for part in parts)
-        raise UsageError(
-            f"{table.label}: expected a unit in each column of {name!r}, or in none, got {listed}"
-        )
-    return tuple(units) if len(set(units)) > 1 else parts[0].unit
-
-
 # --- times ---
 
 
-def _seconds(table: _FieldTable, clock: _Header, unit: str | None) -> Decimal:
+def _seconds(table: _FieldTable, clock: Header, unit: str | None) -> Decimal:
     """Return the unit of the times in s."""
     own = table.stamp_unit(clock)
     if own is not None and unit is not None:
@@ -323,16 +276,8 @@ def _seconds(table: _FieldTable, clock: _Header, unit: str | None) -> Decimal:
             f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is {unit!r}, "
             "got dates or durations, which have their unit; leave out time_unit"
         )
-    name = own or unit or clock.unit or clock.time_unit or "s"
-    meaning = base_unit(name)
-    second = base_unit("s")
-    assert second is not None
-    if meaning is None or meaning.exponents != second.exponents:
-        raise UsageError(
-            f"{table.label}: column {clock.name!r}: expected times in a unit of time, such as ms, "
-            f"got {name!r}; select another column by time, another unit by time_unit"
-        )
-    return Decimal(repr(meaning.factor))
+    way_out = "select another column by time, another unit by time_unit"
+    return second_of(table.label, clock, own or unit, way_out)
 
 
 class _TimeStamps:
@@ -415,11 +360,11 @@ class _FieldTable(Protocol):
         """Return whether the type of a column is that of dates or durations."""
         ...
 
-    def stamp_unit(self, clock: _Header) -> str | None:
+    def stamp_unit(self, clock: Header) -> str | None:
         """Return the unit of dates or durations; None: the times are numbers."""
         ...
 
-    def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+    def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
         """Read times, and the columns that ``values`` has by their positions."""
         ...
 
@@ -482,7 +427,7 @@ class _CsvTable:
     def has_stamps(self, position: int) -> bool:
         return False
 
-    def stamp_unit(self, clock: _Header) -> str | None:
+    def stamp_unit(self, clock: Header) -> str | None:
         rows = self._rows()
         next(rows)
         _, cells = next(rows, ("", []))
@@ -490,7 +435,7 @@ class _CsvTable:
             return None  # read says so
         return None if _nanoseconds(cells[clock.position].strip()) is None else "ns"
 
-    def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+    def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
         has_stamps = self.stamp_unit(clock) is not None
         rows = self._rows()
         next(rows)
@@ -579,7 +524,7 @@ class _ParquetTable:
             if isinstance(entry, dict) and isinstance(entry.get("name"), str):
                 with suppress(KeyError, TypeError, ValueError):  # of another tool
                     numbers = range(entry["start"], entry["stop"], entry["step"])
-                    named = _Header.parse(entry["name"], 0).is_named_as_times
+                    named = Header.parse(entry["name"], 0).is_named_as_times
                     if len(numbers) == rows and (named or numbers.step > 1):
                         self._ranges[len(self.names)] = numbers
                         self.names = [*self.names, entry["name"]]
@@ -623,12 +568,12 @@ class _ParquetTable:
         types = self._arrow.types
         return bool(types.is_timestamp(column) or types.is_duration(column))
 
-    def stamp_unit(self, clock: _Header) -> str | None:
+    def stamp_unit(self, clock: Header) -> str | None:
         if not self.has_stamps(clock.position):
             return None
         return str(self._schema.field(clock.position).type.unit)
 
-    def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+    def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
         for row, stamp in enumerate(self._column(clock.position, is_time=True), start=1):
             if stamp is None or stamp != stamp:
                 raise UsageError(f"{self.label}, row {row}: expected a time, got none")

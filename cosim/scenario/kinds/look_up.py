@@ -9,8 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
+from cosim.blocks.declared import with_units
 from cosim.blocks.look_up import LookUpTable
 from cosim.core.contracts import Component
+from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import Extrapolation
 from cosim.scenario.data_files.csv_file import read_csv
@@ -52,10 +54,13 @@ class LookUpTableKind(Kind):
         if self.file is not None:
             if any(array is not None for array in arrays):
                 raise UsageError("look-up table: expected either file or arrays, got both")
-            grid, values = self._read(context.file(self.file))
+            grid, values, units = self._read(context.file(self.file))
         else:
             grid, values = self._arrays()
-        return LookUpTable(grid, values, extrapolation=self.extrapolation, unit=self.unit_name)
+            units = {}
+        unit = None if "y" in units else self.unit_name
+        table = LookUpTable(grid, values, extrapolation=self.extrapolation, unit=unit)
+        return with_units(table, units)
 
     def _arrays(self) -> Points:
         given = {"u": self.u, "u1": self.u1, "u2": self.u2}
@@ -79,7 +84,8 @@ class LookUpTableKind(Kind):
         rows = tuple(row for row in self.y if isinstance(row, tuple))
         return list(points.values()), matrix(rows, "y")
 
-    def _read(self, path: Path) -> Points:
+    def _read(self, path: Path) -> tuple[list[Vector], Matrix, dict[str, PortUnit]]:
+        """Return breakpoints, values and the units of the ports."""
         table = read_csv(path)
         names = table.names if self.columns is None else self.columns
         if len(names) not in (2, 3):
@@ -87,10 +93,17 @@ class LookUpTableKind(Kind):
                 f"file {table.file}: expected one or two columns of inputs and one of y, got "
                 f"{len(names)}; select them with columns"
             )
-        columns = table.columns(names)
+        headers = table.find(names)
+        columns = table.columns(headers)
+        ports = ("u", "y") if len(names) == 2 else ("u1", "u2", "y")
+        units: dict[str, PortUnit] = {
+            port: header.unit
+            for port, header in zip(ports, headers, strict=True)
+            if header.unit is not None
+        }
         if len(names) == 2:
-            return [columns[:, 0]], columns[:, 1]
-        return _gridded(columns, table.file)
+            return [columns[:, 0]], columns[:, 1], units
+        return *_gridded(columns, table.file), units
 
 
 def _gridded(rows: Matrix, file: str) -> Points:

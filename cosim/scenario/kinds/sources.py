@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from decimal import Decimal
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -288,8 +289,9 @@ class TableKind(Kind):
     def build(self, name: str, context: BuildContext) -> Component:
         if (self.file is None) == (self.t is None or self.y is None):
             raise UsageError("table: expected either t and y, or file")
+        unit: str | tuple[str, ...] | None = None
         if self.file is not None:
-            t, y = self._read(context.file(self.file))
+            t, y, unit = self._read(context.file(self.file))
         else:
             t, y = self._arrays()
         hold = self.interpolation == "zero-order"
@@ -307,20 +309,28 @@ class TableKind(Kind):
                 f"table: expected times from {clock.start_time} s to {clock.stop} s (the run), got "
                 f'{t[0]} s to {t[-1]} s; extrapolation = "hold" keeps the nearest value'
             )
-        return source.Table(t, y, hold=hold, extrapolate=extrapolate, unit=self.unit_name)
+        unit = self.unit_name if unit is None else unit
+        return source.Table(t, y, hold=hold, extrapolate=extrapolate, unit=unit)
 
     def _arrays(self) -> tuple[Vector, Matrix]:
         rows = [row if isinstance(row, tuple) else (row,) for row in self.y or ()]
         return np.array(self.t), matrix(tuple(rows), "y")
 
-    def _read(self, path: Path) -> tuple[Vector, Matrix]:
-        from cosim.scenario.data_files.csv_file import read_csv  # rarely needed
+    def _read(self, path: Path) -> tuple[Vector, Matrix, str | tuple[str, ...] | None]:
+        """Return times [s], values and their units."""
+        # rarely needed
+        from cosim.scenario.data_files.csv_file import read_csv, second_of, unit_of
 
         table = read_csv(path)
-        names = self.columns
-        if names is None:
-            names = tuple(name for name in table.names if name != self.time)
-        return table.column(self.time), table.columns(names)
+        (clock,) = table.find([self.time])
+        parts = [header for header in table.headers if header != clock]
+        if self.columns is not None:
+            parts = table.find(self.columns)
+        second = second_of(table.label, clock)
+        t = table.columns([clock])[:, 0]
+        if second != 1:
+            t = np.array([float(Decimal(repr(time)) * second) for time in t.tolist()])
+        return t, table.columns(parts), unit_of(table.label, "y", parts)
 
 
 class NoiseKind(PeriodicKind):

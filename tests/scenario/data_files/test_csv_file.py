@@ -44,7 +44,21 @@ def test_the_ways_to_write_one_table(written, content):
     table = written(content)
     assert table.names == ("t", "u")
     assert table.values.tolist() == [[0.0, 1.0], [0.5, -2000.0]]
-    assert table.columns(["u", "t"]).tolist() == [[1.0, 0.0], [-2000.0, 0.5]]
+    assert table.columns(table.find(["u", "t"])).tolist() == [[1.0, 0.0], [-2000.0, 0.5]]
+
+
+def test_columns_are_found_with_and_without_their_units(written):
+    """All of the first line is a name too; one name of several columns is refused."""
+    table = written("t [ms],y [mm],y [N],x[0]\n0,1,2,3\n")
+    found = table.find(["t", "y [N]", "x[0]"])
+    assert [(header.name, header.unit) for header in found] == [
+        ("t", "ms"),
+        ("y", "N"),
+        ("x[0]", None),
+    ]
+    assert table.columns(found).tolist() == [[0.0, 2.0, 3.0]]
+    with pytest.raises(UsageError, match=r"unique column 'y', got 2"):
+        table.find(["y"])
 
 
 NO_TABLES = [
@@ -78,11 +92,11 @@ def test_another_file_than_a_table_is_refused_with_its_place(written):
 def test_a_column_that_is_not_there_is_refused(written):
     """With the name that was probably meant; of very many names the first are listed."""
     with pytest.raises(UsageError, match=r"no column 'u'; available: t, force$"):
-        written("t,force\n0,1\n").column("u")
+        written("t,force\n0,1\n").find(["u"])
     names = [f"c{i}" for i in range(5000)]
     zeros = ["0"] * len(names)
     with pytest.raises(UsageError, match=r"c99, and 4900 more$"):
-        written(f"{','.join(names)}\n{','.join(zeros)}\n").column("elsewhere")
+        written(f"{','.join(names)}\n{','.join(zeros)}\n").find(["elsewhere"])
 
 
 SECRETS = [
@@ -103,7 +117,7 @@ def test_the_content_of_another_file_than_a_table_is_not_quoted(written):
     for secret in SECRETS:
         for encoding in ("utf-8", "latin-1"):
             with pytest.raises(UsageError) as error:
-                written(secret.encode(encoding)).column("t")
+                written(secret.encode(encoding)).find(["t"])
             chain = [str(error.value), str(error.value.__cause__)]
             quoted += [text for text in chain if "Zebra" in text or "Quagga" in text]
     assert quoted == []

@@ -58,6 +58,16 @@ def test_a_function_by_its_values(tmp_path, table, inputs, y):
     assert cosim.diff(log, cosim.replay(log)).equal
 
 
+def test_a_file_says_the_units_of_its_columns(tmp_path):
+    """Of u and y, so that connections convert to and from them: 0 to 1 s are 0 to 1000 ms."""
+    (tmp_path / "f.csv").write_text("u [ms],y [kN]\n0,1\n1000,3\n")
+    log = run(tmp_path, 'file = "f.csv"', set={"components.once.unit": "s"})
+    assert [log.signals[name].unit for name in ("f.u", "f.y")] == ["ms", "kN"]
+    assert log["f.y"].tolist() == [1.0, 1.5, 2.0, 2.5, 3.0]
+    with pytest.raises(ScenarioError, match=r"unit of 'y': got 'N'.*declares 'kN'"):
+        run(tmp_path, 'file = "f.csv"\nunit = "N"')
+
+
 NO_FUNCTIONS = [
     ("u = [0.0, 1.0]", "or file, got u"),
     ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "or file, got u1, y"),
