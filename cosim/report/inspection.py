@@ -253,6 +253,8 @@ def describe_samples(source: str) -> Section:
         "median distance": f"{np.median(distances):g} s" if len(distances) else None,
         "largest distance": f"{distances.max():g} s" if len(distances) else None,
     }
+    if data.diagnostics:
+        about["note"] = "; ".join(data.diagnostics)
     signals: list[Section] = []
     for signal in data.signals:
         row = {

@@ -266,7 +266,9 @@ class TableKind(Kind):
         None, description="values at these times, or rows of values"
     )
     file: str | None = Field(
-        None, description="CSV file in place of t and y; its first line names the columns"
+        None,
+        description="CSV file in place of t and y; its first line names the columns, also with "
+        "units, such as t [ms]",
     )
     time: str = Field("t", description="column of the times")
     columns: tuple[str, ...] | None = Field(

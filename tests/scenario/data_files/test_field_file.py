@@ -88,6 +88,7 @@ def test_the_first_column_is_that_of_the_times_if_no_name_says_so(tmp_path):
     (note,) = read_field_data(path).diagnostics
     assert "first column, 'when'" in note
     assert "time selects another" in note
+    assert describe_samples(str(path))["samples"]["note"] == note
     assert read_field_data(path, time="when").diagnostics == ()
 
 

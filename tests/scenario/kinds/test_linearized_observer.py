@@ -4,6 +4,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from cosim.fmi.linearizing.request import LinearizationRequest
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.linearizing import MovingModel, model_toml, split
+from cosim.scenario.kinds.linearizing import MovingModel, design_model, model_toml, split
 from tests.fmi.pendulum import FRICTION, G, jacobian, pendulum
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
@@ -180,11 +181,25 @@ def test_an_observer_may_be_linearized_where_the_plant_is_not_at_rest(folder):
 
 @pytest.mark.slow
 def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
-    """What drives them is then compared and converted; where elements differ, none is declared."""
+    """What drives them is then compared and converted; where an element has none, all have none."""
     run = cosim.run(swing(folder, 0.1), set={"scenario.stop": 0.01})
     interface = run.channels["observer"].interface
     units = {s.name: s.unit for s in (*interface.inputs, *interface.outputs)}
     assert units == {"u": "N.m", "y": None, "x_a": None, "delta": "N.m", "z": None, "q": None}
+
+
+def test_each_element_has_the_unit_of_its_variable(folder):
+    """Of those that an FMU declares one for all, or one for each."""
+    linear = linearize(folder / "pendulum.fmu", start={"theta": 0.5, "torque": 4.0})
+    names = (*linear.states, *linear.outputs)
+    units = {name: f"{number + 1}" if number else "m" for number, name in enumerate(names)}
+    designed = design_model(replace(linear, units={**linear.units, **units}, bases={}), ["wind"])
+    assert [unit.name for unit in designed.units["x_a"]] == [units[name] for name in linear.states]
+    assert [unit.name for unit in designed.units["y"]] == [units[name] for name in linear.outputs]
+    del units[linear.states[1]]
+    lacking = {**linear.units, **units}
+    lacking.pop(linear.states[1], None)
+    assert design_model(replace(linear, units=lacking), ["wind"]).units["x_a"] == ()
 
 
 REFUSED = {
