@@ -38,6 +38,7 @@ Mode: TypeAlias = Literal[
 RUNNING: Final = ("event", "continuous")
 READABLE: Final = ("initialization", "event", "continuous", "terminated")
 ALLOWED: Final[Mapping[str, tuple[str, ...]]] = {
+    "setup_experiment": ("instantiated",),
     "enter_initialization_mode": ("instantiated",),
     "exit_initialization_mode": ("initialization",),
     "enter_event_mode": RUNNING,
@@ -147,11 +148,16 @@ class GeneratedInstance:
         self._mode = "instantiated"
         self._set_defaults()
 
-    def enter_initialization_mode(self, t: float) -> None:
-        """Begin the initialization at ``t`` [s]."""
+    def setup_experiment(self, t: float) -> None:
+        """Take the start time ``t`` [s]."""
+        self._require("setup_experiment")
+        self._t = t
+        self._stale = True
+
+    def enter_initialization_mode(self) -> None:
+        """Begin the initialization at the start time."""
         self._require("enter_initialization_mode")
         self._mode = "initialization"
-        self._t = t
 
     def exit_initialization_mode(self) -> None:
         """End the initialization."""

@@ -191,8 +191,12 @@ class Instance(Protocol):
         """Go back to the state after instantiation."""
         ...
 
-    def enter_initialization_mode(self, t: float) -> None:
-        """Enter it with the start time ``t`` [s] (FMI 2: setup_experiment before it)."""
+    def setup_experiment(self, t: float) -> None:
+        """Take the start time ``t`` [s]; start values are set after it."""
+        ...
+
+    def enter_initialization_mode(self) -> None:
+        """Enter it, at the start time."""
         ...
 
     def exit_initialization_mode(self) -> None:
@@ -251,7 +255,7 @@ class Instance(Protocol):
     def forget_messages(self, mark: object, *, of_calls: bool = True) -> None:
         """Forget the messages that came behind a mark, and were not fetched yet.
 
-        ``of_calls``: also what functions returned as a warning since then.
+        ``of_calls``: also what functions returned as a warning or an error since then.
         """
         ...
 

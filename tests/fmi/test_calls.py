@@ -11,7 +11,8 @@ from tests.fmi.probes import NUMBERS, got, opened, put, xml2, xml3
 
 def test_model_exchange_calls_of_fmi_2(probe2):
     with opened(probe2, interface_type="me") as (_, instance):
-        instance.enter_initialization_mode(2.0)
+        instance.setup_experiment(2.0)
+        instance.enter_initialization_mode()
         put(instance, u=3.0, x=5.0)
         instance.exit_initialization_mode()
         assert instance.update_discrete_states() == DiscreteStates(
@@ -36,7 +37,8 @@ def test_model_exchange_calls_of_fmi_2(probe2):
 
 def test_co_simulation_calls_of_fmi_2(probe2):
     with opened(probe2, interface_type="cs") as (_, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         put(instance, u=2.0)
         instance.set_input_derivatives(instance.description.references_of(["u"]), np.array([6.0]))
@@ -60,7 +62,8 @@ def test_discard_of_fmi_2_has_a_last_successful_time_and_may_terminate(probe2, f
     The probe stops after a quarter of the step.
     """
     with opened(probe2, interface_type="cs") as (_, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         put(instance, answer=2.0, flag=flag)
         assert instance.do_step(1.0, 0.5) == StepEnd(
@@ -100,7 +103,8 @@ def test_without_a_state_there_is_no_rollback(tmp_path):
     """The state calls raise with the reason."""
     path = compile_fmu(tmp_path / "x.fmu", xml2(state=False), "probe2.c")
     with opened(path, interface_type="me") as (_, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         instance.completed_integrator_step()
         assert got(instance, "no_way_back") == [1.0]
@@ -135,7 +139,8 @@ def test_texts_that_cannot_be_set(probe2):
 
 def test_model_exchange_calls_of_fmi_3(probe3):
     with opened(probe3, interface_type="me") as (_, instance):
-        instance.enter_initialization_mode(2.0)
+        instance.setup_experiment(2.0)
+        instance.enter_initialization_mode()
         put(instance, u=3.0, behavior=5)
         instance.exit_initialization_mode()
         assert instance.update_discrete_states() == DiscreteStates(
@@ -164,7 +169,8 @@ def test_model_exchange_calls_of_fmi_3(probe3):
 )
 def test_how_a_step_of_fmi_3_ends(probe3, behavior, end):
     with opened(probe3, interface_type="cs") as (_, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         put(instance, behavior=behavior)
         assert instance.do_step(1.0, 0.5) == end
@@ -181,7 +187,8 @@ def test_event_mode_in_co_simulation(tmp_path):
     with opened(path, interface_type="cs") as (_, instance):
         expected = instance.description.capabilities["cs"].event_mode
         assert got(instance, "event_mode") == [float(expected)]
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         put(instance, behavior=5)
         instance.exit_initialization_mode()
         assert instance.update_discrete_states().next_event_time == 0.5
@@ -203,7 +210,8 @@ def test_intermediate_updates_interpolate_the_inputs_linearly(tmp_path):
     Without slopes the input keeps its value.
     """
     with opened(interpolating(tmp_path), interface_type="cs") as (fmu, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         u = instance.description.references_of(["u"])
         put(instance, u=2.0)

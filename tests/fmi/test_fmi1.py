@@ -7,6 +7,7 @@ import pytest
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
+from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.initialization import Initialization
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.options import FmuOptions
@@ -20,7 +21,8 @@ def test_initial_outputs_belong_to_the_inputs_that_were_set(probe1):
         variable = instance.description["text"]
         instance.set_text(variable, ("kept",))
         put(instance, x0=1.0, flag=1.0)
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         for u, y in ((2.0, 8.0), (2.0, 8.0), (5.0, 17.0)):
             put(instance, u=u)
             assert got(instance, "y", "x0", "flag") == [y, 1.0, 1.0]
@@ -33,7 +35,8 @@ def test_initial_outputs_belong_to_the_inputs_that_were_set(probe1):
 def test_equal_inputs_do_not_restart(probe1):
     """The probe says where it is initialized, and counts instances: once for equal values."""
     with opened(probe1) as (fmu, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         for _ in range(3):
             put(instance, u=2.0)
             got(instance, "y")
@@ -55,7 +58,8 @@ def test_an_initialization_with_equal_inputs_shows_the_same_again(tmp_path):
 def test_initialization_without_a_reading(probe1):
     with opened(probe1) as (_, instance):
         put(instance, x0=1.0)
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         assert got(instance, "x") == [1.0]
 
@@ -63,17 +67,20 @@ def test_initialization_without_a_reading(probe1):
 def test_reset_forgets_what_was_set(probe1):
     with opened(probe1) as (_, instance):
         put(instance, x0=1.0)
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         instance.reset()
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         assert got(instance, "x") == [0.0]
 
 
 def test_model_exchange(model1):
     """The first event iteration is the initialization's; the modes call nothing."""
     with opened(model1) as (_, instance):
-        instance.enter_initialization_mode(2.0)
+        instance.setup_experiment(2.0)
+        instance.enter_initialization_mode()
         put(instance, u=3.0, behavior=2)
         instance.exit_initialization_mode()
         assert instance.update_discrete_states() == DiscreteStates(
@@ -96,7 +103,8 @@ def test_model_exchange(model1):
 def test_co_simulation(slave1):
     """x = 1 + 3 h + 8 h^2 / 2 with the slope 8, h = 1/2; a discarded step ends after a quarter."""
     with opened(slave1) as (_, instance):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         put(instance, x0=-2.0, u=3.0)
         instance.exit_initialization_mode()
         instance.set_input_derivatives(instance.description.references_of(["u"]), np.array([8.0]))
@@ -131,7 +139,8 @@ def test_messages_know_their_instance_by_its_address(slave1):
     with opened(slave1) as (first, instance), opened(slave1) as (second, _):
         assert [text for *_, text in first.drain()] == ["hello world"]
         assert [text for *_, text in second.drain()] == ["hello world"]
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         assert [text for *_, text in first.drain()] == ["x = 0"]
         assert second.drain() == []
@@ -166,7 +175,7 @@ def test_an_initialization_is_repeated_with_its_inputs_by_a_new_instance(slave1)
     """The initial state of the probe depends on them: x = x0 + u."""
     with load(slave1, FmuOptions(start={"x0": 1.0})) as fmu:
         u = np.full(fmu.component.interface.n_u, 2.0)
-        initialization = Initialization(fmu._instance, {"x0": 1.0})
+        initialization = Initialization(fmu._instance, {"x0": 1.0}, Diagnostics("probe"))
         y = initialization.enter(0.0, u)
         fmu._instance.renew()
         assert initialization.repeat().tolist() == y.tolist()

@@ -42,7 +42,7 @@ def perform(instance, call):
     inputs = instance.description.references("input")
     outputs = instance.description.references("output")
     arguments = {
-        "enter_initialization_mode": (0.0,),
+        "setup_experiment": (0.0,),
         "set_time": (0.5,),
         "set_continuous_states": (np.ones(2),),
         "set_float64": (inputs, np.zeros(2)),
@@ -102,7 +102,8 @@ def test_an_initial_state_that_depends_on_inputs_follows_them_in_initialization_
         "calculated",
         "exact",
     ]
-    instance.enter_initialization_mode(0.0)
+    instance.setup_experiment(0.0)
+    instance.enter_initialization_mode()
     instance.set_float64(inputs, np.array([3.0, 0.0]))
     assert np.array_equal(instance.get_float64(outputs), [4.0, 7.0, -1.0, -10.0])
     assert np.array_equal(

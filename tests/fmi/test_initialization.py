@@ -10,8 +10,10 @@ from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.variable import Variable
+from tests.fmi import small
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3
+from tests.fmi.rogues import STATELESS, compile_rogue
 
 PARAMETER = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
 VARIABLES = (
@@ -214,3 +216,62 @@ value = 3.0
         CosimError, match=r"(?s)'x': expected one value.*'Boolean': expected true or false, got 2"
     ):
         cosim.run(broken, out=tmp_path / "broken.mcap")
+
+
+@pytest.fixture(scope="module")
+def forgetful(tmp_path_factory):
+    """y = 3 x + u from x = 2, of an FMU that forgets in SetupExperiment what was set before."""
+    folder = tmp_path_factory.mktemp("forgetful")
+    path = small.compiled(folder, "FORGETS")
+    return small.able(path, folder / "able.fmu", "state", "steps", A=-1.0, x=2.0)
+
+
+def test_start_values_are_set_when_the_experiment_is_set_up(forgetful):
+    """FMI 2.0.4 section 4.2.4 allows both orders; FMUs of 20-sim keep values in this one only."""
+    start = {"A": -1.0, "B": 1.0, "C": 3.0, "D": 1.0, "x": 2.0}
+    with load(forgetful, FmuOptions(start=start)) as fmu:
+        for t in (0.0, 5.0):  # the second one after a reset
+            assert fmu.component.initialize(t, np.array([1.0])).tolist() == [2.0, 7.0]
+        fmu.component.prepare(0.1, np.zeros(1, np.bool_), {})
+        linearized = fmu.component.linearized(5.0, np.array([1.0]))
+        assert linearized.C[1] == pytest.approx(3.0 * linearized.C[0])
+        assert fmu.drain() == []
+
+
+@pytest.mark.slow
+def test_trials_set_start_values_in_the_same_order(forgetful):
+    """x starts at the declared 2, which the FMU itself forgot."""
+    start = {"A": -1.0, "B": 1.0, "C": 3.0, "D": 1.0, "x": 2.0}
+    assert [f for f in cosim.fmi.check(forgetful, start=start) if "trial" in f.where] == []
+
+
+def test_values_that_are_not_kept_are_named_once(tmp_path):
+    """The FMU has x = 1 for whatever is no input, also for the parameter k, and keeps no string."""
+    text = '<ScalarVariable name="file" valueReference="5" causality="parameter"'
+    text += ' variability="fixed"><String start=""/></ScalarVariable></ModelVariables>'
+    xml = STATELESS.replace("</ModelVariables>", text)
+    path = compile_rogue(tmp_path / "good.fmu", "GOOD", xml)
+    with load(path, FmuOptions(start={"k": 3.0, "file": "a.csv"})) as fmu:
+        for _ in range(2):
+            fmu.component.initialize(0.0, np.array([0.5]))
+            fmu.component.outputs(0.0, np.array([0.5]))
+        (message,) = fmu.drain()
+        assert message.level == "warning"
+        assert "k is 1.0, was set to 3.0" in message.text
+        assert "file is ('',), was set to ('a.csv',)" in message.text
+        assert "u is" not in message.text
+        fmu.discard()  # after trials the run says it again
+        fmu.component.initialize(0.0, np.array([0.5]))
+        fmu.component.outputs(0.0, np.array([0.5]))
+        assert fmu.drain() == [message]
+
+
+def test_an_input_that_cannot_be_read_is_no_fault(tmp_path):
+    """It is asked for, no more: nothing is said, and the end of the run is as ever."""
+    path = compile_rogue(tmp_path / "hides.fmu", "HIDES", STATELESS)
+    with load(path) as fmu:
+        y = fmu.component.initialize(0.0, np.array([3.0]))
+        rows = fmu.component.advance(np.array([0.0, 0.5]), 0.5, np.full((2, 1), 3.0))
+        assert (y.tolist(), rows.tolist()) == ([1.0, 1.0], [[2.0, 2.0]])
+        assert fmu.drain() == []
+        assert not fmu._instance._library.failed

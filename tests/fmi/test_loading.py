@@ -160,7 +160,8 @@ def test_two_instances_of_one_fmu(request, slave1, number):
     second = load(path, FmuOptions(interface_type="cs"))
     instances = [fmu._instance for fmu in (first, second)]
     for value, instance in enumerate(instances):
-        instance.enter_initialization_mode(0.0)
+        instance.setup_experiment(0.0)
+        instance.enter_initialization_mode()
         put(instance, u=float(value))
         instance.exit_initialization_mode()
         instance.do_step(0.0, 1.0)

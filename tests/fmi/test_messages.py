@@ -185,13 +185,15 @@ def test_the_time_is_that_of_the_simulation(probe, request):
     path = request.getfixturevalue(probe)
     with opened(path, interface_type="me") as (fmu, instance):
         assert logged_at(fmu, instance) is None
-        instance.enter_initialization_mode(2.0)
+        instance.setup_experiment(2.0)
+        instance.enter_initialization_mode()
         assert logged_at(fmu, instance) == 2.0
         instance.exit_initialization_mode()
         instance.set_time(2.5)
         assert logged_at(fmu, instance) == 2.5
     with opened(path, interface_type="cs") as (fmu, instance):
-        instance.enter_initialization_mode(2.0)
+        instance.setup_experiment(2.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         instance.do_step(2.0, 0.5)
         assert logged_at(fmu, instance) == 2.0
@@ -201,7 +203,8 @@ def test_the_time_is_that_of_the_simulation(probe, request):
 
 def test_the_time_is_that_of_the_simulation_in_fmi_1(slave1):
     with opened(slave1) as (fmu, instance):
-        instance.enter_initialization_mode(2.0)
+        instance.setup_experiment(2.0)
+        instance.enter_initialization_mode()
         instance.exit_initialization_mode()
         assert [(message.time, message.text) for message in fmu.drain()] == [
             (None, "hello world"),

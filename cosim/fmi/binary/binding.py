@@ -95,8 +95,12 @@ class Calls(Protocol):
         """Free the instance, unless a fatal status forbids it."""
         ...
 
-    def enter_initialization_mode(self, t: float) -> None:
-        """Enter it with the start time ``t`` [s]."""
+    def setup_experiment(self, t: float) -> None:
+        """Take the start time ``t`` [s]."""
+        ...
+
+    def enter_initialization_mode(self) -> None:
+        """Enter it, at the start time."""
         ...
 
     def exit_initialization_mode(self) -> None:

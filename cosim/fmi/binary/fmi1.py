@@ -2,7 +2,7 @@
 
 FMI 1.0 has no initialization mode: ``fmiInitialize`` (``fmiInitializeSlave``) takes the start
 values and inputs that were set before it, and only after it can anything be read. Between
-``enter_initialization_mode`` and ``exit_initialization_mode`` therefore the first reading
+``setup_experiment`` and ``exit_initialization_mode`` therefore the first reading
 initializes, and another value that is set after it restarts: the instance is freed, a new one is
 instantiated, and all that was set is set again. Exit initializes where no reading did. So every
 output that is read belongs to the inputs that were set, as in the initialization mode of FMI 2.
@@ -197,9 +197,12 @@ class Fmi1:
             self.terminate()
         self.free()
 
-    def enter_initialization_mode(self, t: float) -> None:
+    def setup_experiment(self, t: float) -> None:
         """Store the start time ``t`` [s]."""
         self._start_time = t
+
+    def enter_initialization_mode(self) -> None:
+        """Do nothing: the first reading initializes."""
 
     def exit_initialization_mode(self) -> None:
         """Initialize, where no reading did."""

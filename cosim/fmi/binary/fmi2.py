@@ -106,7 +106,7 @@ class Fmi2:
     def _bind_modes(self) -> None:
         call = self.library.call
         self._setup = call("SetupExperiment", c_int, c_double, c_double, c_int, c_double)
-        self._enter = call("EnterInitializationMode")
+        self.enter_initialization_mode = call("EnterInitializationMode")
         self.exit_initialization_mode = call("ExitInitializationMode")
         no_configuration = self.library.unavailable(
             "FMI 2.0 has no configuration mode and no structural parameters"
@@ -160,10 +160,9 @@ class Fmi2:
             self._free(self.library.instance)
         self.library.instance.value = None
 
-    def enter_initialization_mode(self, t: float) -> None:
-        """Enter it with the start time ``t`` [s]."""
+    def setup_experiment(self, t: float) -> None:
+        """Take the start time ``t`` [s]."""
         self._setup(0, 0.0, t, 0, 0.0)
-        self._enter()
 
     # --- values ---
 

@@ -69,6 +69,7 @@ class Fmi3:
         self._flags = [c_bool() for _ in range(5)]  # results of the calls below
         self._flag_pointers = [byref(flag) for flag in self._flags]
         self._time = c_double()
+        self._start_time = 0.0
         self.clocks: ClockCalls | None = None
         description = specification.description
         if description.drives_clocks:
@@ -169,9 +170,13 @@ class Fmi3:
             self._free(self.library.instance)
         self.library.instance.value = None
 
-    def enter_initialization_mode(self, t: float) -> None:
-        """Enter it with the start time ``t`` [s]."""
-        self._enter(False, 0.0, t, False, 0.0)
+    def setup_experiment(self, t: float) -> None:
+        """Keep the start time ``t`` [s]."""
+        self._start_time = t
+
+    def enter_initialization_mode(self) -> None:
+        """Enter it, at the start time."""
+        self._enter(False, 0.0, self._start_time, False, 0.0)
 
     # --- values ---
 

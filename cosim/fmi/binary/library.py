@@ -56,10 +56,13 @@ class MessageMark(NamedTuple):
     number : int
     warned : mapping of function to (int, float)
         What is known of warnings that it returned, and the time of the first.
+    failed : bool
+        Whether there was an error.
     """
 
     number: int
     warned: Mapping[str, tuple[int, float]]
+    failed: bool
 
 
 class Library:
@@ -259,16 +262,17 @@ class Library:
     def mark_messages(self) -> MessageMark:
         """Return what the messages up to now are known by."""
         warned = {name: (call.warned, call.time) for name, call in self._calls.items()}
-        return MessageMark(self.messages.mark(), warned)
+        return MessageMark(self.messages.mark(), warned, self.failed)
 
     def forget_messages(self, mark: MessageMark, *, of_calls: bool) -> None:
         """Forget the messages that came behind a mark, and were not fetched yet.
 
-        ``of_calls``: also what functions returned as a warning since then.
+        ``of_calls``: also what functions returned as a warning or an error since then.
         """
         self.messages.forget(mark.number)
         if not of_calls:
             return
+        self.failed = mark.failed or self.forbids_calls
         for name, call in self._calls.items():
             call.warned, call.time = mark.warned.get(name, (0, math.nan))
 

@@ -146,7 +146,7 @@ class LoadedInstance:
     def forget_messages(self, mark: object, *, of_calls: bool = True) -> None:
         """Forget the messages that came behind a mark, and were not fetched yet.
 
-        ``of_calls``: also what functions returned as a warning since then.
+        ``of_calls``: also what functions returned as a warning or an error since then.
         """
         assert isinstance(mark, MessageMark)
         self._library.forget_messages(mark, of_calls=of_calls)
@@ -185,10 +185,14 @@ class LoadedInstance:
         self._calls.instantiate()
         self._library.check_renewed()
 
-    def enter_initialization_mode(self, t: float) -> None:
-        """Enter it with the start time ``t`` [s]."""
+    def setup_experiment(self, t: float) -> None:
+        """Take the start time ``t`` [s]; start values are set after it."""
         self.messages.clock.value = t
-        self._calls.enter_initialization_mode(t)
+        self._calls.setup_experiment(t)
+
+    def enter_initialization_mode(self) -> None:
+        """Enter it, at the start time."""
+        self._calls.enter_initialization_mode()
 
     def exit_initialization_mode(self) -> None:
         """End the initialization."""

@@ -64,7 +64,9 @@ class CoSimulation:
         self._name = description.name
         self._diagnostics = Diagnostics(self._name)
         self._clocks = EventClocks(instance, self._diagnostics)
-        self._initialization = Initialization(instance, starts or {}, self._clocks)
+        self._initialization = Initialization(
+            instance, starts or {}, self._diagnostics, self._clocks
+        )
         self._capabilities = description.capabilities["cs"]
         self.interface = replace(
             instance.interface,

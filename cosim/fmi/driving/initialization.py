@@ -10,22 +10,27 @@ as its dimensions are.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import FmuError, nearest
+from cosim.errors import FmuError, RunError, listing, nearest
 from cosim.fmi.description import Description
 from cosim.fmi.driving.clocks import EventClocks
+from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.instance import Instance
+from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import LARGEST_EXACT, Variable
 
 StartScalar: TypeAlias = bool | int | float | str
 StartValue: TypeAlias = "StartScalar | Sequence[StartValue]"
 Starts: TypeAlias = Mapping[str, StartValue]  # by variable name
+Subject = TypeVar("Subject")
+Result = TypeVar("Result")
+CONVERTED: Final = 1e-9  # relative: what rounding leaves where an FMU converts units and back
 
 
 class Initialization:
@@ -38,6 +43,8 @@ class Initialization:
         ``resized`` returns for them.
     values : mapping of variable name to StartValue
         Start values to set instead of the FMU's own.
+    diagnostics : Diagnostics
+        Takes which values the FMU does not keep.
     clocks : EventClocks or None
         Asked for its first ticks in initialization mode.
 
@@ -53,9 +60,14 @@ class Initialization:
     """
 
     def __init__(
-        self, instance: Instance, values: Starts, clocks: EventClocks | None = None
+        self,
+        instance: Instance,
+        values: Starts,
+        diagnostics: Diagnostics,
+        clocks: EventClocks | None = None,
     ) -> None:
         self._instance = instance
+        self._diagnostics = diagnostics
         self._values = check_start(instance.description, values)
         self._clocks = clocks
         self._inputs = instance.description.values("input")
@@ -63,6 +75,7 @@ class Initialization:
         self._no_outputs = np.zeros(instance.description.references("output").size)
         self._instantiated = True  # and no more than that
         self._last: tuple[float, Vector] | None = None  # time and inputs of the last enter
+        self._replaced: list[str] | None = None  # values that are not kept; None: not read yet
         self.mode_time: float | None = None
 
     def enter(self, t: float, u: Vector) -> Vector:
@@ -77,10 +90,12 @@ class Initialization:
                 # start values back that were set before.
                 self._instance.reset()
             self._instantiated = False
+            # Before start values: some FMUs of FMI 2 forget in it what was set before.
+            self._instance.setup_experiment(t)
             # Before initialization mode: in it, those of variables with initial = "approx" must not
             # be set any more (FMI 2.0.4 section 3.2.3, FMI 3.0 section 2.3.3).
             self._set_start_values()
-            self._instance.enter_initialization_mode(t)
+            self._instance.enter_initialization_mode()
             self.mode_time = t
         # Inputs have no attribute initial, so their place is the initialization mode itself. Here
         # they may be set and outputs read in turns, which algebraic loops need.
@@ -126,13 +141,64 @@ class Initialization:
 
     def leave(self) -> bool:
         """Exit initialization mode; return False where it had been left before."""
-        if self.mode_time is None:
+        t = self.mode_time
+        if t is None:
             return False
         if self._clocks is not None:
-            self._clocks.ask_first_ticks(self.mode_time)
+            self._clocks.ask_first_ticks(t)
         self.mode_time = None
         self._instance.exit_initialization_mode()
+        if self._replaced is None:  # once: a reset sets the same values again
+            self._replaced = list(self._read_back())
+        if self._replaced:
+            self._diagnostics.add(
+                t,
+                "values that are not kept",
+                "does not keep values that were set before or in its initialization, and computes "
+                f"with others: {listing(self._replaced)}",
+            )
         return True
+
+    def _read_back(self) -> Iterator[str]:
+        """Yield the values that were set, are not computed by the FMU, and read back as others."""
+        assert self._last is not None  # it was entered
+        _, u = self._last
+        description = self._instance.description
+        numbers = {**self._values.structural, **self._values.numbers}
+        kept = [name for name in numbers if _is_kept(description[name])]
+        elements = [value for name in kept for value in numbers[name]]
+        yield from self._differences(description.references_of(kept), np.array(elements))
+        unclocked = self._inputs.select(self._inputs.where(lambda variable: not variable.clocks))
+        yield from self._differences(unclocked, unclocked.take(self._inputs.take(u)))
+        for name, texts in self._values.texts.items():
+            if _is_kept(description[name]):
+                found = self._ask(self._instance.get_text, description[name])
+                if found not in (None, texts):
+                    yield f"{name} is {found}, was set to {texts}"
+
+    def _differences(self, references: ReferenceMap, wanted: Vector) -> Iterator[str]:
+        """Yield the elements of variables that read back as others than those that were set."""
+        if not references.size:
+            return
+        found = self._ask(self._instance.get_float64, references)
+        if found is None:
+            return
+        single = references.where(lambda variable: variable.type == "Float32")
+        rounding = np.where(single, np.finfo(np.float32).eps, CONVERTED)
+        same = np.isclose(found, wanted, rounding, 0.0, equal_nan=True)
+        for i in np.flatnonzero(~same):
+            variable = references.elements[i].variable
+            index = f"[{references.elements[i].index}]" if variable.dimensions else ""
+            yield f"{variable.name}{index} is {found[i]}, was set to {wanted[i]}"
+
+    def _ask(self, get: Callable[[Subject], Result], subject: Subject) -> Result | None:
+        """Return what the FMU has for variables that no run needs; None where it refuses."""
+        mark = self._instance.mark_messages()
+        try:
+            return get(subject)
+        except RunError:
+            self._instance.forget_messages(mark)
+            return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +235,15 @@ def resized(description: Description, values: Starts) -> Description:
     checked = check_start(description, structural).structural
     sizes = {name: int(value) for name, (value,) in checked.items()}
     return description.resized(sizes)
+
+
+def _is_kept(variable: Variable) -> bool:
+    """Whether it has its start value at the end of the initialization; not where it is an input.
+
+    Those of events, and what belongs to clocks, may be others by then.
+    """
+    changes = variable.variability == "discrete" or bool(variable.clocks)
+    return variable.initial == "exact" and variable.causality != "input" and not changes
 
 
 def check_start(description: Description, values: Starts) -> StartValues:

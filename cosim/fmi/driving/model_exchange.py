@@ -103,7 +103,7 @@ class ModelExchange:
         self._instance = instance
         diagnostics = Diagnostics(instance.description.name)
         self._clocks = EventClocks(instance, diagnostics)
-        self._initialization = Initialization(instance, starts or {}, self._clocks)
+        self._initialization = Initialization(instance, starts or {}, diagnostics, self._clocks)
         self._discrete = instance.description.discrete_inputs
         self._capabilities = instance.description.capabilities["me"]
         self._integrator = Integrator(

@@ -304,6 +304,7 @@ def _notes(point: OperatingPoint) -> Iterator[str]:
     if count:
         yield f"event indicators ({count}): linearized within the mode it is in"
     yield from point.selection.notes
+    yield from point.warnings
 
 
 def _notes_on_errors(

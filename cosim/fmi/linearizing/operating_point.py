@@ -133,6 +133,7 @@ class OperatingPoint:
         driver.prepare(h, none_held, {})
         driver.initialize(0.0, self._u)
         driver.outputs(0.0, self._u)
+        self.warnings = [m.text for m in driver.drain() if m.level == "warning"]
         if self.t > 0.0:
             times = np.array([0.0, self.t])
             inputs = np.array([self._u, self._u])

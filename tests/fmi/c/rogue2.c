@@ -15,7 +15,7 @@ enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
     NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
-    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER, REPEATS
+    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER, REPEATS, HIDES
 };
 enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
 #ifndef WHERE
@@ -93,6 +93,8 @@ fmi2Status fmi2Reset(fmi2Component c) { return fmi2OK; }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[])
 {
+    if (ROGUE == HIDES && !r[0])
+        return fmi2Error; /* an input is not for reading */
     for (size_t i = 0; i < n; i++)
         v[i] = r[i] ? ((Model *)c)->x : ((Model *)c)->u;
     return fmi2OK;

@@ -5,7 +5,8 @@
  * KIND 2: y with y^2 + u^2 + v^2 = 5, y > 0.
  * KIND 3: y = 1, and 5 from the step on that ends behind 0.45 s.
  * SAYS 1: a message in every step. With COUNTS, KIND 0 has in y how many instances there were in
- * this process before, which the binary knows and not the instance. */
+ * this process before, which the binary knows and not the instance. With FORGETS all values are 0
+ * when the experiment is set up. */
 #include "fmi2Functions.h"
 
 #include <math.h>
@@ -82,6 +83,9 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerant, fmi2Real t
                                fmi2Real t, fmi2Boolean stops, fmi2Real stop)
 {
     (void)c, (void)tolerant, (void)tolerance, (void)t, (void)stops, (void)stop;
+#ifdef FORGETS
+    memset(((Instance *)c)->value, 0, sizeof(((Instance *)c)->value));
+#endif
     return fmi2OK;
 }
 
