@@ -13,13 +13,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from cosim.errors import RunError
 from cosim.temporary import TemporaryFolder
 
 # set in a child that does a command of its parent: the columns of the terminal; 0: there is none
 COMMAND_VARIABLE: Final = "COSIM_COMMAND"
 _PARENT_VARIABLE: Final = "COSIM_PARENT"  # set in a child: the process that waits for it
 _ENDED_VARIABLE: Final = "COSIM_ENDED"  # set in a child: the file that it makes at its own end
+_LIMIT_VARIABLE: Final = "COSIM_LIMIT"  # set in a child: how long a call may take there [s]
 _PR_SET_PDEATHSIG: Final = 1  # of linux/prctl.h
 _IMPORTED_FROM: Final = Path(__file__).parents[1]
 # of the libraries that start one for each core: as many processes would have the square of that
@@ -34,14 +34,18 @@ _THREAD_VARIABLES: Final = (
 
 
 class CommandResult(NamedTuple):
-    """What a command printed, and how it ended."""
+    """What a command printed, and how it ended.
+
+    ``failure`` says how foreign code ended it; empty: it came to its own end.
+    """
 
     output: str
     messages: str
     exit_code: int
+    failure: str = ""
 
 
-def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResult:
+def run_command(arguments: Sequence[str], *, columns: int | None, limit: float) -> CommandResult:
     """Run a command line of cosim in a child process, in this working directory.
 
     Parameters
@@ -49,40 +53,78 @@ def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResu
     arguments : sequence of str
     columns : int or None
         Of the terminal that shows what it prints; None: it is a file or a pipe.
-
-    Raises
-    ------
-    RunError
-        If the child crashes, or code that it runs ends it.
+    limit : float
+        How long a call of foreign code may take [s]; the child keeps it (:func:`call_limit`).
     """
     with TemporaryFolder("command") as folder:
         ended = folder / "ended"
         environment = child_environment(folder, COMMAND_VARIABLE, str(columns or 0))
-        child = subprocess.Popen(
-            [sys.executable, "-m", "cosim", *arguments],
-            env=environment | {_ENDED_VARIABLE: str(ended)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            start_new_session=True,
+        child = run_child(
+            ["cosim", *arguments],
+            environment | {_ENDED_VARIABLE: str(ended), _LIMIT_VARIABLE: repr(limit)},
+            streams=subprocess.PIPE,
         )
-        try:
-            output, messages = child.communicate()
-        finally:
-            kill(child)
         ended_itself = ended.exists()
-    if child.returncode < 0:
-        ending = describe_exit(child.returncode)
-        raise RunError(f"{messages}the process that loaded FMUs and classes {ending}")
-    if not ended_itself:
-        raise RunError(
-            f"{messages}the process that loaded FMUs and classes was ended by one of them, with "
-            f"exit code {child.returncode}"
-        )
-    return CommandResult(output, messages, child.returncode)
+    assert child.exit_code is not None  # there is no limit
+    failure = ""
+    if sys.platform != "win32" and child.exit_code == -signal.SIGALRM:
+        failure = f"was ended, as a call did not return within {limit:g} s"
+    elif child.exit_code < 0:
+        failure = describe_exit(child.exit_code)
+    elif not ended_itself:
+        failure = f"was ended by one of them, with exit code {child.exit_code}"
+    return CommandResult(child.output, child.messages, child.exit_code, failure)
+
+
+class ChildEnd(NamedTuple):
+    """What a child wrote, where that is read, and its exit code; None: it did not end in time."""
+
+    output: str
+    messages: str
+    exit_code: int | None
+
+
+def run_child(
+    module: Sequence[str],
+    environment: Mapping[str, str],
+    *,
+    folder: Path | None = None,
+    streams: int = subprocess.DEVNULL,
+    timeout: float | None = None,
+) -> ChildEnd:
+    """Run a module of Python in a process that leads a session; nothing of it is left behind.
+
+    Parameters
+    ----------
+    module : sequence of str
+        Its name, then its arguments.
+    environment : mapping
+    folder : Path or None
+        That it works in; None: this one.
+    streams : int
+        For its stdout and stderr, of :mod:`subprocess`.
+    timeout : float or None
+        After it the child and what it started are killed [s].
+    """
+    child = subprocess.Popen(
+        [sys.executable, "-m", *module],
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=streams,
+        stderr=streams,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+    )
+    try:
+        output, messages = child.communicate(timeout=timeout)
+        return ChildEnd(output or "", messages or "", child.returncode)
+    except subprocess.TimeoutExpired:
+        return ChildEnd("", "", None)
+    finally:
+        kill(child)
 
 
 def child_environment(folder: Path, variable: str, value: str = "1") -> dict[str, str]:
@@ -123,6 +165,11 @@ def describe_exit(exit_code: int) -> str:
     except ValueError:  # one of those for real time has no name
         name = f"signal {-exit_code}"
     return f"crashes: {name}"
+
+
+def call_limit() -> float:
+    """Return how long a call may take in this child [s]; infinity: there is no limit."""
+    return float(os.environ.get(_LIMIT_VARIABLE, "inf"))
 
 
 def note_own_end() -> None:

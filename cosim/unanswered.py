@@ -1,9 +1,10 @@
-"""Ctrl-C while the main thread is in a call of C that does not return: a second one ends all.
+"""Ctrl-C while the main thread is in a call of C that does not return: it ends the process.
 
 Python runs its handlers in the main thread, between two instructions, so that Ctrl-C waits as long
 as an FMU hangs. A thread of the command line hears of it at once, and asks whether the main thread
-still runs Python. Where it does, all is left to its handlers. Where it does not, that is said, and
-if it still does not when Ctrl-C comes again, the process ends.
+still runs Python. Where it does, all is left to its handlers. Where it does not, that is said, with
+the FMU that is called, and if it still does not some seconds later, or when Ctrl-C comes again, the
+process ends.
 
 Only the command line does so: the process is its own. One that uses the package may hold more than
 a run, such as the session of a notebook. Only Ctrl-C does: a closed terminal may send its signal
@@ -12,11 +13,13 @@ twice, and who requests to terminate can kill.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
@@ -24,6 +27,9 @@ from typing import Any, Final
 from cosim.interrupts import INTERRUPTED, REASONS, is_deferred
 
 PATIENCE: Final = 1.0  # s in which the main thread is to run an instruction of Python
+GRACE: Final = 4.0  # s more, once that is said
+_LOOK: Final = 0.05  # s between two looks at whether it does
+_CALLS: Final = "cosim.native.fmi.process"  # imported where FMUs are called
 _ALL: Final = 4096  # bytes, more than there can be
 _BELOW_PROGRESS: Final = "\x1b[?25h\n"  # and with a cursor, which that hides
 _questions: list[Any] = []  # kept, as the main thread may come to them late
@@ -65,27 +71,55 @@ def _may_listen() -> bool:
 
 def _listen(reader: int, ended: threading.Event) -> None:
     """Read the numbers of the signals that come, and act where the main thread does not."""
-    answered = threading.Event()
-    answered.set()
     while numbers := os.read(reader, _ALL):
         if signal.SIGINT not in numbers:
             continue
-        if answered.is_set():
-            answered = _ask_main_thread()
-            if ended.is_set() or answered.wait(PATIENCE) or is_deferred():
-                continue
-            if select.select([reader], [], [], 0.0)[0]:
-                os.read(reader, _ALL)  # before it is said what a second one does
-            _write(
-                "ends when the current call (of an FMU, say) returns; Ctrl-C again ends it at "
-                "once, without a complete log"
-            )
-        elif not is_deferred():
-            _write(
-                "ended at once; a log with rows was not closed: 'cosim info' shows up to where "
-                "it is complete"
-            )
-            os._exit(INTERRUPTED)
+        answered = _ask_main_thread()
+        if ended.is_set() or answered.wait(PATIENCE) or is_deferred():
+            continue
+        if select.select([reader], [], [], 0.0)[0]:
+            os.read(reader, _ALL)  # before it is said what a second one does
+        _write(
+            f"{REASONS[signal.SIGINT]}: {_current_call()} does not return: ended in {GRACE:g} s "
+            "if it still does not, at once with Ctrl-C again, without a complete log"
+        )
+        end = time.monotonic() + GRACE
+        while not (ended.is_set() or answered.wait(_LOOK) or is_deferred()):
+            if time.monotonic() > end or _is_repeated(reader):
+                _write(
+                    f"{REASONS[signal.SIGINT]}: ended; a log with rows was not closed: "
+                    "'cosim info' shows up to where it is complete"
+                )
+                os._exit(INTERRUPTED)
+
+
+def limit_calls(limit: float) -> None:
+    """Let SIGALRM end the process where the main thread is in a call of C for longer [s].
+
+    A signal, as a call may keep Python's lock, such as the one that loads a binary.
+    """
+    if sys.platform != "win32" and limit < math.inf:
+        threading.Thread(target=_watch, args=(limit,), daemon=True).start()
+
+
+def _watch(limit: float) -> None:
+    while True:
+        signal.setitimer(signal.ITIMER_REAL, limit)
+        time.sleep(min(PATIENCE, limit / 4))
+        _ask_main_thread().wait()
+
+
+def _is_repeated(reader: int) -> bool:
+    """Return whether Ctrl-C has come again."""
+    is_ready = bool(select.select([reader], [], [], 0.0)[0])
+    return is_ready and signal.SIGINT in os.read(reader, _ALL)
+
+
+def _current_call() -> str:
+    """Return what the main thread is in, as far as that is known."""
+    calls = sys.modules.get(_CALLS)
+    called: str = calls.running_text() if calls is not None else ""
+    return f"a call of {called}," if called else "the current call (of an FMU, say)"
 
 
 def _ask_main_thread() -> threading.Event:
@@ -109,4 +143,4 @@ def _write(text: str) -> None:
     start = _BELOW_PROGRESS if os.isatty(2) else ""
     with suppress(OSError, ValueError):
         if select.select([], [2], [], 0.0)[1]:
-            os.write(2, f"{start}cosim: {REASONS[signal.SIGINT]}: {text}\n".encode())
+            os.write(2, f"{start}cosim: {text}\n".encode())

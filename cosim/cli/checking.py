@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim import completion
-from cosim.cli.options import JsonOption, prints_to_stderr, read_edits
+from cosim.cli.options import JsonOption, prints_to_stderr, read_edits, run_in_child
 from cosim.errors import UsageError
 
 
@@ -43,13 +43,15 @@ def check(
 
     FMU: archive, schema, structure, binaries and trial runs. Scenario: each assumption with the
     number that decides it. The scenario is not run, but FMUs are loaded and Python classes
-    imported, which runs their code. Exit 1 if there is an error or an assumption fails.
+    imported, which runs their code, in a separate process. Exit 1 if there is an error or an
+    assumption fails.
     """
     from cosim.arguments import fmu_argument, is_scenario
 
     if is_scenario(subject):
         if strict:
             raise UsageError("--strict is for FMUs; omit it")
+        run_in_child(["check", str(subject)], {"--set": values}, as_json=as_json)
         _check_scenario(str(subject), values, as_json=as_json)
         return
     from cosim.fmi.checking.check import check as check_fmu

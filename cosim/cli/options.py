@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,9 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from cosim import completion
-from cosim.errors import UsageError, option, quoted
+from cosim.errors import RunError, UsageError, option, quoted
 from cosim.files import file_type
 from cosim.report.printable import printable
+from cosim.unanswered import limit_calls
 
 ScenarioArgument = Annotated[
     str,
@@ -93,6 +94,48 @@ def prints_to_stderr() -> Iterator[None]:
     """Redirect what the code of users prints to stderr: stdout is for data."""
     with redirect_stdout(sys.stderr):
         yield
+
+
+def run_in_child(
+    command: Sequence[str], options: Mapping[str, Sequence[str] | None], *, as_json: bool
+) -> None:
+    """Do this command in a child process, as it runs the code of FMUs, and exit as that does.
+
+    In the child itself return, to do it; there it ends where a call of an FMU hangs, after as long
+    as a trial of an FMU may take.
+
+    Raises
+    ------
+    RunError
+        If the child crashes, or code that it runs ends it.
+    """
+    from cosim.fmi import child_process
+    from cosim.processes import (
+        COMMAND_VARIABLE,
+        call_limit,
+        end_with_parent,
+        note_own_end,
+        run_command,
+    )
+    from cosim.report.tables.console import terminal_width
+
+    if COMMAND_VARIABLE in os.environ:
+        end_with_parent()
+        note_own_end()
+        limit_calls(call_limit())
+        return
+    arguments = [*command]
+    for name, values in options.items():
+        for value in values or ():
+            arguments += [name, value]
+    if as_json:
+        arguments.append("--json")
+    result = run_command(arguments, columns=terminal_width(), limit=child_process.TIMEOUT)
+    typer.echo(result.messages, nl=False, err=True)
+    if result.failure:
+        raise RunError(f"the process that loaded FMUs and classes {result.failure}")
+    typer.echo(result.output, nl=False)
+    raise typer.Exit(result.exit_code)
 
 
 def given_values(values: Mapping[str, float | None]) -> dict[str, float]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,6 +26,7 @@ from cosim.cli.options import (
     read_edits,
     read_numbers,
     read_unique_pairs,
+    run_in_child,
 )
 from cosim.cli.playing import HostOption, LiveOption, PortOption, ShowOption, shown_live
 from cosim.errors import UsageError
@@ -163,7 +162,6 @@ def run(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.processes import COMMAND_VARIABLE, end_with_parent, note_own_end
     from cosim.report.tables.rotation import is_rotated, print_rotated
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.execution import load
@@ -173,11 +171,12 @@ def run(
         _check_dry_run(find_step, certify=certify)
     if find_step and step is not None:
         raise UsageError("--find-step chooses the step itself; omit --step")
-    if dry_run and COMMAND_VARIABLE not in os.environ:
+    if dry_run:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
-        _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
-    end_with_parent()
-    note_own_end()
+        numbers = given_values({"--stop": stop, "--step": step})
+        for name, number in numbers.items():
+            options[name] = [repr(number)]
+        run_in_child(["run", scenario, "--dry-run"], options, as_json=as_json)
     imported = perf_counter()
     with prints_to_stderr():
         edited = load(scenario).edit(
@@ -241,31 +240,6 @@ def _check_rotated(plot: Path | None, *, profile: bool) -> None:
     if plot is not None or profile:
         name = "--profile" if plot is None else "--plot"
         raise UsageError(f"{name} needs a log in one file; omit it or --rotate")
-
-
-def _dry_run_in_child(
-    scenario: str,
-    options: Mapping[str, Sequence[str] | None],
-    numbers: Mapping[str, float | None],
-    *,
-    as_json: bool,
-) -> NoReturn:
-    """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
-    from cosim.processes import run_command
-    from cosim.report.tables.console import terminal_width
-
-    arguments = ["run", scenario, "--dry-run"]
-    for name, values in options.items():
-        for value in values or ():
-            arguments += [name, value]
-    for name, number in given_values(numbers).items():
-        arguments += [name, repr(number)]
-    if as_json:
-        arguments.append("--json")
-    result = run_command(arguments, columns=terminal_width())
-    typer.echo(result.output, nl=False)
-    typer.echo(result.messages, nl=False, err=True)
-    raise typer.Exit(result.exit_code)
 
 
 def _dry_run(scenario: Scenario, *, as_json: bool) -> None:

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 from cosim.fmi.trial_cache import keep_problems, read_problems
-from cosim.processes import child_environment, describe_exit, kill
+from cosim.processes import child_environment, describe_exit, run_child
 from cosim.temporary import TemporaryFolder
 
 if TYPE_CHECKING:
@@ -119,22 +117,14 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
     with TemporaryFolder("trial") as folder:
         log = folder / "result"
         log.touch()
-        child = subprocess.Popen(
-            [sys.executable, "-m", TRIAL, task, str(log), *arguments],
-            cwd=folder,
-            env=child_environment(folder, CHILD_VARIABLE),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
+        child = run_child(
+            [TRIAL, task, str(log), *arguments],
+            child_environment(folder, CHILD_VARIABLE),
+            folder=folder,
+            timeout=timeout,
         )
-        exit_code: int | None = None  # stays None where it hangs
-        try:
-            with suppress(subprocess.TimeoutExpired):
-                exit_code = child.wait(timeout)
-        finally:
-            kill(child)
-        return _problems(log.read_text(encoding="utf-8", errors="replace"), exit_code, timeout)
+        text = log.read_text(encoding="utf-8", errors="replace")
+        return _problems(text, child.exit_code, timeout)
 
 
 def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[TrialProblem, ...]:

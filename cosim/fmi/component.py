@@ -17,7 +17,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
-from cosim.fmi.binary.messages import Message
+from cosim.fmi.binary.messages import Message, Messages
 from cosim.fmi.binary.process import Process, describe_changes
 from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
@@ -227,7 +227,8 @@ def load(
     resources = ExitStack()
     shared: UnpackedFmu | None = None
     instance: LoadedInstance | None = None
-    process = Process()
+    messages = Messages(instance_name or Path(path).stem)
+    process = Process(messages.address)
     process.save()
     try:
         if unpacked is not None and archive is None:
@@ -254,6 +255,7 @@ def load(
             interface_type=interface_type,
             name=instance_name or description.name,
             label=str(archive.path),
+            messages=messages,
         )
         if shared is not None and not description.capabilities[interface_type].once_per_process:
             shared.keep_loaded(library)
@@ -270,7 +272,7 @@ def load(
         archive,
         interface_type,
         instance=instance,
-        component=Guarded(component, description.name, archive.sha256),
+        component=Guarded(component, description.name, archive.sha256, called=messages.address),
         resources=resources,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),

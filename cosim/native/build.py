@@ -57,6 +57,7 @@ SOURCES = (
     "estimation/output_error.c",
     "estimation/identifier.c",
     "fmi/callbacks.c",
+    "fmi/running.c",
     "fmi/fmu.c",
     "fmi/process.c",
     "fmi/inner_step.c",

@@ -72,32 +72,46 @@ def test_a_dry_run_says_what_is_wrong(call, marked):
     assert "start value of 'k': expected 0.0 to 5.0, got 9" in err
 
 
-@pytest.mark.slow
-def test_a_dry_run_of_an_fmu_that_crashes(call, tmp_path):
-    """The parent lives on and says so."""
-    crash = tmp_path / "crash.c"
-    crash.write_text(
-        "#include <signal.h>\n"
-        "__attribute__((constructor)) static void crash(void) { raise(SIGSEGV); }\n"
+def attach(tmp_path, statement):
+    """Compile the FMU of the scenario with a statement that its library does when it is loaded."""
+    source = tmp_path / "attached.c"
+    source.write_text(
+        "#include <signal.h>\n#include <stdlib.h>\n#include <unistd.h>\n"
+        f"__attribute__((constructor)) static void attached(void) {{ {statement} }}\n"
     )
-    compile_fmu(tmp_path / "marked.fmu", XML, "rogue2.c", crash, defines=("ROGUE=GOOD",))
+    compile_fmu(tmp_path / "marked.fmu", XML, "rogue2.c", source, defines=("ROGUE=GOOD",))
     (tmp_path / "marked.toml").write_text(SCENARIO)
-    code, _, err = call("run", "marked.toml", "--dry-run")
-    assert code == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [("run", "--dry-run"), ("check",)])
+def test_an_fmu_that_crashes_ends_a_child(call, tmp_path, command):
+    """The parent lives on and says so; the child has said which component it was."""
+    attach(tmp_path, "raise(SIGSEGV);")
+    code, out, err = call(*command, "marked.toml")
+    assert (code, out) == (1, "")
+    assert "cosim: plant, before its initialization: crashes: SIGSEGV" in err
     assert "the process that loaded FMUs and classes crashes: SIGSEGV" in err
+
+
+@pytest.mark.slow
+def test_an_fmu_that_hangs_is_not_waited_for(call, tmp_path, monkeypatch):
+    """Its limit is that of a trial of `cosim check x.fmu`."""
+    monkeypatch.setattr("cosim.fmi.child_process.TIMEOUT", 2.0)
+    attach(tmp_path, "for (;;) pause();")
+    code, out, err = call("check", "marked.toml")
+    assert (code, out) == (1, "")
+    assert "plant, before its initialization: does not return" in err
+    assert "was ended, as a call did not return within 2 s" in err
 
 
 @pytest.mark.slow
 def test_a_dry_run_of_an_fmu_that_ends_the_process(call, tmp_path):
     """Exit code 0 of it does not say that the scenario can run."""
-    ends = tmp_path / "ends.c"
-    ends.write_text(
-        "#include <stdlib.h>\n__attribute__((constructor)) static void end(void) { exit(0); }\n"
-    )
-    compile_fmu(tmp_path / "marked.fmu", XML, "rogue2.c", ends, defines=("ROGUE=GOOD",))
-    (tmp_path / "marked.toml").write_text(SCENARIO)
+    attach(tmp_path, "exit(0);")
     code, _, err = call("run", "marked.toml", "--dry-run")
     assert code == 1
+    assert "plant, before its initialization: ends the process with exit code 0" in err
     text = "the process that loaded FMUs and classes was ended by one of them, with exit code 0"
     assert text in err
 
@@ -133,7 +147,9 @@ def test_how_a_binary_bears_the_end_of_the_process_is_no_result(
 
 
 def test_the_child_does_it_itself(call, marked, monkeypatch):
-    """A dry run in a child starts no other."""
+    """A dry run or a check in a child starts no other."""
     monkeypatch.setenv(COMMAND_VARIABLE, "1")
     monkeypatch.setattr("cosim.processes.run_command", lambda *_: pytest.fail("another child"))
+    monkeypatch.setattr("cosim.cli.options.limit_calls", lambda limit: None)
     assert call("run", "marked.toml", "--dry-run")[0] == 0
+    assert call("check", "marked.toml")[0] == 0

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message, Messages, last_as_suffix
 from cosim.native.fmi.fmu import CallStruct, FmuStruct
+from cosim.native.fmi.process import report_deaths
 from cosim.native.library import library as kernels
 from cosim.native.memory import place_struct
 
@@ -109,6 +110,7 @@ class Library:
         self._calls: dict[str, CallStruct] = {}  # the functions of the instance that were bound
         self._file_name = path.name
         self._forbidden = ""  # why no call is allowed any more
+        report_deaths()
         try:
             self._dll: CDLL | None = CDLL(str(path))
         except OSError as error:

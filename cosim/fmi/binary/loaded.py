@@ -56,6 +56,8 @@ class LoadedInstance:
         Name of the instance.
     label : str
         Names the FMU in messages.
+    messages : Messages
+        Takes what the FMU logs.
 
     Raises
     ------
@@ -75,9 +77,10 @@ class LoadedInstance:
         interface_type: InterfaceType,
         name: str,
         label: str,
+        messages: Messages,
     ) -> None:
         self.description = description
-        self.messages = Messages()
+        self.messages = messages
         specification = InstanceSpecification(
             description, interface_type, name, folder, self.messages
         )

@@ -49,6 +49,11 @@ class Message(NamedTuple):
 class Messages:
     """What an FMU logs, kept until it is fetched: the last ``MESSAGES`` of it, 1000 bytes each.
 
+    Parameters
+    ----------
+    name : str
+        Of the component, for a process that dies in a call of it.
+
     Attributes
     ----------
     clock : c_double
@@ -58,12 +63,13 @@ class Messages:
         the memory itself that C reads, as a store in a method would cost more than the rest.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "") -> None:
         ring = (MessageStruct * MESSAGES)()
         # The address, not a cast of the ring: that would make a reference cycle of 100 kB.
         self._struct = place_struct(MessagesStruct)
         self._struct.ring = addressof(ring)
         self._struct.size = MESSAGES
+        self._struct.name = name.encode()
         self._out = MessageStruct()
         self._taken: list[Message] = []  # out of the ring, and not fetched yet
         self._count = 0  # of all that were taken out of the ring

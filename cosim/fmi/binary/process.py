@@ -40,11 +40,19 @@ CHANGES: Final = {
 
 @final
 class Process:
-    """Remembers the state of the process before a call of an FMU."""
+    """Remembers the state of the process before a call of an FMU.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    called : int or None
+        The address of the messages of the FMU that is called between ``save`` and ``restore``;
+        None: another one says so, or it is none.
+    """
+
+    def __init__(self, called: int | None = None) -> None:
         self._state = create_string_buffer(process_size())
         self._shared = 0
+        self._called = called
 
     @property
     def address(self) -> int:
@@ -54,7 +62,7 @@ class Process:
     def save(self) -> None:
         """Remember the state."""
         self._shared = int(threading.current_thread() is threading.main_thread())
-        process_save(self._state, self._shared)
+        process_save(self._state, self._shared, self._called)
 
     def restore(self) -> int:
         """Put back what changed since ``save``; return what did, as bits of ``CHANGES``."""

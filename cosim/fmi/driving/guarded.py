@@ -132,13 +132,18 @@ class Guarded:
         Names the FMU in messages.
     binary : str
         What its binary is known by.
+    called : int or None
+        The address of its messages; None: it is no loaded FMU.
     """
 
-    def __init__(self, component: FmuComponent, name: str, binary: str) -> None:
+    def __init__(
+        self, component: FmuComponent, name: str, binary: str, *, called: int | None = None
+    ) -> None:
         self._component = component
         self._name = name
         self._binary = binary
-        self._process = Process()
+        self._called = called
+        self._process = Process(called)
         self._diagnostics = Diagnostics(name)
         self._compiled = GuardedStruct()  # what compiled steps found
 
@@ -185,7 +190,7 @@ class Guarded:
         step = self._component.native()
         if step is None:
             return None
-        guarded, self._compiled = guarded_step(step)
+        guarded, self._compiled = guarded_step(step, self._called)
         binaries = frozenset([self._binary])
         guarded.guard = SharedGuard([self._name], binaries, [self._compiled], self._diagnostics)
         return guarded

@@ -112,7 +112,8 @@ def linearize_file(path: str | Path, request: LinearizationRequest) -> Lineariza
 
 def linearize_archive(archive: Archive, request: LinearizationRequest) -> Linearization:
     """Linearize an .fmu for model exchange whose description is read; raises as `linearize`."""
-    with open_for_linearization(archive, request.start) as opened:
+    opening = open_for_linearization(archive, request.start)
+    with opening as opened, opened.component.outside(None):
         return linearize_instance(opened.instance, request)
 
 

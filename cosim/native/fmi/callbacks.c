@@ -1,4 +1,5 @@
 #include "callbacks.h"
+#include "running.h"
 
 #include <stdarg.h>
 #include <stdatomic.h>
@@ -28,6 +29,8 @@ void cosim_messages_open(cosim_messages *self)
 
 void cosim_messages_close(cosim_messages *self)
 {
+    if (cosim_running == self)
+        cosim_running = NULL;
     lock();
     for (cosim_messages **link = &list; *link; link = &(*link)->next)
         if (*link == self) {

@@ -30,6 +30,7 @@ typedef struct cosim_messages {
     int64_t dropped;
     /* time of the simulation [s], written between the calls of the FMU; NaN: it did not begin */
     double now;
+    const char *name; /* of the component */
 } cosim_messages;
 
 /* Put into the list. */

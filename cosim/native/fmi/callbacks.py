@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from ctypes import POINTER, Structure, c_char, c_double, c_int32, c_int64, c_size_t, c_void_p
+from ctypes import (
+    POINTER,
+    Structure,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int32,
+    c_int64,
+    c_size_t,
+    c_void_p,
+)
 
 from cosim.native.library import declare
 
@@ -26,6 +36,7 @@ class MessagesStruct(Structure):
         *((name, c_int32) for name in ("size", "first", "count", "accepts_unknown")),
         ("dropped", c_int64),
         ("now", c_double),
+        ("name", c_char_p),
     )
 
 

@@ -119,6 +119,7 @@ enum { SIGNALS = sizeof numbers / sizeof numbers[0] };
 
 typedef struct {
     Unit unit;
+    const cosim_messages *called; /* the FMU that was called, if any */
     char locale[100], folder[4096]; /* empty: not known, and left alone */
 #ifndef _WIN32
     struct sigaction handlers[SIGNALS];
@@ -200,9 +201,12 @@ static int32_t restore_shared(const State *state)
     return changes;
 }
 
-void cosim_process_save(void *state, int32_t shared)
+void cosim_process_save(void *state, int32_t shared, const cosim_messages *called)
 {
     State *saved = state;
+    saved->called = cosim_running;
+    if (called)
+        cosim_running = called;
     saved->unit = read_unit();
     if (shared)
         read_shared(saved);
@@ -212,6 +216,7 @@ int32_t cosim_process_restore(const void *state, int32_t shared)
 {
     const State *saved = state;
     Unit now = read_unit();
+    cosim_running = saved->called;
     int32_t changes = compare_units(now, saved->unit);
     if (changes)
         write_unit(saved->unit, now);
@@ -248,23 +253,27 @@ int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const dou
                            const double *u1, double *y)
 {
     cosim_guarded *guarded = self;
+    cosim_running = guarded->called;
     return put_back(guarded, t0, guarded->step(guarded->self, t0, t1, h, u0, u1, y));
 }
 
 int32_t cosim_guarded_outputs(void *self, double t, const double *u, double *y)
 {
     cosim_guarded *guarded = self;
+    cosim_running = guarded->called;
     return put_back(guarded, t, guarded->outputs(guarded->self, t, u, y));
 }
 
 int32_t cosim_guarded_save(void *self)
 {
     cosim_guarded *guarded = self;
+    cosim_running = guarded->called;
     return put_back(guarded, guarded->time, guarded->save(guarded->self));
 }
 
 int32_t cosim_guarded_restore(void *self)
 {
     cosim_guarded *guarded = self;
+    cosim_running = guarded->called;
     return put_back(guarded, guarded->time, guarded->restore(guarded->self));
 }

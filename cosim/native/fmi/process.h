@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "running.h"
 #include "stage.h"
 
 enum { /* what differed */
@@ -21,8 +22,9 @@ enum { /* what differed */
 /* Bytes of a state. */
 size_t cosim_process_size(void);
 /* Read the state: of the floating-point unit, which is the thread's own, and with `shared` of what
- * all threads have in common. */
-void cosim_process_save(void *state, int32_t shared);
+ * all threads have in common. From then on the FMU with these messages is called (NULL: as before),
+ * up to when the state is put back. */
+void cosim_process_save(void *state, int32_t shared, const cosim_messages *called);
 /* Put back what differs from a state; return what did. */
 int32_t cosim_process_restore(const void *state, int32_t shared);
 
@@ -31,6 +33,7 @@ int32_t cosim_process_restore(const void *state, int32_t shared);
  * it counts costs 50 ns on Intel. */
 typedef struct {
     const void *process; /* the state before the first of many steps */
+    const cosim_messages *called; /* the FMU */
     cosim_step step;
     cosim_outputs outputs; /* NULL: there are none */
     /* how the component goes back; NULL: it does not, in compiled code */

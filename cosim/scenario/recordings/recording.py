@@ -26,6 +26,7 @@ from cosim.log.mcap_file.paths import check_new_log, log_path
 from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
+from cosim.native.fmi.process import report_log
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.message_recorder import MessageRecorder, TerminatingRecorder
@@ -138,7 +139,7 @@ def record(
     taking = chosen_of(experiment, log)
     taking = taking if beside is None else beside(taking)
     try:
-        run_into(taking, experiment, progress=progress, profile=profile, began=began)
+        run_into(taking, experiment, progress=progress, profile=profile, began=began, log=log)
         finish()
     except RunError as error:
         with suppress(LogError):  # nothing was written
@@ -146,6 +147,8 @@ def record(
             if recorded.is_at_its_path and str(recorded.path) not in str(error):
                 error.add_note(f"{recorded.path} {_recorded_part(recorded)}")
         raise
+    finally:
+        report_log(None)
     return log.recorded()
 
 
@@ -184,14 +187,15 @@ def run_into(
     progress: Progress | None,
     profile: dict[str, float] | None,
     began: Callable[[], None] | None = None,
+    log: McapRecorder | None = None,
 ) -> None:
-    """Run an experiment; its rows, messages and results go to the recorder."""
+    """Run an experiment; its rows, messages and results go to the recorder, perhaps a log's."""
     graph = experiment.graph
     seconds = {} if profile is None else graph.measure()
     with_messages = MessageRecorder(recorder, experiment)
     first = perf_counter()
     with interruptible() as check:
-        reached = _reached(experiment, progress, check)
+        reached = _reached(experiment, progress, check, log)
         watched = Watched(with_messages, reached, began=began)
         _run(experiment, watched)
     if profile is not None:
@@ -265,11 +269,18 @@ def log_recorder(
 
 
 def _reached(
-    experiment: Experiment, progress: Progress | None, check: Callable[[], None]
+    experiment: Experiment,
+    progress: Progress | None,
+    check: Callable[[], None],
+    log: McapRecorder | None,
 ) -> Callable[[Block, Matrix], None]:
     end = experiment.clock.stop
 
     def reached(block: Block, _: Matrix) -> None:
+        nonlocal log
+        if log is not None:  # with its first rows it is at its path
+            report_log(log.path)
+            log = None
         if progress is not None:
             progress(float(block.time[-1]), end)
         check()

@@ -1,5 +1,5 @@
 /* An FMI 2 co-simulation FMU, x' = u - x by Euler's method, y = x, that does one thing wrong:
- * -DROGUE=<one of these>; some of them -DWHERE=<a moment>. */
+ * -DROGUE=<one of these>; some of them -DWHERE=<a moment>, or -DAT=<number of steps>. */
 #define _GNU_SOURCE
 #include <fenv.h>
 #include <locale.h>
@@ -15,9 +15,13 @@ enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
     NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
-    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER, REPEATS, HIDES
+    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER, CRASHES_LATER,
+    EXITS_LATER, REPEATS, HIDES
 };
 enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
+#ifndef AT
+#define AT 2 /* steps after which it does what it does later */
+#endif
 #ifndef WHERE
 #define WHERE STEP
 #endif
@@ -160,9 +164,11 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *s)
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_way_back)
 {
     Model *m = c;
-    if (ROGUE == CRASH)
+    if (ROGUE == CRASH || (ROGUE == CRASHES_LATER && m->steps == AT))
         raise(SIGSEGV);
-    if (ROGUE == HANG || (ROGUE == HANGS_LATER && m->steps == 2)) {
+    if (ROGUE == EXITS_LATER && m->steps == AT)
+        exit(3);
+    if (ROGUE == HANG || (ROGUE == HANGS_LATER && m->steps == AT)) {
         (void)!write(2, "hangs\n", 6);
         for (;;)
             pause();
