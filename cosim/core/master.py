@@ -26,7 +26,7 @@ from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions, conditions_until
 from cosim.core.contracts import Block, Design, Stopped
 from cosim.core.graph import Graph
-from cosim.core.recorders import Nothing
+from cosim.core.recorders import Nothing, follow
 from cosim.core.recording import Plan, Recorder
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.left_limits import record
@@ -138,6 +138,7 @@ def _advance(
 ) -> Iterator[tuple[Block, Matrix]]:
     """Initialize a prepared graph, and yield its blocks; those that take long in pieces."""
     engine = Engine(graph, clock, recorder, divide=divide, conditions=conditions)
+    follow(recorder, engine.rows_under_way)
     row = engine.first_row
     for block in clock.blocks(engine.limit, engine.work):
         signals = engine.rows(block, row)

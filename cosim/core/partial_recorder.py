@@ -14,7 +14,8 @@ from cosim.core.contracts import Block
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorded.partial import PartialRecord, RecordSelection, partial_layout
 from cosim.core.recorded.selection import select_signals
-from cosim.core.recording import Plan, Recorder
+from cosim.core.recorders import follow
+from cosim.core.recording import Plan, Recorder, RowsUnderWay
 from cosim.core.signals import Channel
 from cosim.errors import UsageError, listing
 
@@ -109,6 +110,15 @@ class PartialRecorder(PassingRecorder):
         self._columns = slice(len(columns)) if is_start else np.array(columns, np.intp)
         self._labels = frozenset(_labels(layout.channels))
         self._recorder.begin(replace(plan, layout=layout, partial=partial))
+
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Pass on the columns that are chosen."""
+
+        def chosen() -> tuple[Block, Matrix] | None:
+            found = rows()
+            return None if found is None else (found[0], found[1][:, self._columns])
+
+        follow(self._recorder, chosen)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on the columns that are chosen; the recorder picks the rows by their periods."""

@@ -8,8 +8,15 @@ from typing import Any, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.recorders import close, row_memory
-from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.recorders import close, follow, row_memory
+from cosim.core.recording import (
+    MessageLevel,
+    Plan,
+    Recorder,
+    RowsUnderWay,
+    SignalEvent,
+    Substep,
+)
 
 
 class PassingRecorder:
@@ -111,6 +118,10 @@ class Watched(PassingRecorder):
         if self._began is not None:
             self._began()
 
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Pass on."""
+        follow(self._recorder, rows)
+
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Pass on."""
         return None if self._memory is None else self._memory.memory_for(block, steps)
@@ -164,6 +175,10 @@ class TwoRecorders:
         """Pass on."""
         self._first.begin(plan)
         self._second.begin(plan)
+
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Let the first one follow them."""
+        follow(self._first, rows)
 
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Return the memory of the first."""

@@ -17,7 +17,16 @@ from cosim.core.contracts import Block, Stopped
 from cosim.core.growing_rows import GrowingRows
 from cosim.core.recorded.run import RecordedRun, blocks_within
 from cosim.core.recorded.signals import RunMessage, find_channel
-from cosim.core.recording import MessageLevel, Plan, Recorder, RowMemory, SignalEvent, Substep
+from cosim.core.recording import (
+    Following,
+    MessageLevel,
+    Plan,
+    Recorder,
+    RowMemory,
+    RowsUnderWay,
+    SignalEvent,
+    Substep,
+)
 from cosim.core.signals import Channel
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
 
@@ -307,6 +316,12 @@ class Memory(RecordedRun):
 def row_memory(recorder: Recorder) -> RowMemory | None:
     """Return a recorder as what has the memory where rows will stay; None: it has none."""
     return recorder if isinstance(recorder, RowMemory) else None
+
+
+def follow(recorder: Recorder, rows: RowsUnderWay) -> None:
+    """Let a recorder follow the rows of a block under way, if it does that."""
+    if isinstance(recorder, Following):
+        recorder.follow(rows)
 
 
 def close(recorder: Recorder, error: BaseException | None) -> None:

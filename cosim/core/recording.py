@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
@@ -193,6 +193,22 @@ class Recorder(Protocol):
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Record plain values about the end of the run; called before ``__exit__``."""
+        ...
+
+
+RowsUnderWay: TypeAlias = Callable[[], tuple[Block, Matrix] | None]
+
+
+@runtime_checkable
+class Following(Protocol):
+    """For recorders that keep what is computed of a block also while it is not handed over."""
+
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Take a function that another thread may call: it returns what is computed of a block.
+
+        Rows 1 to K stay as they are until the block is written, as usual: then those that were
+        taken are left out.
+        """
         ...
 
 

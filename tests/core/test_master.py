@@ -54,6 +54,44 @@ def attempt(components, connections, expected=None, *, block=None, steps=10, tex
     return memory
 
 
+class Followed(Memory):
+    """Keeps the function that returns the rows of a block under way."""
+
+    def follow(self, rows):
+        self.rows = rows
+
+
+class Looking(Scripted):
+    """Notes the rows that are completed whenever it advances."""
+
+    def __init__(self, recorder):
+        super().__init__([*range(12)], inputs=1)
+        self._recorder = recorder
+        self.seen = []
+
+    def advance(self, t, h, u):
+        block, rows = self._recorder.rows()
+        self.seen.append((block.index + block.steps, float(block.time[-1]), rows.shape))
+        return super().advance(t, h, u)
+
+
+@pytest.mark.parametrize("block", [1, 3, 10])
+@pytest.mark.parametrize("until", [None, "x.y > 100"])
+def test_rows_of_a_block_under_way_are_shown(block, until):
+    """In a loop, whose steps are taken one by one: those behind the last completed step never."""
+    memory = Followed()
+    looking = Looking(memory)
+    graph = Graph({"x": looking, "behind": integrator()}, {"behind.u": "x.y", "x.u0": "behind.y"})
+    run(graph, Clock(1.0, 0.1, block), memory, until=until)
+    steps = [number for number, _, _ in looking.seen]
+    assert len(steps) == 10
+    assert all(step <= k for k, step in enumerate(steps))
+    assert until or steps == [*range(10)]
+    for step, time, shape in looking.seen:
+        assert time == pytest.approx(0.1 * step)
+        assert shape[1] == graph.layout.width
+
+
 def script(value, at, **options):
     """Return 0, 1, 2, ... with ``value`` at step ``at``."""
     return Scripted([*range(at), value, *range(at + 1, 12)], **options)

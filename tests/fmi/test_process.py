@@ -4,6 +4,7 @@ import ctypes
 import locale
 import os
 import signal
+import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -328,3 +329,22 @@ def test_a_change_in_a_call_that_fails_is_undone_too(call):
     assert [message.text for message in guarded.drain()] == [
         "mover: changed the working directory; it is as before again"
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("what", "code", "words"),
+    [
+        ("CRASHES_LATER", -signal.SIGSEGV, "crashes: SIGSEGV"),
+        ("EXITS_LATER", 3, "ends the process with exit code 3"),
+    ],
+)
+def test_where_the_process_dies_is_said(rogue, tmp_path, what, code, words):
+    """The component, the time, what happened, the log of the run and the function of the FMU."""
+    scenario = rogue(what)
+    command = [sys.executable, "-m", "cosim", "run", str(scenario), "--out", "x.mcap"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == code
+    said = f"cosim: plant, at t = 0.02 s: {words}; its log is x.mcap; in fmi2DoStep"
+    assert said in done.stderr.splitlines()
+    assert cosim.open_log(tmp_path / "x.mcap").status == "unfinished"

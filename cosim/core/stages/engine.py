@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from operator import attrgetter
 from time import perf_counter
 from typing import Final, final
@@ -91,6 +91,8 @@ class Engine:
         # left limits have no place in the memory of a recorder
         self._keeper = None if graph.layout.jumping else row_memory(recorder)
         self._steps = clock.steps
+        self._current: tuple[Block, Matrix, Callable[[], int]] | None = None
+        self._width = graph.layout.width
         self._rows = np.empty((min(self.limit, clock.steps) + 1, width))  # used again
 
     @property
@@ -159,14 +161,29 @@ class Engine:
             return
         pacer = self._pacer
         pacer.begin(block)
+        self._current = (block, signals, lambda: pacer.completed)
         reached = -1
         while reached < pacer.end:
             self.check_current()
             begin = max(reached, 0)
-            reached = pacer.advance(block, signals)
+            try:
+                reached = pacer.advance(block, signals)
+            except BaseException:  # what is completed is passed on all the same
+                reached = pacer.completed
+                if reached > begin:
+                    yield block.part(begin, reached), signals[begin : reached + 1]
+                raise
             yield block.part(begin, reached), signals[begin : reached + 1]
             self.record_substeps(int(block.time_ns[reached]))
         self._forget_substeps()
+
+    def rows_under_way(self) -> tuple[Block, Matrix] | None:
+        """Return the rows of a block that are completed; see :class:`.recording.Following`."""
+        if self._current is None:
+            return None
+        block, signals, reached = self._current
+        completed = min(reached(), block.steps)  # it may be that of the next block
+        return block.part(0, completed), signals[: completed + 1, : self._width]
 
     def record_substeps(self, end_ns: int) -> None:
         """Record the substeps of the rows that were written, up to an instant [ns].
@@ -191,6 +208,7 @@ class Engine:
         self._end = self.conditions.end_at(float(block.time[0]))
         first = 0
         reached = 0
+        self._current = (block, signals, lambda: reached)
         deadline = perf_counter() + PIECE_WORK
         while reached < block.steps and self._end is None:
             rest = block.part(reached, block.steps)

@@ -201,8 +201,20 @@ class NativeStage:
         finally:
             if self._guard is not None:
                 self._guard.end(c_double.from_address(addresses[0]).value)
+            state.step = 0
+            state.completed = 0
             for component in self._measured:
                 component.add_native_seconds()
+
+    @property
+    def steps_under_way(self) -> int:
+        """Steps that the call under way has completed; another thread may ask. Outside one: 0."""
+        state = self._state
+        while True:
+            completed, segment = state.completed, state.segment
+            step = state.step
+            if (completed, segment) == (state.completed, state.segment):  # of one instant
+                return int(step if segment == state.n_segments - 1 else completed)
 
     # What is not finite is named by the check; numpy's warnings would say it without a name.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")

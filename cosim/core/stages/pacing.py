@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 from time import perf_counter
-from typing import Final
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,16 @@ CALL_WORK: Final = 1e-3  # s of wall time that one call of a component should ta
 STAGE_WORK: Final = 5e-4  # s of wall time that a stage may take of a block: calls cost a tenth
 PIECE_WORK: Final = 0.3  # s of wall time after which a block is divided
 GROWTH: Final = 4  # steps of a call, at most, in units of those of the last
+
+
+@runtime_checkable
+class ShowsSteps(Protocol):
+    """Shows how far it is in a call of ``advance``."""
+
+    @property
+    def steps_under_way(self) -> int:
+        """Steps that the call under way has completed; another thread may ask. Outside one: 0."""
+        ...
 
 
 class Pacer:
@@ -58,6 +68,11 @@ class Pacer:
         """Wall time [s] that a block should take: of many stages the calls alone take longer."""
         return max(BLOCK_WORK, STAGE_WORK * len(self._stages))
 
+    @property
+    def completed(self) -> int:
+        """The row that all stages have completed; another thread may ask."""
+        return min((stage.completed for stage in self._stages), default=0)
+
     def begin(self, block: Block) -> None:
         """Begin a block."""
         self.end = block.steps
@@ -86,7 +101,14 @@ class _PacedStage:
     def __init__(self, stage: Advancing) -> None:
         self.reached = 0
         self._stage = stage
+        self._shown = stage if isinstance(stage, ShowsSteps) else None
         self._steps = 1
+
+    @property
+    def completed(self) -> int:
+        """The row that it has completed, also of a call under way."""
+        reached = self.reached  # first: the call under way may end, and begins behind it then
+        return reached + (self._shown.steps_under_way if self._shown else 0)
 
     def advance(self, block: Block, signals: Matrix, end: int, deadline: float) -> RunError | None:
         """Advance to row ``end``, or until it is late; return what stopped it."""

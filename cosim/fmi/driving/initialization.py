@@ -28,8 +28,8 @@ from cosim.fmi.variable import LARGEST_EXACT, Variable
 StartScalar: TypeAlias = bool | int | float | str
 StartValue: TypeAlias = "StartScalar | Sequence[StartValue]"
 Starts: TypeAlias = Mapping[str, StartValue]  # by variable name
-Subject = TypeVar("Subject")
-Result = TypeVar("Result")
+Asked = TypeVar("Asked")
+Found = TypeVar("Found")
 CONVERTED: Final = 1e-9  # relative: what rounding leaves where an FMU converts units and back
 
 
@@ -191,7 +191,7 @@ class Initialization:
             index = f"[{references.elements[i].index}]" if variable.dimensions else ""
             yield f"{variable.name}{index} is {found[i]}, was set to {wanted[i]}"
 
-    def _ask(self, get: Callable[[Subject], Result], subject: Subject) -> Result | None:
+    def _ask(self, get: Callable[[Asked], Found], subject: Asked) -> Found | None:
         """Return what the FMU has for variables that no run needs; None where it refuses."""
         mark = self._instance.mark_messages()
         try:

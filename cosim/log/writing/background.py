@@ -1,10 +1,12 @@
 """Rows and messages written by a thread of their own, while the run goes on.
 
 A run that is faster than the disk waits; nothing is dropped. What a run that pauses has recorded is
-written after the flush interval all the same.
+written after the flush interval all the same, and so is what it has computed of a block under way,
+such as one in which an FMU hangs.
 
 No lock is held while rows are copied, which an interrupt could leave locked: the run only appends
-to the buffer that it fills, and the thread reads what has been appended. Full buffers go to the
+to the buffer that it fills, and the thread reads what has been appended. But for a block under way:
+there the thread appends too, and interrupts wait for the copy. Full buffers go to the
 thread through one queue, and come back through another.
 """
 
@@ -18,6 +20,7 @@ from typing import Final, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
+from cosim.core.recording import RowsUnderWay
 from cosim.interrupts import uninterrupted
 from cosim.log.writing.buffer import RowBuffer, RunContent, WaitingMessage
 
@@ -60,6 +63,13 @@ class BackgroundWriter:
         self._full: SimpleQueue[RowBuffer | None] = SimpleQueue()  # None: no more will come
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = None
+        self._under_way: RowsUnderWay | None = None
+        self._next = 0  # where rows are followed: the first one that is not in a buffer
+        self._copying = threading.Lock()
+
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Take what is computed of a block under way where it waits for the flush interval."""
+        self._under_way = rows
 
     def write(self, block: Block, signals: Matrix, row: int) -> None:
         """Take the rows of a block from ``row`` on.
@@ -71,9 +81,28 @@ class BackgroundWriter:
         """
         while row <= block.steps:
             buffer = self._room()
-            row = buffer.append(block, signals, row)
+            if self._under_way is None:
+                row = buffer.append(block, signals, row)
+            else:
+                with uninterrupted(), self._copying:
+                    row = self._append(buffer, block, signals, row)
             if buffer.is_full:
                 self._hand_over(buffer)
+
+    def _append(self, buffer: RowBuffer, block: Block, signals: Matrix, row: int) -> int:
+        """Copy the rows from ``row`` on that are in no buffer; return the row to go on at."""
+        row = max(row, self._next - block.index)
+        if row <= block.steps:
+            row = buffer.append(block, signals, row)
+            self._next = block.index + row
+        return row
+
+    def _append_under_way(self, buffer: RowBuffer, rows: RowsUnderWay) -> None:
+        """Copy what is computed of the block under way, once there are rows before it."""
+        with self._copying:
+            found = rows()
+            if found is not None and self._next > found[0].index:
+                self._append(buffer, *found, 1)
 
     def message(self, message: WaitingMessage) -> None:
         """Take a message.
@@ -173,8 +202,17 @@ class BackgroundWriter:
     def _write_filling(self) -> None:
         buffer = self._filling
         # Looked at after the buffer: one that was full before it has to be written first.
-        if buffer is not None and self._full.empty():
-            self._write(buffer)
+        if buffer is None or not self._full.empty():
+            return
+        rows = self._under_way
+        if rows is not None:
+            self._append_under_way(buffer, rows)
+            while buffer.is_full:  # the run is not there to hand it over
+                self._write(buffer)
+                with self._copying:
+                    buffer.clear_rows()
+                self._append_under_way(buffer, rows)
+        self._write(buffer)
 
     def _write(self, buffer: RowBuffer) -> None:
         content = buffer.take()

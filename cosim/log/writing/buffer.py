@@ -132,9 +132,13 @@ class RowBuffer:
         self._taken_messages += len(messages)
         return RunContent(rows, messages)
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self.messages = []
+    def clear_rows(self) -> None:
+        """Forget the rows: there is room again."""
         self._count = 0
         self._taken_rows = 0
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.clear_rows()
+        self.messages = []
         self._taken_messages = 0

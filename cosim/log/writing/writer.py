@@ -12,7 +12,7 @@ from typing import Any, Final, Self, final
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.recorders import EndOfRun, end_of_run
-from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
+from cosim.core.recording import MessageLevel, Plan, RowsUnderWay, SignalEvent, Substep
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.instants import NANOSECONDS
 from cosim.interrupts import uninterrupted
@@ -273,6 +273,11 @@ class McapRecorder:
             self._writer.write(block, signals, row)
         except OSError as error:
             self._fail(error)
+
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Write what is computed of a block under way after the flush interval, too."""
+        assert self._writer is not None
+        self._writer.follow(rows)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Record a message of the run or of a component at a simulation time [ns]."""

@@ -522,8 +522,8 @@ static int64_t run_cascade(cosim_stage *s, int64_t end)
         const double *t = s->t + k, *before = row + m->u;
         row += s->width;
         const double *u = row + m->u, *u0 = m->takes_latest ? u : before;
+        s->step = k; /* before: another thread may look how far it is */
         const int32_t status = m->advance(m->self, t[0], t[1], s->h, u0, u, row + m->y);
-        s->step = k;
         if (status != COSIM_OK)
             return segment->first + 1;
         for (int32_t j = 0; j < m->n_y; ++j)
