@@ -251,6 +251,14 @@ def foreign3(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands that do their work in a child do it here: this one has no terminal either."""
+    from cosim.processes import COMMAND_VARIABLE
+
+    monkeypatch.setenv(COMMAND_VARIABLE, "0")
+
+
+@pytest.fixture
 def call(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[int, str, str]]:

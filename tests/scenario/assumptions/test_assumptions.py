@@ -311,6 +311,7 @@ def test_other_problems_of_a_run_are_listed():
     assert list(others) == ["components.sensor"]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_the_command_exits_with_1_where_one_fails(call):
     """A line for each; the same as JSON; --strict is of FMUs alone."""
     code, out, _ = call("check", "academic")

@@ -168,6 +168,7 @@ def test_the_summary_of_a_run_has_a_line_on_the_gain(pair, call):
     assert gain["rho"] == pytest.approx(0.976218, abs=1e-6)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_info_and_check_show_the_gain(pair, call):
     """Without a run: `cosim info`, and `cosim check` with what stands against it."""
     code, text, _ = call("info", str(pair), "--json")
@@ -320,6 +321,7 @@ def test_actions_add_up_in_the_order_of_time(setting):
     assert [gain.rho for gain in gains[1:]] == expected
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
     """It may never be set, as here; then the run is as good as without it."""
     path = setting('when = "plant.y > 5"', 60.0)
@@ -338,6 +340,7 @@ def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
     )
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_cosim_check_says_what_a_run_would(setting, capsys):
     with pytest.raises(SystemExit) as left:
         main(["check", str(setting("at = 4.0", 60.0))])
