@@ -10,7 +10,7 @@
 
 #include "callbacks.h"
 
-#ifdef __GNUC__
+#ifdef __linux__
 #define COSIM_QUICK_TLS __attribute__((tls_model("initial-exec")))
 #else
 #define COSIM_QUICK_TLS
