@@ -55,7 +55,7 @@ static char log_path[4096];
 
 static void say(const char *text) { (void)!write(2, text, strlen(text)); }
 
-/* The function of the FMU that was called: the outermost one on the stack that has a name of FMI. */
+/* The function of the FMU that was called: the outermost one on the stack with a name of FMI. */
 static void say_function(void)
 {
 #ifdef HAS_BACKTRACE
