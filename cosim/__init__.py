@@ -12,6 +12,7 @@ from cosim.lazy import lazy_names
 from cosim.version import __version__
 
 if TYPE_CHECKING:
+    from cosim.errors import CosimWarning
     from cosim.fmi.linearizing.linearize import linearize
     from cosim.log.comparison.diff import diff
     from cosim.log.reading.reader import open_log
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from cosim.studies.tuning.tuning import tune
 
 _HOMES = {
+    "CosimWarning": "cosim.errors",
     "certificate": "cosim.report.certificate",
     "check_assumptions": "cosim.scenario.assumptions.report",
     "compare": "cosim.report.comparing",
@@ -54,6 +56,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "CosimWarning",
     "__version__",
     "certificate",
     "check_assumptions",

@@ -23,6 +23,8 @@
         ├── ChangedFileError  a file that a study reads is another one than when it began
         └── Interrupted       Ctrl-C or another signal; exit 128 + its number
 
+    CosimWarning              what a run, a session or a study goes on with; see :func:`warn`
+
 Every message names the thing, what was expected, what was found and the way out, in the language of
 the caller: :func:`option` and :func:`flag` name an argument as it is written in Python, or in the
 shell under :func:`shell_language`.
@@ -31,7 +33,9 @@ shell under :func:`shell_language`.
 from __future__ import annotations
 
 import signal
+import sys
 import unicodedata
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -173,6 +177,33 @@ class Interrupted(RunError):
     def __init__(self, text: str, signal_number: int = signal.SIGINT) -> None:
         super().__init__(text)
         self.exit_code = 128 + signal_number
+
+
+# --- warnings ---
+
+
+class CosimWarning(UserWarning):
+    """What a run, a session or a study warns of, and goes on: ``log.warnings`` has all of them.
+
+    >>> import warnings
+    >>> warnings.filterwarnings("error", category=CosimWarning)  # now the first one is raised
+    """
+
+
+def warn(texts: Iterable[str]) -> None:
+    """Show warnings to the caller of the package in Python, each text once.
+
+    In the shell there is nothing to do: what a command prints has them.
+    """
+    if _in_shell.get():
+        return
+    level = 1
+    frame = sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cosim."):
+        frame = frame.f_back
+        level += 1
+    for text in dict.fromkeys(texts):
+        warnings.warn(text, CosimWarning, stacklevel=level)
 
 
 # --- the parts of a message ---

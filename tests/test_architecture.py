@@ -73,7 +73,7 @@ ALLOWED = {
         "unanswered",
     },
     "__main__": {"cli"},
-    "__init__": {"scenario", "studies", "log", "fmi", "report", "version", "lazy"},
+    "__init__": {"errors", "scenario", "studies", "log", "fmi", "report", "version", "lazy"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, distinct_warnings
 from cosim.core.recorders import Memory
 from cosim.core.recording import Substep
 from cosim.core.signals import Channel, Interface, element_names
@@ -303,6 +304,11 @@ class _Statements:
         if not results:
             yield RESULT_FILE, None, "how the run ended, and its last row"
             return
+        if self._source.status == "complete":
+            noted = sorted({warning[1:] for warning in self._source.warnings})
+            warned = sorted({one[1:] for one in distinct_warnings(self._source.messages())})
+            if len(noted) < MOST_WARNINGS:
+                yield f"{WARNINGS} in {RESULT_FILE}", noted, warned
         recorded = self._source.metadata[RESULT]
         for key in _END_KEYS:
             value = results.get(key)

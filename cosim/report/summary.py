@@ -14,7 +14,8 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorded.partial import declared_channels, is_recorded_whole
-from cosim.core.recorded.signals import find_signal
+from cosim.core.recorded.run import RecordedRun
+from cosim.core.recorded.signals import RunMessage, find_signal
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import LogError
@@ -62,15 +63,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SignalError:
-    """An estimated signal against the signal it should equal."""
+    """An estimated signal against the signal it should equal.
+
+    Parameters
+    ----------
+    estimate : str
+        Its port.
+    truth : str
+        A port, or several that are stacked.
+    since : float
+        From when on they are compared [s].
+    largest, rms : float
+        Of the absolute error from there on.
+    last : float
+        Absolute error at the end.
+    lag : float
+        Of the estimate, which is compared with the truth that much earlier [s].
+    """
 
     estimate: str
-    truth: str  # a port, or several that are stacked
-    since: float  # s
-    largest: float  # |error| from there on
+    truth: str
+    since: float
+    largest: float
     rms: float
-    last: float  # |error| at the end
-    lag: float = 0.0  # s, of the estimate: it is compared with the truth that much earlier
+    last: float
+    lag: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +113,7 @@ class ValueOutcome:
     error: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ParameterSummary:
     """What may be said about one estimated parameter.
 
@@ -104,7 +121,10 @@ class ParameterSummary:
     ----------
     estimate : str
         Its port; of an amplitude or a phase its name.
-    verdict, reason : str
+    verdict : str
+        ``IDENTIFIABLE``, ``WEAK``, ``NOT_IDENTIFIABLE``, ``INCONSISTENT`` or ``NO_ESTIMATE``.
+    reason : str
+        Of the verdict, a sentence.
     value, standard_error, half_width : float or None
         The estimate, its error and its 95 % interval; None: the data say nothing about it.
     """
@@ -115,6 +135,11 @@ class ParameterSummary:
     value: float | None
     standard_error: float | None
     half_width: float | None
+
+    def __repr__(self) -> str:
+        value = "no value" if self.value is None else f"{self.value:.6g}"
+        width = "" if self.half_width is None else f" ± {self.half_width:.2g}"
+        return f"<{self.estimate}: {value}{width} {self.verdict}>"
 
 
 @dataclass(frozen=True)
@@ -138,23 +163,54 @@ class GuaranteedSummary:
     confidence: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification:
-    """What the data of an identifier determine."""
+    """What the data of an identifier determine.
+
+    Parameters
+    ----------
+    component : str
+    start_time : float
+        When the identification starts [s].
+    times : mapping of name to float
+        What that is made of, where it was computed: ``T_obs``, ``T_f``, ``D_max``, ``T_id`` [s].
+    eigenvalues : tuple of float
+        Of the information matrix of delta as it was reconstructed.
+    verdict : str
+        On the regression; empty where the method has none.
+    notes : tuple of str
+    parameters : tuple of ParameterSummary
+        The verdict on each element of theta.
+    reference : tuple of ParameterSummary
+        The same by output error, where the method is another.
+    amplitudes : tuple of ParameterSummary
+        Amplitudes and phases, by output error.
+    undetected : tuple of str
+        Which errors of the model would pass, and how far they move the estimate.
+    deviation : tuple of float
+        Standard deviation of the noise of each y, from the residual of output error.
+    noise : str
+        What is known of the noise, or why nothing is.
+    guaranteed : GuaranteedSummary or None
+        Intervals for a bounded irregular part, where they are asked for.
+    """
 
     component: str
-    start_time: float  # s, the first communication point not before T_id
-    times: Mapping[str, float]  # T_obs, T_f, D_max, T_id where it was computed
-    eigenvalues: tuple[float, ...]  # of the information matrix of delta as it was reconstructed
-    verdict: str  # on the regression; empty where the method does not solve for eta
+    start_time: float
+    times: Mapping[str, float]
+    eigenvalues: tuple[float, ...]
+    verdict: str
     notes: tuple[str, ...] = ()
     parameters: tuple[ParameterSummary, ...] = ()
-    reference: tuple[ParameterSummary, ...] = ()  # of output error, where the method is another
-    amplitudes: tuple[ParameterSummary, ...] = ()  # and phases, by output error
-    undetected: tuple[str, ...] = ()  # which errors of the model would pass, and what they move
-    deviation: tuple[float, ...] = ()  # of the noise of y, from the residual of output error
-    noise: str = ""  # what is known of it, or why nothing is
+    reference: tuple[ParameterSummary, ...] = ()
+    amplitudes: tuple[ParameterSummary, ...] = ()
+    undetected: tuple[str, ...] = ()
+    deviation: tuple[float, ...] = ()
+    noise: str = ""
     guaranteed: GuaranteedSummary | None = None
+
+    def __repr__(self) -> str:
+        return f"<Identification by {self.component!r}: {list(self.parameters)}>"
 
 
 @dataclass(frozen=True)
@@ -167,9 +223,9 @@ class StateChange:
     after: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Summary:
-    """Everything that the table after a run shows.
+    """Everything that the table after a run shows; ``log.summary()`` returns it.
 
     Parameters
     ----------
@@ -208,6 +264,8 @@ class Summary:
         Conditions of actions that were not performed.
     lateness : Lateness or None
         Of a run that kept the pace of the wall clock.
+    warnings : tuple of RunMessage
+        What the run warned of: ``time_ns``, ``level``, ``source``, ``text`` of each.
     """
 
     scenario: str
@@ -232,13 +290,23 @@ class Summary:
     until_came_true: bool | None = None
     never_came_true: tuple[str, ...] = ()
     lateness: Lateness | None = None
+    warnings: tuple[RunMessage, ...] = ()
+
+    def __repr__(self) -> str:
+        parts = [f"{self.status}, {span(self.start, self.end)} in {self.steps} steps"]
+        parts += [f"{error.estimate} off by up to {error.largest:.3g}" for error in self.signals]
+        parts += [repr(one)[1:-1] for own in self.identifications for one in own.parameters]
+        if self.warnings:
+            parts.append(f"{len(self.warnings)} warning{'' if len(self.warnings) == 1 else 's'}")
+        return f"<Summary of {self.scenario!r}: {'; '.join(parts)}>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return asdict(self)
+        warnings = [{"of": warning.source, "text": warning.text} for warning in self.warnings]
+        return {**asdict(self), "warnings": warnings}
 
 
-def summarize(recording: Recording) -> Summary:
+def summarize(recording: RecordedRun) -> Summary:
     """Summarize a run; truth and start times come from the recording's metadata."""
     run = run_metadata(recording)
     truth = truth_of(recording)
@@ -298,6 +366,7 @@ def summarize(recording: Recording) -> Summary:
         until_came_true=came_true,
         never_came_true=never_came_true(recording),
         lateness=recorded_lateness(recording),
+        warnings=tuple(recording.warnings),
     )
 
 

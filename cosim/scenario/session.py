@@ -16,13 +16,14 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Stopped
+from cosim.core.recorded.signals import RunMessage, warning_texts
 from cosim.core.recorders import close, end_of_run
 from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.states import SimulationState
 from cosim.core.stepping.step_rows import StepRows
-from cosim.errors import CosimError, Interrupted, RunError, UsageError
+from cosim.errors import CosimError, Interrupted, RunError, UsageError, warn
 
 
 @dataclass(frozen=True)
@@ -32,18 +33,18 @@ class Opened:
     Parameters
     ----------
     simulation : Simulation
-    recorder : Recorder or None
-        Of its log, entered; None: there is no log.
+    recorder : Recorder
+        Entered; it ends the FMUs, and the log where there is one.
     log : callable
-        Returns the path of the log.
-    terminate : callable
-        Ends what was opened beside the graph, where no recorder does it.
+        Returns the path of the log; None: there is none.
+    warnings : callable
+        Returns the warnings so far.
     """
 
     simulation: Simulation
-    recorder: Recorder | None
+    recorder: Recorder
     log: Callable[[], Path | None]
-    terminate: Callable[[], None]
+    warnings: Callable[[], list[RunMessage]]
 
 
 Opener: TypeAlias = Callable[[ExitStack, bool], Opened]
@@ -55,7 +56,8 @@ class Session:
 
     A context manager: on exit the log is completed and FMUs are closed. Only the thread that
     started a session may use it. The log of a session that is garbage-collected is completed, too,
-    with a ``ResourceWarning``. Time, signals and states are those of its
+    with a ``ResourceWarning``. What the scenario warns of is shown when the session starts, what its
+    FMUs warned of when it is closed: :class:`cosim.CosimWarning`. Time, signals and states are those of its
     :class:`cosim.core.Simulation`, whose methods document their errors.
 
     Parameters
@@ -67,6 +69,7 @@ class Session:
     def __init__(self, opener: Opener) -> None:
         self._opener = opener
         self._logs: list[Path] = []
+        self._shown: set[str] = set()
         self._is_open = False
         self._open(is_next=False)
 
@@ -83,6 +86,18 @@ class Session:
                 self, _complete_unclosed, self._opened, self._resources, os.getpid()
             )
         self._is_open = True
+        try:
+            self._warn()
+        except BaseException:  # where warnings are errors
+            self.close()
+            raise
+
+    def _warn(self) -> None:
+        """Show the warnings that were not shown yet."""
+        texts = warning_texts(self._opened.warnings())
+        new = [text for text in texts if text not in self._shown]
+        self._shown.update(new)
+        warn(new)
 
     def __enter__(self) -> Self:
         return self
@@ -127,10 +142,12 @@ class Session:
             try:
                 self._simulation.close()
             except BaseException as failure:
-                _conclude(self._opened, error or failure)
+                close(self._opened.recorder, error or failure)
                 raise
             ended = error or self._simulation.error or self._early_end(how)
-            _conclude(self._opened, ended)
+            close(self._opened.recorder, ended)
+        if error is None:
+            self._warn()
 
     def _early_end(self, how: str) -> Stopped | None:
         """Return why a session has no more steps, if it is before its stop."""
@@ -228,7 +245,7 @@ class Session:
         """
         if not self._is_open:
             raise UsageError("reset: this session is closed; start a new one")
-        if self._opened.recorder is None:
+        if not self._logs:
             self._simulation.reset()
             return
         self._simulation.check_thread()
@@ -243,19 +260,6 @@ class Session:
         return tuple(self._logs)
 
 
-def _conclude(opened: Opened, ended: BaseException | None) -> None:
-    """Complete the log, or end the FMUs without one."""
-    recorder = opened.recorder
-    if recorder is not None:
-        close(recorder, ended)
-        return
-    try:
-        opened.terminate()
-    except RunError:
-        if end_of_run(ended).status == "complete":
-            raise
-
-
 def _complete_unclosed(opened: Opened, resources: ExitStack, process: int) -> None:
     """Complete the log of a session that nobody has any more."""
     if os.getpid() != process:  # a copy of it, in a process that was forked
@@ -268,6 +272,6 @@ def _complete_unclosed(opened: Opened, resources: ExitStack, process: int) -> No
     with resources:
         with suppress(CosimError):
             simulation.close()
-        _conclude(opened, ended)
+        close(opened.recorder, ended)
     text = f"{path}: the session was not closed; call sim.close(), or use a with block"
     warnings.warn(text, ResourceWarning, stacklevel=2)

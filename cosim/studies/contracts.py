@@ -68,6 +68,8 @@ class MemberOutcome:
         nothing was.
     worker : str
         Where it ran.
+    warnings : sequence of str
+        What it warned of, in alphabetical order.
     details : mapping of name to value
         What its runner says of it besides; that is not recorded.
     """
@@ -80,6 +82,7 @@ class MemberOutcome:
     wall_time: float = 0.0
     designs: str = ""
     worker: str = ""
+    warnings: Sequence[str] = ()
     details: Mapping[str, MetricValue] = field(default_factory=dict)
 
 

@@ -11,6 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -135,6 +136,25 @@ class RecordedRun(RecordedSignals):
             return self.attachment(SCENARIO_FILE).decode()
         except UnicodeDecodeError as error:
             raise LogError(f"{self.label}: {SCENARIO_FILE} cannot be read: {error}") from error
+
+    def summary(self) -> Any:
+        """Return the report of the run: a :class:`cosim.report.summary.Summary`.
+
+        Its attributes are errors against the truth, verdicts on estimates, final values, what ended
+        the run, warnings; ``to_dict()`` has what ``cosim run --json`` prints of them.
+
+        >>> import cosim
+        >>> summary = cosim.run("academic").summary()
+        >>> [parameter.verdict for parameter in summary.identifications[0].parameters]
+        ['IDENTIFIABLE']
+
+        Raises
+        ------
+        LogError
+            If the run was of no scenario, or what it recorded cannot be understood.
+        """
+        # of a layer above this one, which knows scenarios
+        return import_module("cosim.report.summary").summarize(self)
 
     def window(self, t0: float | None = None, t1: float | None = None) -> RecordedWindow:
         """Return the part of the run in ``t0 <= t <= t1``; rows are read when asked for.

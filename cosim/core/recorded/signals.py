@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,12 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import PartialRecord, partial_of
 from cosim.core.recording import MessageLevel, SignalNames
 from cosim.core.signals import Channel, Signal
-from cosim.errors import GraphError, LogError, UnknownSignalError, nearest
+from cosim.errors import GraphError, LogError, UnknownSignalError, nearest, quoted
 from cosim.units import Unit
+
+WARNINGS: Final = "warnings"  # among the results of a run
+MOST_WARNINGS: Final = 1000  # that are kept of a run beside its messages
+MOST_SHOWN: Final = 20  # of one component
 
 
 class RecordedPort(NamedTuple):
@@ -61,6 +65,35 @@ class RunMessage(NamedTuple):
     source: str  # "run", or the component's name
     text: str
 
+    @property
+    def is_warning(self) -> bool:
+        """Whether it is a warning: of the run, or what a component warns of or calls an error."""
+        if self.source == "run":  # whose error is how it ended
+            return self.level == "warning"
+        return self.level in ("warning", "error", "fatal")
+
+
+def distinct_warnings(messages: Iterable[RunMessage]) -> list[RunMessage]:
+    """Return the first message of each text of a source that is a warning; ``MOST_WARNINGS``."""
+    distinct: dict[tuple[str, str], RunMessage] = {}
+    for message in messages:
+        if message.is_warning and len(distinct) < MOST_WARNINGS:
+            distinct.setdefault((message.source, message.text), message)
+    return list(distinct.values())
+
+
+def warning_texts(warnings: Iterable[RunMessage]) -> list[str]:
+    """Return warnings as lines to be shown, ``source: text``; the first ones of each source."""
+    of_source: dict[str, list[str]] = {}
+    for warning in warnings:
+        of_source.setdefault(warning.source, []).append(f"{warning.source}: {warning.text}")
+    texts = []
+    for source, own in of_source.items():
+        texts += own[:MOST_SHOWN]
+        if len(own) > MOST_SHOWN:
+            texts.append(f"{source}: {len(own) - MOST_SHOWN} more warnings")
+    return texts
+
 
 def find_signal(
     channels: Mapping[str, Channel], signal: str | Port, *, source: str
@@ -97,6 +130,13 @@ def find_signal(
     begin = channel.signal_columns[meant.name].start - channel.start
     columns = slice(begin + elements.start, begin + elements.stop)
     return RecordedPort(channel, meant, columns)
+
+
+def _read_warning(time_ns: int, level: MessageLevel, source: str, text: str) -> RunMessage:
+    """Return a warning as it was recorded; raise TypeError if it is none."""
+    if not isinstance(time_ns, int) or not all(isinstance(t, str) for t in (level, source, text)):
+        raise TypeError
+    return RunMessage(time_ns, level, source, text)
 
 
 def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:
@@ -186,6 +226,33 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     @abstractmethod
     def messages(self) -> list[RunMessage]:
         """Return the messages of the run and its components, in the order of time."""
+
+    @property
+    def warnings(self) -> list[RunMessage]:
+        """What the run warned of, in the order of time: each text of a component once.
+
+        >>> import cosim
+        >>> for warning in cosim.run("pair").warnings:
+        ...     print(warning.time_ns, warning.source, warning.text)
+
+        They are messages of level ``warning``, and of components also ``error``; at most 1000,
+        :meth:`messages` has all of them.
+
+        Raises
+        ------
+        LogError
+            If they cannot be read.
+        """
+        entries = self.results.get(WARNINGS)
+        if entries is None:  # the run has not come to its end, or an earlier version recorded it
+            return distinct_warnings(self.messages())
+        try:
+            return [_read_warning(*entry) for entry in entries]
+        except TypeError as error:
+            raise LogError(
+                f"{self.label}: {WARNINGS} of the results cannot be read: expected a list of "
+                f"[time_ns, level, source, text], got {quoted(entries)}"
+            ) from error
 
     @property
     @abstractmethod
@@ -324,7 +391,9 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     def _overview(self) -> str:
         end = self.end_ns / 1e9
         overview = f"{self.status}, {self.steps} steps to {end:g} s"
+        count = len(self.warnings)
+        warned = f", {count} warning{'' if count == 1 else 's'}" if count else ""
         partial = self.partial
         if partial is not None:
-            return f"{overview}, partial: {partial.text(self.channels)}"
-        return f"{overview}, {len(self)} signals of {len(self.channels)} components"
+            return f"{overview}, partial: {partial.text(self.channels)}{warned}"
+        return f"{overview}, {len(self)} signals of {len(self.channels)} components{warned}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeGuard
 
+from cosim.core.recorded.signals import warning_texts
 from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
@@ -38,6 +39,8 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
         return
     if quiet:
         return
+    for text in warning_texts(last.warnings):
+        print_line(f"warning: {text}", error=True)
     table = new_table("", ("", ""))
     table.add_row("status", f"{content['status']}{_behind(content['reason'])}")
     table.add_row("steps", f"{content['steps']}, up to {content['end']} s")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.table import Table
 
+from cosim.core.recorded.run import RecordedRun
+from cosim.core.recorded.signals import warning_texts
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import flag, listing, quoted
@@ -31,13 +33,7 @@ from cosim.report.tables.console import new_table, print_json, print_line, print
 from cosim.report.tables.estimates import estimate_notes, estimate_rows, estimate_table
 from cosim.report.tables.lateness import lateness_text
 from cosim.scenario.building.coupling_check import gain_text
-from cosim.scenario.kinds.initial_states import change_text
-from cosim.scenario.recorded_metadata import (
-    recorded_start,
-    recorded_state_changes,
-    recorded_warnings,
-    recorded_window,
-)
+from cosim.scenario.recorded_metadata import recorded_start, recorded_window
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
@@ -48,7 +44,7 @@ MOST_GAINS: Final = 5  # after actions, in a table
 
 
 def print_summary(
-    recording: Recording,
+    recording: RecordedRun,
     *,
     wall: Mapping[str, float],
     profile: Mapping[str, float] | None,
@@ -60,7 +56,7 @@ def print_summary(
 
     Parameters
     ----------
-    recording : Recording
+    recording : RecordedRun
     wall : mapping of name to float
         Wall times [s].
     profile : mapping of component name to float, or None
@@ -84,10 +80,8 @@ def print_summary(
             content["profile"] = dict(profile)
         print_json(content)
         return
-    for component, text in recorded_warnings(recording):
-        print_line(f"warning: {component}: {text}", error=True)
-    for component, changes in recorded_state_changes(recording).items():
-        print_line(f"warning: {component}: {change_text(changes)}", error=True)
+    for text in warning_texts(summary.warnings):
+        print_line(f"warning: {text}", error=True)
     facts = _facts_table(summary, recording, see="--certify" if certificate is None else "below")
     _add_wall_time(facts, wall, simulated=summary.end - summary.start)
     if path is not None:

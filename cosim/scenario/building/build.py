@@ -5,6 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -154,6 +155,7 @@ class Builder:
         self._check_actions()
         self._check_until()
         self._check_record()
+        self.built_warnings: list[tuple[str, tuple[str, str]]] = []  # by the component being built
 
     def _check_times(self) -> set[Key]:
         """Add the problems of the times; return the settings that are then not known."""
@@ -455,6 +457,7 @@ class Builder:
         jumps = jump_problems(self.scenario, graph)
         if jumps:
             raise self.scenario.document.report(jumps)
+        self.built_warnings = list(zip(records.warned_by, records.warnings, strict=True))
         self._warn(graph)
         return Experiment(
             self.scenario,
@@ -502,6 +505,29 @@ class Builder:
             return ()
         specs = self.scenario.specs
         return tuple(n for n in specs if not specs[n].computable or n in self._left_out)
+
+    def warnings_of(
+        self, scenario: Scenario, context: ScenarioBuildContext, graph: Graph
+    ) -> list[tuple[str, str]]:
+        """Return the warnings of the graph with other tables of some components.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            With these tables.
+        context : ScenarioBuildContext
+            In which these components were built again.
+        graph : Graph
+            With them in their places.
+        """
+        again = context.records.looked_up
+        kept = [warning for name, warning in self.built_warnings if name not in again or not name]
+        other = copy(self)
+        other.scenario = scenario
+        other.context = context
+        other.components = dict(graph.components)
+        other._warn(graph)
+        return [*kept, *context.records.warnings]
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""

@@ -14,7 +14,7 @@ it may be another one with other tables::
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
@@ -55,6 +55,8 @@ class KeptBuild:
     unpacked : UnpackedFmus
     replaced : mapping of component name to Interface
         Of the components that its swaps replaced.
+    warnings : sequence of (component, text)
+        Of the swaps.
 
     Attributes
     ----------
@@ -74,6 +76,7 @@ class KeptBuild:
         scenario: Scenario,
         unpacked: UnpackedFmus,
         replaced: Mapping[str, Interface],
+        warnings: Sequence[tuple[str, str]] = (),
     ) -> None:
         self._scenario = scenario
         self._unpacked = unpacked
@@ -90,6 +93,8 @@ class KeptBuild:
         for reaction in experiment.reactions:
             actions += reaction.actions
         self._puts_others_in = any(action.variants for action in actions)
+        self._builder = builder
+        self._warnings = warnings
         self._context = builder.context
         self._periods = builder.periods
         self._port_maps = builder.port_maps
@@ -111,8 +116,8 @@ class KeptBuild:
     def experiment(self, scenario: Scenario, resources: ExitStack) -> Experiment | None:
         """Return the experiment of a scenario with other tables, its graph prepared.
 
-        There is one at a time. What it tells of a run beside its signals is not the member's own:
-        metadata, warnings, and what estimates are judged by.
+        There is one at a time. What it tells of a run beside its signals and warnings is not the
+        member's own: metadata, and what estimates are judged by.
 
         Parameters
         ----------
@@ -212,7 +217,7 @@ class KeptBuild:
             files=frozenset(context.files.paths),
             modules=frozenset(context.files.modules),
             identified={},
-            warnings=(),
+            warnings=(*self._builder.warnings_of(scenario, context, graph), *self._warnings),
         )
 
     def _component(self, name: str, spec: Kind, context: ScenarioBuildContext) -> Component | None:

@@ -412,7 +412,7 @@ class ScenarioBuildContext:
         except CosimError as error:  # the problem of that component, which reports it itself
             raise DependsOnInvalid(str(error)) from error
         finally:
-            del self.records.warnings[count:]  # it warns where it is built for the run
+            self.records.forget_warnings(count)  # it warns where it is built for the run
 
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""

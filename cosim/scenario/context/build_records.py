@@ -71,6 +71,8 @@ class BuildRecords:
         The component that is being built.
     metadata : dict of component name to plain values
     warnings : list of (component, text)
+    warned_by : list of str
+        For each of them the component that was being built.
     reads : dict of component name to names of tables
         That were read to build the component, and its design rests on.
     looked_up : dict of component name to set of names of components
@@ -84,6 +86,7 @@ class BuildRecords:
         self.current = ""
         self.metadata: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
+        self.warned_by: list[str] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.looked_up: dict[str, set[str]] = {"": set()}
         self.attachments: dict[str, str] = {}
@@ -147,3 +150,9 @@ class BuildRecords:
     def warn(self, name: str, text: str) -> None:
         """Record a warning about a component."""
         self.warnings.append((name, text))
+        self.warned_by.append(self.current)
+
+    def forget_warnings(self, count: int) -> None:
+        """Keep the first warnings only, so many."""
+        del self.warnings[count:]
+        del self.warned_by[count:]

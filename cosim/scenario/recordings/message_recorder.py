@@ -12,6 +12,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.contracts import Block, Stopped
 from cosim.core.passing_recorders import PassingRecorder
+from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, RunMessage
 from cosim.core.recorders import close, end_of_run, error_text, follow
 from cosim.core.recording import INNER_STEP, MessageLevel, Plan, Recorder, RowsUnderWay
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
@@ -60,26 +61,6 @@ def terminated(
 
 
 @final
-class TerminatingRecorder(PassingRecorder):
-    """Passes a run on, and ends that of its FMUs: what is recorded of a run without messages."""
-
-    def __init__(self, recorder: Recorder, fmus: Mapping[str, MessageSource]) -> None:
-        super().__init__(recorder)
-        self._fmus = fmus
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        ended, _ = terminated(self._fmus, error)
-        close(self._recorder, ended)
-        if ended is not None and ended is not error:
-            raise ended
-
-
-@final
 class MessageRecorder(PassingRecorder):
     """Records the messages of a run and of its FMUs beside its signals, with any recorder."""
 
@@ -89,8 +70,21 @@ class MessageRecorder(PassingRecorder):
         self._reached_ns = experiment.clock.start_ns
         self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
         self._inner_steps: list[str] = []  # components that seem to keep one
+        self._warnings: dict[tuple[str, str], RunMessage] = {}  # by source and text
         self._last: Vector | None = None
         self._assessor = Assessor(experiment.graph, experiment.identified)
+
+    @property
+    def warnings(self) -> list[RunMessage]:
+        """The warnings so far: each text of a component once."""
+        return list(self._warnings.values())
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Record a message, and note it where it is a new warning."""
+        message = RunMessage(time_ns, level, source, text)
+        if message.is_warning and len(self._warnings) < MOST_WARNINGS:
+            self._warnings.setdefault((source, text), message)
+        self._recorder.message(time_ns, level, source, text)
 
     def __exit__(
         self,
@@ -111,7 +105,7 @@ class MessageRecorder(PassingRecorder):
         """End the run of every FMU; return what the run as a whole ended with."""
         ended, failures = terminated(self._experiment.fmus, error)
         for name, text in failures:
-            self._recorder.message(self._reached_ns, "error", name, text)
+            self.message(self._reached_ns, "error", name, text)
         return ended
 
     def _conclude(self, error: BaseException | None) -> None:
@@ -122,11 +116,13 @@ class MessageRecorder(PassingRecorder):
         """
         self._record_messages(self._reached_ns + self._experiment.clock.step_ns)
         if error is not None:
+            # past the warnings: the status says how it ended
             self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
         self._record_until(error)
         self._record_substeps()
         if self._inner_steps:
             self._recorder.result({INNER_STEP: self._inner_steps})
+        self._recorder.result({WARNINGS: [list(warning) for warning in self._warnings.values()]})
         if self._last is not None:
             labels = self._experiment.graph.labels()
             last = {}
@@ -150,7 +146,7 @@ class MessageRecorder(PassingRecorder):
         self._recorder.result({UNTIL: self._came_true(error)})
         if error is None:
             text = f"{until_text(until)}: never met"
-            self._recorder.message(self._reached_ns, "info", "run", text)
+            self.message(self._reached_ns, "info", "run", text)
 
     def _record_substeps(self) -> None:
         """Record how many substeps loops took, and whether some miss the tolerance."""
@@ -161,7 +157,7 @@ class MessageRecorder(PassingRecorder):
         for count in counts:
             if count.missed:
                 text = missed_text(count)
-                self._recorder.message(self._reached_ns, "warning", count.components[0], text)
+                self.message(self._reached_ns, "warning", count.components[0], text)
 
     def begin(self, plan: Plan) -> None:
         """Pass on, then record what is known before the run.
@@ -170,12 +166,12 @@ class MessageRecorder(PassingRecorder):
         """
         super().begin(plan)
         for name, text in _start_values(self._experiment):
-            self._recorder.message(self._reached_ns, "info", name, text)
+            self.message(self._reached_ns, "info", name, text)
         for name, inputs in self._experiment.graph.mean_inputs.items():
             text = MEANS.format(", ".join(inputs))
-            self._recorder.message(self._reached_ns, "info", name, text)
+            self.message(self._reached_ns, "info", name, text)
         for name, text in self._experiment.warnings:
-            self._recorder.message(self._reached_ns, "warning", name, text)
+            self.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
             self._record(name, messages, self._reached_ns)
 
@@ -200,7 +196,7 @@ class MessageRecorder(PassingRecorder):
         changed = changed_states(experiment.graph, experiment.given_states, row)
         plain = {}
         for name, changes in changed.items():
-            self._recorder.message(self._reached_ns, "warning", name, change_text(changes))
+            self.message(self._reached_ns, "warning", name, change_text(changes))
             plain[name] = [change.model_dump() for change in changes]
         if plain:
             self._recorder.result({INITIAL_STATES: plain})
@@ -225,7 +221,7 @@ class MessageRecorder(PassingRecorder):
             if category == INNER_STEP:
                 self._inner_steps.append(name)
             labelled = text if category in ("", INNER_STEP) else f"{category}: {text}"
-            self._recorder.message(time_ns, level, name, labelled)
+            self.message(time_ns, level, name, labelled)
         if ahead:
             self._ahead[name] = ahead
 

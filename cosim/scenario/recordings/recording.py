@@ -6,7 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -16,9 +16,10 @@ from cosim.core.master import run as run_graph
 from cosim.core.partial_recorder import PartialRecorder
 from cosim.core.passing_recorders import Watched
 from cosim.core.recorded.partial import RecordSelection
+from cosim.core.recorded.signals import RunMessage, warning_texts
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
-from cosim.errors import LogError, RunError, UsageError, flag, option
+from cosim.errors import LogError, RunError, UsageError, flag, option, warn
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.contents.result import PARTIAL_STATUS
@@ -29,7 +30,7 @@ from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.native.fmi.process import report_log
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
-from cosim.scenario.recordings.message_recorder import MessageRecorder, TerminatingRecorder
+from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -133,8 +134,7 @@ def record(
     log = log_recorder(experiment, out, target)
 
     def began() -> None:
-        if target.notice is not None:
-            announce_size(log, experiment.clock.steps, target.notice)
+        announce_size(log, experiment.clock.steps, target.notice)
 
     taking = chosen_of(experiment, log)
     taking = taking if beside is None else beside(taking)
@@ -169,14 +169,21 @@ def _recorded_part(log: Log) -> str:
     return f"holds the run up to t = {log.end_ns / 1e9} s"
 
 
-def announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
-    """Announce how large a log may become, if that is much or more than there is room for."""
+def announce_size(log: McapRecorder, steps: int, notice: Notice | None) -> None:
+    """Announce how large a log may become, if that is much or more than there is room for.
+
+    Where nobody takes notices, the latter is a warning.
+    """
     bound = log.size_bound(steps)
     free = shutil.disk_usage(log.path.parent).free
     text = f"{log.path} takes up to {bound / 1e9:.3g} GB, before compression and without messages"
     if bound > free:
-        notice(f"warning: {text}; its disk has {free / 1e9:.3g} GB left")
-    elif bound > _LARGE:
+        text += f"; its disk has {free / 1e9:.3g} GB left"
+        if notice is None:
+            warn([text])
+        else:
+            notice(f"warning: {text}")
+    elif bound > _LARGE and notice is not None:
         notice(text)
 
 
@@ -188,8 +195,14 @@ def run_into(
     profile: dict[str, float] | None,
     began: Callable[[], None] | None = None,
     log: McapRecorder | None = None,
-) -> None:
-    """Run an experiment; its rows, messages and results go to the recorder, perhaps a log's."""
+) -> list[RunMessage]:
+    """Run an experiment; its rows, messages and results go to the recorder, perhaps a log's.
+
+    Returns
+    -------
+    list of RunMessage
+        Its warnings; those of a run that fails are notes of the error.
+    """
     graph = experiment.graph
     seconds = {} if profile is None else graph.measure()
     with_messages = MessageRecorder(recorder, experiment)
@@ -197,18 +210,24 @@ def run_into(
     with interruptible() as check:
         reached = _reached(experiment, progress, check, log)
         watched = Watched(with_messages, reached, began=began)
-        _run(experiment, watched)
+        try:
+            _run(experiment, watched)
+        except RunError as error:
+            for text in warning_texts(with_messages.warnings):
+                error.add_note(f"warning: {text}")
+            raise
     if profile is not None:
         elapsed = perf_counter() - first
         seconds["recorder and master"] = elapsed - sum(seconds.values())
         profile.update(seconds)
+    return with_messages.warnings
 
 
 def run_rows(recorder: Recorder, experiment: Experiment) -> None:
-    """Run an experiment; its rows alone go to the recorder, and how it ended."""
+    """Run an experiment without verdicts at its end."""
     with interruptible() as check:
-        ended = TerminatingRecorder(recorder, experiment.fmus)
-        _run(experiment, Watched(ended, lambda block, signals: check()))
+        with_messages = MessageRecorder(recorder, replace(experiment, identified={}))
+        _run(experiment, Watched(with_messages, lambda block, signals: check()))
 
 
 def _run(experiment: Experiment, recorder: Recorder) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.arguments import mapping_argument, texts_argument, truth_argument, whole_argument
+from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
-from cosim.errors import UsageError, option
+from cosim.errors import UsageError, option, warn
 from cosim.log import Log
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
@@ -212,4 +213,6 @@ def record_replay(
     beside = None if request.window is None else request.window.beside
     with ExitStack() as resources:
         experiment = prepared_replay(source, request, resources)
-        return record(experiment, target, progress=progress, profile=profile, beside=beside)
+        recorded = record(experiment, target, progress=progress, profile=profile, beside=beside)
+    warn(warning_texts(recorded.warnings))
+    return recorded

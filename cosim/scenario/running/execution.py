@@ -18,9 +18,10 @@ from cosim.arguments import (
     whole_argument,
 )
 from cosim.core.arguments import check_recorder
+from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
-from cosim.errors import UsageError, flag, option
+from cosim.errors import UsageError, flag, option, warn
 from cosim.log import Log
 from cosim.log.mcap_file.rotation import Rotation, read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
@@ -221,6 +222,11 @@ def run(
     ------
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
+
+    Warns
+    -----
+    CosimWarning
+        Of what ``warnings`` of the result has.
     """
     force = truth_argument("force", force)
     numbered = truth_argument("numbered", numbered)
@@ -255,8 +261,9 @@ def run(
 
         if recorder is not None:
             taking = recorder if beside is None else beside(recorder)
-            run_into(taking, experiment, progress=progress, profile=profile)
+            warnings = run_into(taking, experiment, progress=progress, profile=profile)
             finish()
+            warn(warning_texts(warnings))
             return recorder
         target = Target(
             out,
@@ -268,9 +275,11 @@ def run(
             rotation=rotation,
             embed=embed,
         )
-        return record(
+        recorded = record(
             experiment, target, progress=progress, profile=profile, beside=beside, finish=finish
         )
+    warn(warning_texts(recorded.warnings))
+    return recorded
 
 
 def _flush_interval(flush: float | None, *, sync: bool, is_logged: bool) -> float:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from cosim.arguments import truth_argument
+from cosim.core.recorders import Nothing
 from cosim.core.simulation import Simulation
-from cosim.errors import RunError, UsageError
+from cosim.errors import UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
@@ -42,8 +44,9 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
     identity = _identity(experiment)
     out = target.out
     if out is None:
-        simulation = _begun(experiment, identity, None)
-        return Opened(simulation, None, lambda: None, partial(_terminate, experiment))
+        unlogged = MessageRecorder(Nothing(), replace(experiment, identified={}))
+        simulation = _begun(experiment, identity, unlogged, is_logged=False)
+        return Opened(simulation, unlogged, lambda: None, lambda: unlogged.warnings)
     if is_next:
         target = Target(out, numbered=True)
     elif Path(out).resolve() in experiment.files and not target.numbered:
@@ -54,45 +57,28 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
         entered.enter_context(recorder)
         simulation = _begun(experiment, identity, recorder)
         entered.pop_all()  # the session closes it
-    return Opened(simulation, recorder, lambda: log.path, lambda: None)
+    return Opened(simulation, recorder, lambda: log.path, lambda: recorder.warnings)
 
 
-def _begun(experiment: Experiment, identity: str, recorder: MessageRecorder | None) -> Simulation:
+def _begun(
+    experiment: Experiment, identity: str, recorder: MessageRecorder, *, is_logged: bool = True
+) -> Simulation:
     """Prepare and initialize the graph."""
     graph = experiment.graph
     plan = experiment.plan
     if plan is None:
         plan = graph.prepare(experiment.clock.step_ns)
-    if recorder is not None:
-        recorder.begin(plan)
+    recorder.begin(plan)
     return Simulation(
         graph,
         experiment.clock,
         plan,
-        recorder=recorder,
+        recorder=recorder if is_logged else None,
         identity=identity,
         actions=experiment.actions,
         reactions=experiment.reactions,
         until=experiment.until,
     )
-
-
-def _terminate(experiment: Experiment) -> None:
-    """End the run of every FMU.
-
-    Raises
-    ------
-    RunError
-        If one says that it failed.
-    """
-    failures = []
-    for name, fmu in experiment.fmus.items():
-        try:
-            fmu.terminate()
-        except RunError as failure:
-            failures.append(f"{name!r} failed at the end of the run: {failure}")
-    if failures:
-        raise RunError("\n".join(failures))
 
 
 def _identity(experiment: Experiment) -> str:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from cosim.fmi.variable import Variable
 
 
-def compare_swaps(scenario: Scenario) -> SwapReports:
+def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> SwapReports:
     """Compare every swapped component with the one it replaces; nothing runs or stays open.
 
     Raises
@@ -55,7 +55,7 @@ def compare_swaps(scenario: Scenario) -> SwapReports:
         If nothing of the scenario can be built.
     """
     with ExitStack() as resources:
-        return _SwapComparison(scenario, resources, None).reports
+        return _SwapComparison(scenario, resources, None, unpacked).reports
 
 
 def build_swapped(

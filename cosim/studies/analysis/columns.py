@@ -74,6 +74,8 @@ class MemberColumns:
         What was varied.
     raw_metrics : mapping of name to array, shape (N,)
         float64, or object with numbers, texts and None.
+    warnings : sequence of str, length N
+        What a member warns of, a line each; empty: nothing.
     """
 
     numbers: NumberColumn
@@ -81,6 +83,7 @@ class MemberColumns:
     reasons: Sequence[str]
     parameters: Mapping[str, VariedValues]
     raw_metrics: Mapping[str, NDArray[Any]]
+    warnings: Sequence[str]
 
     @cached_property
     def metrics(self) -> dict[str, MetricColumn]:
@@ -118,6 +121,7 @@ class MemberColumns:
             reasons=[self.reasons[row] for row in np.flatnonzero(rows).tolist()],
             parameters={key: values[rows] for key, values in self.parameters.items()},
             raw_metrics={name: raw[rows] for name, raw in self.raw_metrics.items()},
+            warnings=[self.warnings[row] for row in np.flatnonzero(rows).tolist()],
         )
 
     def numeric(self, name: str) -> Vector:

@@ -14,7 +14,7 @@ from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import FAILED
 
-_OUTCOME = ("member", "status", "reason", "wall_time")
+_OUTCOME = ("member", "status", "reason", "warnings", "wall_time")
 
 
 class StudyTable(Protocol):
@@ -118,6 +118,7 @@ def results_of_study(study: StudyTable, layout: StudyLayout) -> StudyResults:
         reasons=[reason or "" for reason in table["reason"].to_pylist()],
         parameters={name: _array(table[name]) for name in parameters},
         raw_metrics={name: _array(table[name]) for name in study.metrics},
+        warnings=[lines or "" for lines in table["warnings"].to_pylist()],
     )
     wall_times = table["wall_time"].to_numpy().astype(np.float64)
     return StudyResults(study.name, study.planned, layout, columns, study.units, wall_times)

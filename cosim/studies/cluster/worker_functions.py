@@ -138,5 +138,6 @@ def plain_outcome(outcome: MemberOutcome) -> tuple[Any, ...]:
         outcome.wall_time,
         outcome.designs,
         outcome.worker,
+        list(outcome.warnings),
         dict(outcome.details),
     )

@@ -60,6 +60,7 @@ _FIRST: Final = (StudyColumn(MEMBER, "number", "int64"),)
 _LAST: Final = (
     StudyColumn("status", "outcome", "string"),
     StudyColumn("reason", "outcome", "string"),
+    StudyColumn("warnings", "outcome", "string"),  # a line each
     StudyColumn("steps", "outcome", "int64"),
     StudyColumn("wall_time", "outcome", "double", "s"),
     StudyColumn("worker", "outcome", "string"),
@@ -187,6 +188,7 @@ class RowMaker:
         row += (
             outcome.status,
             outcome.reason or None,
+            "\n".join(outcome.warnings) or None,
             outcome.steps,
             outcome.wall_time,
             outcome.worker or None,

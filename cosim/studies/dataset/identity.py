@@ -14,7 +14,7 @@ from cosim.studies.dataset.columns import StudyColumn, all_columns
 from cosim.studies.dataset.layout import PartLayout
 from cosim.version import __version__
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 PART_SIZE: Final = 1000
 DESCRIPTION: Final = "study.json"
 OF_KEY: Final = "key "  # begins what the digest of a key of the scenario is named

@@ -84,6 +84,15 @@ class Study:
         return failed
 
     @property
+    def warnings(self) -> dict[int, list[str]]:
+        """Return what each member warns of that does, by number."""
+        found = {}
+        for table in self._dataset.tables(["member", "warnings"]):
+            for row in table.filter(table["warnings"].is_valid()).to_pylist():
+                found[row["member"]] = row["warnings"].splitlines()
+        return found
+
+    @property
     def logs(self) -> dict[int, str]:
         """Return the path of each log that is kept, by number of its member."""
         return self._dataset.logs()

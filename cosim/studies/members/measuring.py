@@ -9,8 +9,14 @@ from typing import Protocol, final
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block, Design
 from cosim.core.passing_recorders import PassingRecorder
+from cosim.core.recorded.signals import (
+    MOST_WARNINGS,
+    RunMessage,
+    distinct_warnings,
+    warning_texts,
+)
 from cosim.core.recorders import EndOfRun, end_of_run, error_text
-from cosim.core.recording import Plan, Recorder
+from cosim.core.recording import MessageLevel, Plan, Recorder
 from cosim.studies.contracts import MetricValue
 from cosim.temporary import without_folders
 
@@ -49,6 +55,7 @@ class MemberRecorder(PassingRecorder):
         self.plan: Plan | None = None
         self.setting_designs: Mapping[str, Design] = {}
         self.recorded: Collection[str] = ()
+        self._warnings: list[RunMessage] = []
 
     def __exit__(
         self,
@@ -58,6 +65,19 @@ class MemberRecorder(PassingRecorder):
     ) -> None:
         self.end = end_of_run(error)
         super().__exit__(error_type, error, trace)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the run warned of, as lines in alphabetical order."""
+        texts = warning_texts(distinct_warnings(self._warnings))
+        return sorted(without_folders(text, "fmu") for text in texts)
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Keep a warning, and pass on."""
+        message = RunMessage(time_ns, level, source, text)
+        if message.is_warning and len(self._warnings) < MOST_WARNINGS:
+            self._warnings.append(message)
+        self._recorder.message(time_ns, level, source, text)
 
     def begin(self, plan: Plan) -> None:
         """Pass on."""

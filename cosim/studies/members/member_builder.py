@@ -177,11 +177,16 @@ class MemberBuilder:
         with suppress(Exception):  # each member says itself what is wrong with it
             scenario = self.scenario(swaps)
             replaced: Mapping[str, Interface] = {}
+            warnings: list[tuple[str, str]] = []
             if scenario.file.swap:
-                from cosim.scenario.swapping.swap_comparison import replaced_interfaces
+                from cosim.scenario.swapping.swap_comparison import (
+                    compare_swaps,
+                    replaced_interfaces,
+                )
 
                 replaced = replaced_interfaces(scenario, self.fmus)
-            kept = KeptBuild(scenario, self.fmus, replaced)
+                warnings = compare_swaps(scenario, self.fmus).warnings
+            kept = KeptBuild(scenario, self.fmus, replaced, warnings)
         if kept is not None:
             self.sources.note(kept.built, swaps.values())
         return kept

@@ -62,6 +62,7 @@ def outcome_of(
         steps=measured.steps,
         metrics=values,
         wall_time=perf_counter() - began,
+        warnings=measured.warnings,
     )
 
 
@@ -71,7 +72,7 @@ def measure(
     """Run an experiment; return its metrics, and its results where they are asked for."""
     if with_results:
         return measure_beside(Target(None), experiment, measured, with_results=True)
-    run_rows(measured, experiment)  # messages and verdicts are of a log
+    run_rows(measured, experiment)  # verdicts are of a log
     return measured.sink.values()
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import truth_argument, whole_argument
-from cosim.errors import UsageError, option
+from cosim.errors import UsageError, option, warn
+from cosim.studies.analysis.failures import grouped, warning_lines
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.contracts import COMPLETE, MetricValue
@@ -86,6 +87,11 @@ timeout, keep, results : optional
     CosimError
         UsageError before a member runs; DatasetError if ``out`` holds another study's dataset.
         What fails in a member is in its row.
+
+    Warns
+    -----
+    CosimWarning
+        How many members warn of what; without ``notice`` also what is noteworthy about the run.
     """
     new = truth_argument("new", new)
     count = worker_count(workers)
@@ -109,9 +115,12 @@ timeout, keep, results : optional
     )
     place = default_place(file) if out is None else out
     plan = plan_study(file)
-    notice = notice or _ignore
-    for text in plan.notices:
-        notice(text)
+    if notice is None:
+        warn(text.removeprefix("warning: ") for text in plan.notices)
+        notice = _ignore
+    else:
+        for text in plan.notices:
+            notice(text)
     with ExitStack() as resources:
         # before the dataset that is there is removed
         client = None if scheduler is None else resources.enter_context(connect(scheduler))
@@ -140,7 +149,10 @@ timeout, keep, results : optional
             progress=keep_progress,
             client=client,
         )
-    return open_study(place)
+    done = open_study(place)
+    pairs = [(number, line) for number, lines in done.warnings.items() for line in lines]
+    warn(warning_lines(grouped(pairs), len(done)))
+    return done
 
 
 def worker_count(workers: int | None) -> int:

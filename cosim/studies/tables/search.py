@@ -14,6 +14,7 @@ import numpy as np
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.studies.analysis.columns import count_text
 from cosim.studies.analysis.extremes import best_members, worst_members
+from cosim.studies.analysis.failures import warnings_by_text
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.contracts import RECORDING
 from cosim.studies.running.recorded_study import RecordedSearch
@@ -23,6 +24,7 @@ from cosim.studies.tables.study import (
     failures_content,
     members_content,
     print_failures,
+    print_warnings,
 )
 from cosim.studies.tables.wall_time import wall_time_text
 
@@ -73,6 +75,7 @@ def print_search(
     elif results.done > results.failed:
         print_line(f"{search.metric}: no member has a finite value")
     print_failures(results, command_of)
+    print_warnings(results)
     if best:
         print_line(f"member {best[0]} alone: {command_of(best[0])}")
 
@@ -92,6 +95,7 @@ def _content(
         "members": members_content(results),
         "best": shown,
         "failures": failures_content(results, command_of),
+        "warnings": [group.to_dict() for group in warnings_by_text(results.columns)],
     }
 
 

@@ -10,7 +10,13 @@ from cosim.studies.analysis.columns import MemberColumns, NumberColumn, count_te
 from cosim.studies.analysis.conditions import PassedShare, passed_share
 from cosim.studies.analysis.correlation import rank_correlations
 from cosim.studies.analysis.extremes import best_members, worst_members
-from cosim.studies.analysis.failures import ReasonGroup, ends_by_reason, failures_by_reason
+from cosim.studies.analysis.failures import (
+    ReasonGroup,
+    ends_by_reason,
+    failures_by_reason,
+    warning_lines,
+    warnings_by_text,
+)
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
 from cosim.studies.tables.basis import print_basis
@@ -72,6 +78,7 @@ def print_study(
     print_basis(statistics, shares)
     print_correlations(results, correlations)
     print_failures(results, command_of)
+    print_warnings(results)
     _print_groups("ended before their stop time", ends_by_reason(results.columns))
     _print_extremes(results, command_of, worst)
 
@@ -101,6 +108,7 @@ def study_content(
         "passed": [share.to_dict() for share in shares],
         "correlations": [one.to_dict() for one in correlations],
         "failures": failures_content(results, command_of),
+        "warnings": [group.to_dict() for group in warnings_by_text(columns)],
         "ended_early": [group.to_dict() for group in ends_by_reason(columns)],
         "worst": extremes,
     }
@@ -130,6 +138,12 @@ def print_failures(results: StudyResults, command_of: CommandOf) -> None:
     _print_groups("failures", failures)
     for group in failures[:_MOST_REASONS]:
         _print_command(int(group.numbers[0]), command_of)
+
+
+def print_warnings(results: StudyResults) -> None:
+    """Print how many members warn of what."""
+    for line in warning_lines(warnings_by_text(results.columns), results.done):
+        print_line(line)
 
 
 def _overview(results: StudyResults) -> str:

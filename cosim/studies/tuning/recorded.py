@@ -14,7 +14,7 @@ from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.points import point_name
 
-_OUTCOME: Final = ("member", "status", "reason", "steps")
+_OUTCOME: Final = ("member", "status", "reason", "warnings", "steps")
 
 
 @final
@@ -97,6 +97,7 @@ class TuningDataset:
                 reason=row["reason"] or "",
                 steps=cast("int", row["steps"]),
                 metrics={name: row[name] for name in metrics},
+                warnings=(row["warnings"] or "").splitlines(),
             )
         return found
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.errors import listing, option
+from cosim.studies.analysis.failures import grouped, warning_lines
 from cosim.studies.tuning.local import SearchEnd
 from cosim.studies.tuning.space import SearchSpace
 from cosim.studies.tuning.standard_errors import NoStandardErrors, StandardErrors, of_samples
@@ -101,6 +102,12 @@ class TuningResult:
         return statements(self)
 
     @property
+    def warnings(self) -> list[str]:
+        """How many members warn of what, a line each."""
+        pairs = [(trial.number, line) for trial in self.trials for line in trial.warnings]
+        return warning_lines(grouped(pairs), len(self.trials))
+
+    @property
     def failed(self) -> tuple[SearchTrial, ...]:
         """The members without an objective."""
         return tuple(trial for trial in self.trials if trial.objective is None)
@@ -137,6 +144,7 @@ class TuningResult:
             "stop_reason": self.stop_reason,
             "at_bounds": self.at_bounds,
             "statements": self.statements,
+            "warnings": self.warnings,
             "standard_errors": None if self.errors is None else self.errors.to_dict(),
             "residual": None if self.residual is None else asdict(self.residual),
             "command": self.command,
@@ -179,6 +187,7 @@ def statements(result: TuningResult) -> list[str]:
     said = [_ending(result)]
     if result.failed:
         said.append(_failures(result))
+    said += result.warnings
     if result.best is None:
         return said
     if _is_flat(result):

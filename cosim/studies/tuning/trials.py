@@ -45,6 +45,8 @@ class SearchTrial:
         What is minimized; +inf where there is no objective.
     samples : int
         What the metric ``samples`` says; 0: there is none.
+    warnings : sequence of str
+        What its run warned of.
     """
 
     number: int
@@ -53,6 +55,7 @@ class SearchTrial:
     problem: str
     cost: float
     samples: int = 0
+    warnings: Sequence[str] = ()
 
 
 class Trials:
@@ -126,7 +129,9 @@ class Trials:
         cost = math.inf if objective is None else self._sign * objective
         samples = outcome.metrics.get(SAMPLES)
         count = int(samples) if isinstance(samples, float) else 0
-        trial = SearchTrial(outcome.number, dict(point), objective, problem, cost, count)
+        trial = SearchTrial(
+            outcome.number, dict(point), objective, problem, cost, count, outcome.warnings
+        )
         self._by_point[name] = trial
         if objective is not None and (self.best is None or cost < self.best.cost):
             self.best = trial

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from cosim.arguments import path_argument, truth_argument, whole_argument
-from cosim.errors import UsageError, option, quoted
+from cosim.errors import UsageError, option, quoted, warn
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import RUNNER
 from cosim.studies.running.studying import worker_count
@@ -156,7 +156,9 @@ def tune_task(
     if scheduler is not None:
         check_batches(task.search.method)
     plan = plan_tuning(task)
-    if notice is not None:
+    if notice is None:
+        warn(plan.study.sources.warnings)
+    else:
         for warning in plan.study.sources.warnings:
             notice(f"warning: {warning}")
     with ExitStack() as resources:
@@ -176,6 +178,7 @@ def tune_task(
             progress=progress,
         )
         result = search_best(trials, plan.search)
+    warn(result.warnings)
     return _completed(plan, result)
 
 

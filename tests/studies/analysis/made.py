@@ -16,4 +16,4 @@ def columns_of(metrics, *, parameters=None, failed=(), numbers=None, reasons=Non
     lost = np.isin(members, list(failed))
     texts = ["crashed" if one else "" for one in lost] if reasons is None else reasons
     varied = {key: np.array(values) for key, values in (parameters or {}).items()}
-    return MemberColumns(members, lost, texts, varied, arrays)
+    return MemberColumns(members, lost, texts, varied, arrays, [""] * count)
