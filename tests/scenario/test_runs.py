@@ -594,6 +594,34 @@ def test_a_run_in_memory_has_the_messages_and_results_of_a_log(tmp_path):
     assert (warning.time_ns, warning.level, warning.source) == (0, "warning", "observer")
 
 
+@pytest.mark.usefixtures("without_verdicts")
+def test_what_a_run_warns_of_is_shown_in_python(tmp_path):
+    """In memory, in a log, in a recorder of one's own, and in a replay: the same list."""
+    held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.05}
+    path = tmp_path / "a.mcap"
+    with pytest.warns(cosim.CosimWarning, match="observer: .*do not trust delta") as shown:
+        memory = cosim.run("academic", set=held)
+        log = cosim.run("academic", set=held, out=path)
+        cosim.run("academic", set=held, recorder=Extremes())
+        again = cosim.replay(path)
+    assert len(shown) == 4
+    assert memory.warnings == log.warnings == again.warnings
+    assert list(log.summary().warnings) == log.warnings
+    assert log.summary().to_dict()["warnings"][0]["of"] == "observer"
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_the_error_of_a_run_has_its_warnings_as_notes():
+    """They may say why it failed."""
+    held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.05}
+    with pytest.raises(RunError) as error:
+        cosim.run("academic", set={**held, "components.bad": BAD})
+    assert any("do not trust delta" in note for note in error.value.__notes__)
+
+
+BAD = {"kind": "expression", "y": "1/(t - 0.03)"}
+
+
 class Extremes:
     """A recorder of one's own: keeps the largest |value| of the row, no rows."""
 
@@ -634,7 +662,7 @@ def test_a_recorder_of_ones_own_takes_a_scenario():
         "enter",
         "begin",
         ("warning", "observer"),
-        ["last"],
+        ["last", "warnings"],
         ["identification"],
         "exit",
     ]
@@ -650,7 +678,7 @@ def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
     bad = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.stop": 0.1}
     with pytest.raises(NonFiniteError):
         cosim.run("academic", recorder=recorder, set=bad)
-    assert recorder.calls == ["enter", "begin", ("error", "run"), ["last"], "exit NonFiniteError"]
+    assert recorder.calls == ["enter", "begin", ("error", "run"), ["last", "warnings"], "exit NonFiniteError"]
 
 
 def test_a_recorder_of_ones_own_is_left_where_a_component_cannot_be_prepared():

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 import threading
+import warnings
 
 import numpy as np
 import pytest
@@ -593,3 +594,28 @@ def test_an_fmu_that_fails_at_its_end_fails_the_session(plant, monkeypatch):
     monkeypatch.setattr(Fmu, "terminate", fails)
     with pytest.raises(RunError, match="'plant' failed at the end of the run: no"):
         sim.close()
+
+
+HELD = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.01}
+
+
+@pytest.mark.parametrize("out", [None, "a.mcap"])
+def test_a_session_shows_its_warnings_when_it_starts(out, tmp_path):
+    """With a log and without one, each once; a reset does not repeat them."""
+    place = None if out is None else tmp_path / out
+    with pytest.warns(cosim.CosimWarning, match="observer: .*do not trust delta") as shown:
+        session = cosim.load("academic").edit(set=HELD).start(out=place)
+    session.step()
+    session.reset()
+    session.close()
+    assert len(shown) == 1
+
+
+def test_a_session_whose_warnings_are_errors_does_not_start(tmp_path):
+    """Its log is closed."""
+    path = tmp_path / "a.mcap"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(cosim.CosimWarning, match="do not trust delta"):
+            cosim.load("academic").edit(set=HELD).start(out=path)
+    assert cosim.open_log(path).status == "complete"

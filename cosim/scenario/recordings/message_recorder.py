@@ -122,13 +122,13 @@ class MessageRecorder(PassingRecorder):
         self._record_substeps()
         if self._inner_steps:
             self._recorder.result({INNER_STEP: self._inner_steps})
-        self._recorder.result({WARNINGS: [list(warning) for warning in self._warnings.values()]})
         if self._last is not None:
             labels = self._experiment.graph.labels()
             last = {}
             for label, value in zip(labels, self._last.tolist(), strict=True):
                 last[label] = value if math.isfinite(value) else None
-            self._recorder.result({"last": last})
+            warnings = [list(warning) for warning in self._warnings.values()]
+            self._recorder.result({"last": last, WARNINGS: warnings})
             is_regular = error is None or self._came_true(error)
             if is_regular and self._experiment.identified:
                 self._recorder.result({IDENTIFICATION: self._assessor.results()})

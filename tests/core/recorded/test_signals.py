@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from cosim.core.port import Port
+from cosim.core.recorded.signals import warning_texts
+from cosim.core.recorders import Memory
+from cosim.core.recording import Plan
+from cosim.core.signals import Layout
 from cosim.errors import LogError, UnknownSignalError
 
 SHORT = {"scenario.stop": 0.1}
@@ -72,3 +76,41 @@ def test_both_have_the_same_signals_times_and_messages(in_memory, from_file):
     assert in_memory.messages() == from_file.messages()
     for values in (in_memory.results, from_file.results):
         assert values["last"]["plant.y"] == in_memory["plant.y"][-1]
+
+
+def with_warnings(*entries):
+    """Return a run that has recorded some, and one message of each."""
+    run = Memory()
+    run.plan = Plan(Layout(()), 10**6, {}, {}, ())
+    for entry in entries:
+        run.message(*entry)
+    return run
+
+
+def test_a_run_counts_its_warnings_and_lists_each_once():
+    """A component's errors are among them; how the run ended is not: that says its status."""
+    slow = (3, "warning", "pump", "too slow")
+    bad = (4, "error", "valve", "leaks")
+    later = (5, "warning", "pump", "too slow")
+    run = with_warnings(slow, (3, "info", "pump", "on"), bad, later, (9, "error", "run", "NaN"))
+    assert run.warnings == [slow, bad]
+    assert ", 2 warnings>" in repr(run)
+    assert ", 2 warnings</caption>" in run._repr_html_()
+    assert "warning" not in repr(with_warnings())
+
+
+def test_of_very_many_warnings_the_first_of_each_source_are_shown():
+    """An FMU that says the time in each of them is one of many sources."""
+    said = [(k, "warning", "pump", f"too slow at {k} s") for k in range(30)]
+    texts = warning_texts(with_warnings(*said, (7, "warning", "valve", "leaks")).warnings)
+    assert texts[:2] == ["pump: too slow at 0 s", "pump: too slow at 1 s"]
+    assert texts[20:] == ["pump: 10 more warnings", "valve: leaks"]
+
+
+@pytest.mark.parametrize("wrong", [3, [3], [[0, "warning", "pump"]], [["0", "warning", "a", "b"]]])
+def test_recorded_warnings_of_another_shape_are_an_error(wrong):
+    """Of a file that somebody wrote by hand."""
+    run = with_warnings()
+    run.result({"warnings": wrong})
+    with pytest.raises(LogError, match=r"the run: warnings .*\[time_ns, level, source, text\]"):
+        _ = run.warnings

@@ -215,8 +215,8 @@ def test_a_part_that_no_dataset_of_this_size_has_is_refused(folder):
 def test_a_format_of_a_later_version_is_refused(folder):
     """With the version of cosim that reads it."""
     path = folder / "study.json"
-    path.write_text(path.read_text().replace('"format": 1', '"format": 2'))
-    problem = r"format 1, got 2; read it with cosim 1.0"
+    path.write_text(path.read_text().replace('"format": 2', '"format": 3'))
+    problem = r"format 2, got 3; read it with cosim 1.0"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open(folder)
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -18,6 +19,7 @@ from cosim.studies.members.lone_runner import open_lone_runner
 from cosim.studies.members.runner import open_runner
 from tests.fmi.compiled import write_archive
 from tests.fmi.small import xml
+from tests.scenario.test_runs import lagging
 from tests.studies.members.common import common_designs
 from tests.studies.members.sinks import Digest
 
@@ -223,3 +225,40 @@ def test_reasons_do_not_tell_where_an_fmu_was_unpacked(tmp_path):
         reasons.add(runner.run(StudyMember(TRIAL)).reason)
     [reason] = reasons
     assert f"cannot be used: binaries/{platform}/model{SUFFIX}: " in reason
+
+
+@pytest.mark.parametrize("rate", [10.0, 900.0])
+def test_the_warnings_of_a_member_are_those_of_its_run(rate, tmp_path):
+    """In a graph that is kept, with its log, alone: whatever the base of the study warns of."""
+    edits = {
+        "scenario.input_interpolation": "zero-order",
+        "scenario.stop": 0.05,
+        "observer.filter": "first-order",
+    }
+    subject = StudySubject("academic", set=edits, metrics={"e": "rms(plant.y)"})
+    member = StudyMember(1, set={"observer.filter_rate": rate})
+    run = cosim.run("academic", set={**edits, **member.set})
+    texts = [f"{warning.source}: {warning.text}" for warning in run.warnings]
+    assert len(texts) == (1 if rate > 100.0 else 0)
+    logged = replace(subject, logs=str(tmp_path))
+    for opener, given in (
+        (open_runner, subject),
+        (open_lone_runner, subject),
+        (open_logging_runner, logged),
+    ):
+        with opener(given) as runner:
+            outcome = runner.run(member)
+            assert (outcome.status, outcome.warnings) == ("complete", texts)
+
+
+@pytest.mark.slow
+def test_the_warnings_of_an_fmu_are_those_of_each_member(tmp_path):
+    """It steps by 0.01 s whatever it is asked for: what it does not do, each run finds out."""
+    scenario = lagging(tmp_path, "{ inner = 0.01 }")
+    run = cosim.run(scenario)
+    texts = sorted(f"{warning.source}: {warning.text}" for warning in run.warnings)
+    assert any("inner step" in text for text in texts)
+    subject = StudySubject(str(scenario), metrics={"last": "last(lag.y)"})
+    with open_runner(subject) as runner:
+        for number in (0, 1):
+            assert runner.run(StudyMember(number)).warnings == texts

@@ -406,3 +406,22 @@ def test_empty_cells_of_a_table_of_cases_are_noticed(tmp_path):
     (tmp_path / "cases.csv").write_text("u.amplitude,u.rate\n1.5,0.5\n2.5,1\n")
     cosim.study(tmp_path / "x.toml", cases=tmp_path / "cases.csv", out=tmp_path / "b", **given)
     assert len(notices) == 1
+
+
+def test_what_members_warn_of_is_a_column_and_a_warning(tmp_path):
+    """By number, by line, and in Python once for all members."""
+    held = {"scenario.input_interpolation": "zero-order", "observer.filter": "first-order"}
+    with pytest.warns(cosim.CosimWarning, match=r"1 of 2 members warns, 1: observer: ") as shown:
+        study = cosim.study(
+            "academic",
+            vary={"observer.filter_rate": [10.0, 900.0]},
+            metrics={"last": "last(plant.y)"},
+            set={"scenario.stop": 0.01, **held},
+            out=tmp_path / "study",
+            workers=1,
+        )
+    assert len(shown) == 1
+    ((number, (text,)),) = study.warnings.items()
+    assert number == 1
+    assert text.endswith("do not trust delta")
+    assert study.table(["warnings"])["warnings"].to_pylist() == [None, text]

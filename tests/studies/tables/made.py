@@ -17,6 +17,7 @@ class MadeStudy:
             "member": np.arange(count),
             "status": ["complete"] * count,
             "reason": [""] * count,
+            "warnings": pyarrow.nulls(count, "string"),
             "steps": [1000] * count,
             "wall_time": np.full(count, 0.25),
             "worker": ["1"] * count,

@@ -371,3 +371,17 @@ def test_a_key_of_very_many_values_has_no_groups():
     """One that is drawn from a continuous distribution."""
     with pytest.raises(UsageError, match=r"'plant.mass': .*at most 200 values.*got 300"):
         print_groups(tolerances(300)[1], "plant.mass")
+
+
+def test_members_that_warn_are_counted_by_warning(capsys):
+    """Warnings that differ in numbers only are one; the example is that of the first member."""
+    texts = ["", "pump: too slow at 3 s", "pump: too slow at 4 s\nvalve: leaks", ""]
+    study = MadeStudy({"warnings": texts, "rms": [1.0, 2.0, 3.0, 4.0]}, (), ("rms",))
+    results = results_of_study(study, StudyLayout("random", samples=4))
+    print_study(results, command_of)
+    lines = printed(capsys)
+    assert ["2 of 4 members warn, such as 1: pump: too slow at 3 s"] in lines
+    assert ["1 of 4 members warns, 2: valve: leaks"] in lines
+    print_study(results, command_of, as_json=True)
+    (first, second) = json.loads(capsys.readouterr().out)["warnings"]
+    assert (first["count"], second["first_members"]) == (2, [2])

@@ -344,3 +344,20 @@ def test_python_and_the_command_tune_the_same(lag, tmp_path):
 )
 def test_an_rms_is_told_from_what_has_one_in_it(expression, expected):
     assert is_rms(expression) is expected
+
+
+def test_a_tuning_says_what_its_members_warn_of():
+    """In its statements, and in Python as a warning."""
+    held = {"scenario.input_interpolation": "zero-order", "observer.filter": "first-order"}
+    with pytest.warns(cosim.CosimWarning, match="members warn, such as 0: observer: "):
+        result = cosim.tune(
+            "academic",
+            minimize="rms(observer.delta - delta.y)",
+            vary={"observer.filter_rate": {"linear": [500.0, 900.0]}},
+            set={"scenario.stop": 0.01, **held},
+            members=3,
+            workers=1,
+        )
+    (text,) = result.warnings
+    assert text.endswith("do not trust delta")
+    assert text in result.statements
