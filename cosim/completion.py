@@ -83,6 +83,13 @@ def complete_map(context: typer.Context, incomplete: str) -> list[str]:
     return [f"{port}=" for port in dict.fromkeys(ports) if port.startswith(incomplete)]
 
 
+def complete_failures(incomplete: str) -> list[str]:
+    """Return what ``--fail-on`` takes that begins so, after a comma too."""
+    before, comma, begin = incomplete.rpartition(",")
+    names = ("inconsistent", "no-estimate", "warning")
+    return [f"{before}{comma}{name}" for name in names if name.startswith(begin)]
+
+
 def complete_estimators(incomplete: str) -> list[str]:
     """Return ``all`` and the methods of an identifier that begin so, after a comma too."""
     from cosim.scenario.kinds.methods import METHODS

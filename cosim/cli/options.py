@@ -200,7 +200,7 @@ def read_edits(
             raise UsageError(f"{option('set', key)}: {error}") from error
     for key, value in given_values(options or {}).items():
         if key in edits:
-            name = key.removeprefix("scenario.")
+            name = key.removeprefix("scenario.").replace("verdicts", "no-verdicts")
             raise UsageError(f"--{name} and --set {key} set the same; omit one of them")
         edits[key] = value
     return edits

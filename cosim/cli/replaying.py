@@ -11,6 +11,15 @@ import typer
 
 from cosim import completion
 from cosim.cli.collecting import start_collecting
+from cosim.cli.failing import (
+    AssertOption,
+    FailOnOption,
+    NoVerdictsOption,
+    asserted_view,
+    fail_if,
+    read_assertions,
+    read_fail_on,
+)
 from cosim.cli.options import (
     ForceOption,
     JsonOption,
@@ -139,6 +148,9 @@ def replay(
     plot: PlotOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
+    fail_on: FailOnOption = None,
+    asserted: AssertOption = None,
+    no_verdicts: NoVerdictsOption = False,
 ) -> None:
     """Run the scenario of a log again on its recorded plant.
 
@@ -150,10 +162,19 @@ def replay(
     start_collecting()
     imported = perf_counter()
     _check_choices(vary, plot, stop, verify=verify, changes=changes)
+    failures = read_fail_on(fail_on, no_verdicts=no_verdicts)
+    assertions = read_assertions(asserted)
+    if vary and (failures or assertions):
+        raise UsageError("--fail-on and --assert are for one replay; omit them or --vary")
+    if assertions and not (begin is None and end is None):
+        raise UsageError("--assert is of the whole replay; omit it, or --from and --to")
     with prints_to_stderr():
         replays = replays_of(
             log,
-            set=read_edits(changes, {"scenario.stop": stop}),
+            set=read_edits(
+                changes,
+                {"scenario.stop": stop, "scenario.verdicts": False if no_verdicts else None},
+            ),
             swap=read_unique_pairs(swaps, "swap"),
             map=read_unique_pairs(maps, "map"),
             allow_code=allow_code,
@@ -169,9 +190,12 @@ def replay(
         return
     check_plot(plot, out)
     notice = None if quiet else print_notice
+    view = None if assertions is None else asserted_view(assertions)
     with ExitStack() as resources:
         with show_progress(quiet or as_json) as progress, prints_to_stderr():
-            replayed = replayed_once(replays, out, force=force, progress=progress, notice=notice)
+            replayed = replayed_once(
+                replays, out, force=force, progress=progress, notice=notice, live=view
+            )
             again = resources.enter_context(replayed)
         if plot is not None:
             from cosim.report.plots import plot_run
@@ -186,10 +210,17 @@ def replay(
             print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
             if not verification.passed:
                 raise typer.Exit(1)
-            return
-        wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
-        is_kept = out is not None
-        print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet, is_kept=is_kept)
+        else:
+            wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
+            print_summary(
+                again,
+                wall=wall,
+                profile=None,
+                as_json=as_json,
+                quiet=quiet,
+                is_kept=out is not None,
+            )
+        fail_if(again, failures, {} if view is None else view.problems)
 
 
 def _check_choices(

@@ -9,6 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.cli.collecting import start_collecting
+from cosim.cli.failing import (
+    AssertOption,
+    FailOnOption,
+    NoVerdictsOption,
+    asserted_view,
+    fail_if,
+    read_assertions,
+    read_fail_on,
+)
 from cosim.cli.options import (
     ForceOption,
     JsonOption,
@@ -159,6 +168,9 @@ def run(
     flush: FlushOption = None,
     sync: SyncOption = False,
     rotate: RotateOption = None,
+    fail_on: FailOnOption = None,
+    asserted: AssertOption = None,
+    no_verdicts: NoVerdictsOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
@@ -167,8 +179,11 @@ def run(
     from cosim.scenario.running.execution import load
     from cosim.scenario.running.execution import run as run_scenario
 
+    failures = read_fail_on(fail_on, no_verdicts=no_verdicts)
+    assertions = read_assertions(asserted)
     if dry_run:
-        _check_dry_run(find_step, certify=certify)
+        excluded = {"--certify": certify, "--find-step": find_step, "--fail-on": failures}
+        _check_dry_run({**excluded, "--assert": asserted})
     if find_step and step is not None:
         raise UsageError("--find-step chooses the step itself; omit --step")
     if dry_run:
@@ -182,7 +197,14 @@ def run(
         edited = load(scenario).edit(
             swap=read_unique_pairs(swaps, "swap"),
             map=read_unique_pairs(maps, "map"),
-            set=read_edits(changes, {"scenario.stop": stop, "scenario.step": step}),
+            set=read_edits(
+                changes,
+                {
+                    "scenario.stop": stop,
+                    "scenario.step": step,
+                    "scenario.verdicts": False if no_verdicts else None,
+                },
+            ),
         )
     start_collecting()
     if dry_run:
@@ -200,6 +222,7 @@ def run(
         show_progress(quiet or as_json) as progress,
         prints_to_stderr(),
     ):
+        view = None if assertions is None else asserted_view(assertions, server)
         log = run_scenario(
             edited,
             out=path,
@@ -212,7 +235,7 @@ def run(
             certify=certify,
             find_step=read_numbers(find_step, "find-step"),
             realtime=realtime,
-            live=server,
+            live=view or server,
             flush=flush,
             sync=sync,
             rotate=rotate,
@@ -224,15 +247,16 @@ def run(
         plot_run(log, plot)
     if rotate is not None and is_rotated(log):
         print_rotated(log, wall=wall, as_json=as_json, quiet=quiet)
-        return
-    print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+    else:
+        print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+    fail_if(log, failures, {} if view is None else view.problems)
 
 
-def _check_dry_run(find_step: list[str] | None, *, certify: bool) -> None:
+def _check_dry_run(excluded: Mapping[str, object]) -> None:
     """Check that nothing is asked for beside a dry run that only a run shows."""
-    if certify or find_step:
-        name = "--certify" if certify else "--find-step"
-        raise UsageError(f"--dry-run runs nothing; omit it or {name}")
+    for name, value in excluded.items():
+        if value:
+            raise UsageError(f"--dry-run runs nothing; omit it or {name}")
 
 
 def _check_rotated(plot: Path | None, *, profile: bool) -> None:

@@ -13,6 +13,14 @@ from typer.core import TyperGroup
 from cosim import completion
 from cosim.cli.contents import SizeOption, TitleOption, read_size
 from cosim.cli.once import OnceCommand
+from cosim.cli.failing import (
+    OF_VERDICTS,
+    AssertOption,
+    FailOnOption,
+    fail_if_members,
+    read_assertions,
+    read_fail_on,
+)
 from cosim.cli.options import (
     JsonOption,
     MapOption,
@@ -182,12 +190,14 @@ def run(
     ] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
+    fail_on: FailOnOption = None,
+    asserted: AssertOption = None,
 ) -> None:
     """Run a study, or its missing members.
 
     Members run in separate processes: a crash or hang affects only that member. The same command
     resumes a stopped study and runs new members of one that was extended. Exit 1 if a member
-    failed.
+    failed. A metric of --assert that has no name is kept as one of the study.
     """
     from cosim.studies.document.reading import read_study
     from cosim.studies.running.studying import default_place
@@ -195,6 +205,7 @@ def run(
     from cosim.studies.tables.show import ShownParts
 
     check_out(out)
+    failures = read_fail_on(fail_on)
     with prints_to_stderr():
         file = read_study(source).with_options(
             vary=_variations(vary),
@@ -213,6 +224,12 @@ def run(
             keep=_kept(keep),
             results=results,
         )
+        assertions = read_assertions(asserted, file.metrics)
+        if assertions is not None:
+            with_results = file.subject.with_results
+            file = file.with_options(metrics=assertions.metrics, results=with_results)
+    if not (OF_VERDICTS.isdisjoint(failures) or file.subject.with_results):
+        raise UsageError(f"--fail-on {', '.join(OF_VERDICTS & failures)} needs --results")
     place = str(default_place(file)) if out is None else out
     if dry_run:
         if scheduler is not None:
@@ -239,6 +256,10 @@ def run(
             raise
     if not quiet:
         _show(place, ShownParts(as_json=as_json))
+    wanted = not OF_VERDICTS.isdisjoint(failures)
+    verdicts = [name for name in done.metrics if wanted and name.endswith(" verdict")]
+    if failures or assertions is not None:
+        fail_if_members(done, failures, assertions, verdicts)
     if done.failures:
         raise typer.Exit(1)
 

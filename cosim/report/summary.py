@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -56,6 +56,9 @@ from cosim.scenario.recorded_tables import (
 )
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
+
+INCONSISTENT: Final = "INCONSISTENT"
+NO_ESTIMATE: Final = "NO_ESTIMATE"
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
@@ -609,6 +612,34 @@ def _parameters(
     names = element_names(f"{component}.theta", len(records))
     pairs = zip(names, records, strict=True)
     return tuple(_parameter(name, record) for name, record in pairs)
+
+
+def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str]]:
+    """Yield the verdict and a sentence where estimates contradict the data, or there is none.
+
+    The verdict is ``INCONSISTENT``, another one of what has no value, or empty: none was made.
+    """
+    found = recorded_identification(recording)
+    for name in declared_channels(recording.channels):
+        record = component_record(recording, name)
+        if not record.is_identifier:
+            continue
+        if name not in found:
+            yield "", f"{name}: no verdict was made"
+            continue
+        identification = found[name]
+        if identification.problem:
+            yield NO_ESTIMATE, f"{name}: {NO_ESTIMATE}: {identification.problem}"
+        own = identification.estimate
+        if record.method == OUTPUT_ERROR:
+            own = identification.parameters
+        labels: dict[tuple[str, str], list[str]] = {}
+        for parameter in _parameters(recording, name, own):
+            if parameter.verdict == INCONSISTENT or parameter.value is None:
+                key = (parameter.verdict, parameter.reason)
+                labels.setdefault(key, []).append(parameter.estimate)
+        for (verdict, reason), names in labels.items():
+            yield verdict, f"{', '.join(names)}: {verdict}: {reason}"
 
 
 def _parameter(name: str, record: ParameterRecord) -> ParameterSummary:

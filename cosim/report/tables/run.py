@@ -24,6 +24,7 @@ from cosim.report.summary import (
     Identification,
     SignalError,
     Summary,
+    bad_verdicts,
     numbers_text,
     span,
     summarize,
@@ -67,6 +68,9 @@ def print_summary(
     """
     path = _path_of(recording) if is_kept else None
     if quiet and not as_json:
+        for verdict, text in bad_verdicts(recording):
+            if verdict:
+                print_line(f"warning: {text}", error=True)
         return
     summary = summarize(recording)
     certificate = certificate_of(recording, summary)

@@ -156,6 +156,11 @@ class Settings(TomlTable):
         description="condition that ends the run early, at a communication point, such as "
         '"abs(observer.delta - delta.y) < 1e-3 for 1 s"',
     )
+    verdicts: bool = Field(
+        True,
+        description="judge estimates by a fit at the end of the run, which may take as long as a "
+        "short run",
+    )
     description: str = Field("", description="one line of text for 'cosim list' and reports")
 
 

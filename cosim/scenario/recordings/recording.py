@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Protocol
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
@@ -39,6 +40,17 @@ Beside = Callable[[Recorder], Recorder]  # adds something to what a recorder tak
 _LARGE = 10**9  # bytes of a log that are worth a word
 
 
+class LiveView(Protocol):
+    """What shows a run while it goes on, beside what records it."""
+
+    def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
+        """Return what takes the run, shows it, and passes it on to its recorder.
+
+        ``kinds`` are those of its components by name.
+        """
+        ...
+
+
 def _nothing() -> None:
     """Do nothing."""
 
@@ -60,6 +72,8 @@ class Target:
         When the log goes on in a next file.
     embed : bool
         Put the FMUs of components there, too.
+    live : LiveView or None
+        What takes the run, too.
     """
 
     out: str | Path | None
@@ -70,6 +84,7 @@ class Target:
     sync: bool = False
     rotation: Rotation | None = None
     embed: bool = False
+    live: LiveView | None = None
 
 
 def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
@@ -125,6 +140,7 @@ def record(
         memory = Memory(metadata_of(experiment), attachments)
         taking = chosen_of(experiment, memory)
         taking = taking if beside is None else beside(taking)
+        taking = shown(experiment, target.live, taking)
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
         return memory
@@ -138,6 +154,7 @@ def record(
 
     taking = chosen_of(experiment, log)
     taking = taking if beside is None else beside(taking)
+    taking = shown(experiment, target.live, taking)
     try:
         run_into(taking, experiment, progress=progress, profile=profile, began=began, log=log)
         finish()
@@ -150,6 +167,17 @@ def record(
     finally:
         report_log(None)
     return log.recorded()
+
+
+def shown(experiment: Experiment, live: LiveView | None, recorder: Recorder) -> Recorder:
+    """Return what shows a run and passes it on to its recorder."""
+    if live is None:
+        return recorder
+    return live.beside(recorder, _kinds(experiment))
+
+
+def _kinds(experiment: Experiment) -> dict[str, str]:
+    return {name: spec.kind for name, spec in experiment.scenario.specs.items()}
 
 
 def chosen_of(experiment: Experiment, recorder: Recorder) -> Recorder:
@@ -269,14 +297,13 @@ def log_recorder(
     experiment: Experiment, out: str | Path, target: Target, *, events: bool = False
 ) -> McapRecorder:
     """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden."""
-    kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
     metadata = metadata_of(experiment)
     attachments = attachments_of(experiment, embed=target.embed)
     return McapRecorder(
         out,
         force=target.force,
         numbered=target.numbered,
-        kinds=kinds,
+        kinds=_kinds(experiment),
         metadata=metadata,
         attachments=attachments,
         events=events or experiment.has_events,

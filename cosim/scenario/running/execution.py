@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cosim.arguments import (
     callable_argument,
@@ -33,12 +33,14 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
     Beside,
+    LiveView,
     Notice,
     Progress,
     Target,
     check_target,
     record,
     run_into,
+    shown,
 )
 
 if TYPE_CHECKING:
@@ -46,17 +48,6 @@ if TYPE_CHECKING:
     from cosim.scenario.session import Session
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
-
-
-class LiveView(Protocol):
-    """What shows a run while it goes on, beside what records it."""
-
-    def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
-        """Return what takes the run, shows it, and passes it on to its recorder.
-
-        ``kinds`` are those of its components by name.
-        """
-        ...
 
 
 def load(name: str | Path) -> Scenario:
@@ -252,8 +243,6 @@ def run(
         experiment = build_experiment(edited, resources, block)
         if pace is not None:
             experiment, beside = _paced(experiment, pace, beside)
-        if live is not None:
-            beside = _shown(experiment, live, beside)
 
         def finish() -> None:
             if certification is not None:
@@ -261,6 +250,7 @@ def run(
 
         if recorder is not None:
             taking = recorder if beside is None else beside(recorder)
+            taking = shown(experiment, live, taking)
             warnings = run_into(taking, experiment, progress=progress, profile=profile)
             finish()
             warn(warning_texts(warnings))
@@ -274,6 +264,7 @@ def run(
             sync=sync,
             rotation=rotation,
             embed=embed,
+            live=live,
         )
         recorded = record(
             experiment, target, progress=progress, profile=profile, beside=beside, finish=finish
@@ -360,16 +351,6 @@ def _paced(
         return pace.beside(recorder if beside is None else beside(recorder))
 
     return replace(experiment, clock=clock), paced
-
-
-def _shown(experiment: Experiment, live: LiveView, beside: Beside | None) -> Beside:
-    """Return what shows a run beside its recorder; the rows of a block when they were recorded."""
-    kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
-
-    def shown(recorder: Recorder) -> Recorder:
-        return live.beside(recorder if beside is None else beside(recorder), kinds)
-
-    return shown
 
 
 def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed: bool) -> None:

@@ -28,7 +28,13 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.recording import Notice, Progress, Target, check_target
+from cosim.scenario.recordings.recording import (
+    LiveView,
+    Notice,
+    Progress,
+    Target,
+    check_target,
+)
 from cosim.scenario.recordings.replay_request import (
     ReplayRequest,
     check_replay_target,
@@ -220,6 +226,7 @@ class FieldReplays:
             progress=progress,
             notice=target.notice,
             profile=profile,
+            live=target.live,
         )
 
     def _with(self, values: Mapping[str, Any]) -> Scenario:
@@ -377,10 +384,11 @@ def replay_once(
     progress: Progress | None,
     notice: Notice | None,
     profile: dict[str, float] | None = None,
+    live: LiveView | None = None,
 ) -> Log | Memory:
-    """Replay without other values; parameters as of :func:`replay`."""
+    """Replay without other values; parameters as of :func:`replay` and :func:`run`."""
     replays.check_target(out, force=force)
-    target = Target(out, force, notice=notice)
+    target = Target(out, force, notice=notice, live=live)
     return replays.record({}, target, progress=progress, profile=profile)
 
 
@@ -392,18 +400,19 @@ def replayed_once(
     force: bool,
     progress: Progress | None,
     notice: Notice | None,
+    live: LiveView | None = None,
 ) -> Iterator[Log | Memory]:
-    """Yield a replay without other values; parameters as of :func:`replay`.
+    """Yield a replay without other values; parameters as of :func:`replay` and :func:`run`.
 
     Without ``out`` it is gone after the ``with`` block. Till then it is in memory, or, where that
     is much, in a temporary file.
     """
     if out is not None or not replays.is_large:
-        yield replay_once(replays, out, force=force, progress=progress, notice=notice)
+        yield replay_once(replays, out, force=force, progress=progress, notice=notice, live=live)
         return
     from cosim.temporary import TemporaryFolder  # most replays need none
 
     replays.check_target(out, force=force)
     with TemporaryFolder("replay") as folder:
-        target = Target(folder / "replay.mcap")
+        target = Target(folder / "replay.mcap", live=live)
         yield replays.record({}, target, progress=progress)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -40,6 +41,14 @@ _QUOTED_OR_DURATION: Final = re.compile(
     r'|"(?:\\.|[^"\\])*(?:"|$)'
     r"|(?<=[\s)\]])for(?=\s)(?P<duration>[^,()\[\]'\"]*)"
 )
+COMPARISONS: Final[dict[type[ast.cmpop], str]] = {
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+}
 _CONSTANTS: Final = ("pi", "e")
 _NOT_NESTED: Final = frozenset(KINDS) - {"min", "max"}
 
@@ -117,6 +126,23 @@ class Metric:
     arithmetic: Arithmetic
 
 
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two operands that are compared: texts of metrics, or numbers.
+
+    Parameters
+    ----------
+    left : str or float
+    operation : str
+        One of ``COMPARISONS``.
+    right : str or float
+    """
+
+    left: str | float
+    operation: str
+    right: str | float
+
+
 def parse_metric_text(name: str, text: str) -> Metric:
     """Parse a metric; whether there are its signals is not known here.
 
@@ -128,6 +154,32 @@ def parse_metric_text(name: str, text: str) -> Metric:
     parser = _MetricParser(" ".join(text.splitlines()).strip())
     arithmetic = parser.parse()
     return Metric(name, text, tuple(parser.reductions), arithmetic)
+
+
+def parse_comparisons(text: str, names: Collection[str] = ()) -> list[Comparison]:
+    """Parse comparisons of metrics with numbers, or with each other, joined by ``and``.
+
+    Parameters
+    ----------
+    text : str
+    names : collection of str
+        Of metrics that may stand in it for their texts.
+
+    Raises
+    ------
+    UsageError
+        If the text is something else; as from :func:`parse_metric_text`.
+    """
+    return _MetricParser(" ".join(text.splitlines()).strip()).comparisons(names)
+
+
+def _operand(text: str, names: Collection[str]) -> str | float:
+    """Return a metric as it is written, or the value of what is a number alone."""
+    if text in names:
+        return text
+    parser = _MetricParser(text)
+    arithmetic = parser.arithmetic()
+    return text if parser.reductions else arithmetic.value(np.zeros(1))
 
 
 class _MetricParser:
@@ -155,7 +207,42 @@ class _MetricParser:
         return " " * len(match[0].encode())  # places in the tree are counted in bytes
 
     def parse(self) -> Arithmetic:
-        """Return the arithmetic of the text."""
+        """Return the arithmetic of the text, which has a reduction."""
+        arithmetic = self.arithmetic()
+        if not self.reductions:
+            raise self._refusal("expected at least one reduction, such as last(plant.y)")
+        return arithmetic
+
+    def comparisons(self, names: Collection[str]) -> list[Comparison]:
+        """Return the comparisons of the text; of a chain each two that are neighbors."""
+        tree = parse_metric(self._text, self._source)
+        parts = tree.values if isinstance(tree, ast.BoolOp) else [tree]
+        is_joined_by_or = isinstance(tree, ast.BoolOp) and isinstance(tree.op, ast.Or)
+        found = []
+        for part in parts:
+            if is_joined_by_or or not isinstance(part, ast.Compare):
+                raise self._refusal(
+                    "expected a comparison, such as rms(plant.y) < 0.1, or several joined by 'and'"
+                )
+            nodes = (part.left, *part.comparators)
+            operands = [_operand(self._written(node), names) for node in nodes]
+            for left, operation, right in zip(operands, part.ops, operands[1:], strict=False):
+                if type(operation) not in COMPARISONS:
+                    known = " ".join(COMPARISONS.values())
+                    raise self._refusal(f"expected one of the comparisons {known}")
+                if isinstance(left, float) and isinstance(right, float):
+                    raise self._refusal(
+                        "expected at least one reduction in a comparison, such as last(plant.y)"
+                    )
+                found.append(Comparison(left, COMPARISONS[type(operation)], right))
+        return found
+
+    def _written(self, node: ast.expr) -> str:
+        """Return the text of a node with its durations, which the source has not."""
+        return self._text.encode()[node.col_offset : node.end_col_offset].decode()
+
+    def arithmetic(self) -> Arithmetic:
+        """Return the arithmetic of the text, which may be a number alone."""
         tree = parse_metric(self._text, self._source)
         try:
             arithmetic = self._arithmetic(tree)
@@ -165,10 +252,7 @@ class _MetricParser:
             raise self._refusal(
                 "expected 'for' after a condition, such as first(t, plant.y < 1 for 1 s)"
             )
-        program = compile_arithmetic(arithmetic, self._source)
-        if not self.reductions:
-            raise self._refusal("expected at least one reduction, such as last(plant.y)")
-        return Arithmetic(program)
+        return Arithmetic(compile_arithmetic(arithmetic, self._source))
 
     def _arithmetic(self, node: ast.expr) -> ast.expr:
         """Return arithmetic in which the number of each reduction, as a text, stands for it."""

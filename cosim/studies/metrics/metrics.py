@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from cosim.native.numerics.reductions import KeptValues
 from cosim.studies.metrics.binding import find_element, reduce_recording
 from cosim.studies.metrics.language import Metric, Reduction, parse_metric_text
 
+PLACE: Final = "metrics."  # the table of a study that has them
+
 
 @final
 class Metrics:
@@ -25,6 +27,8 @@ class Metrics:
     Parameters
     ----------
     metrics : sequence of Metric
+    place : str
+        Before the name of a metric, in messages.
 
     Attributes
     ----------
@@ -32,8 +36,9 @@ class Metrics:
         Those of all metrics, one behind the other.
     """
 
-    def __init__(self, metrics: Sequence[Metric]) -> None:
+    def __init__(self, metrics: Sequence[Metric], place: str = PLACE) -> None:
         self._metrics = tuple(metrics)
+        self._place = place
         reductions: list[Reduction] = []
         for metric in metrics:
             reductions += metric.reductions
@@ -70,7 +75,8 @@ class Metrics:
         """
         problems: list[str] = []
         for metric in self._metrics:
-            problems += _problems(metric, channels, source)
+            for problem in _problems(metric, channels, source):
+                problems.append(f"{self._place}{metric.name}: {problem}")
         if problems:
             raise UsageError("\n".join(problems))
 
@@ -98,7 +104,7 @@ class Metrics:
         return values
 
 
-def parse_metrics(texts: Mapping[str, str]) -> Metrics:
+def parse_metrics(texts: Mapping[str, str], place: str = PLACE) -> Metrics:
     """Return metrics by their names and texts, such as ``{"error": "rms(a.y - b.y)"}``.
 
     Raises
@@ -112,10 +118,10 @@ def parse_metrics(texts: Mapping[str, str]) -> Metrics:
         try:
             metrics.append(_parsed(name, text))
         except UsageError as error:
-            problems.append(_of_metric(name, str(error)))
+            problems.append(f"{place}{name}: {error}")
     if problems:
         raise UsageError("\n".join(problems))
-    return Metrics(metrics)
+    return Metrics(metrics, place)
 
 
 def _parsed(name: object, text: object) -> Metric:
@@ -135,11 +141,7 @@ def _problems(metric: Metric, channels: Mapping[str, Channel], source: str) -> I
         try:
             find_element(channels, name, source)
         except UsageError as error:
-            yield _of_metric(metric.name, str(error))
-
-
-def _of_metric(name: object, problem: str) -> str:
-    return f"metrics.{name}: {problem}"
+            yield str(error)
 
 
 def _value(metric: Metric, kept: Sequence[KeptValues]) -> float | None:

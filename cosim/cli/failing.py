@@ -1,0 +1,185 @@
+"""What makes a command that ran fail: warnings, bad verdicts, assertions."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from cosim import completion
+from cosim.cli.options import print_notice
+from cosim.errors import UsageError, listing, nearest, option, quoted
+
+if TYPE_CHECKING:
+    from cosim.core.recorded.run import RecordedRun
+    from cosim.scenario.recordings.recording import LiveView
+    from cosim.studies.dataset.study import Study
+    from cosim.studies.metrics.assertions import AssertedView, Assertions
+
+FAILURES: Final = ("inconsistent", "no-estimate", "warning")
+OF_VERDICTS: Final = frozenset({"inconsistent", "no-estimate"})
+
+_OF_VERDICT: Final = {
+    "inconsistent": ("INCONSISTENT", "no verdict"),
+    "no-estimate": ("NO_ESTIMATE", "NOT_IDENTIFIABLE", "no verdict"),
+}
+
+FailOnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fail-on",
+        metavar="WHAT,...",
+        autocompletion=completion.complete_failures,
+        help="Exit 1 if an estimate is inconsistent with the data (inconsistent), has no value "
+        "(no-estimate), or the run warns of something (warning). Repeatable.",
+    ),
+]
+
+AssertOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--assert",
+        metavar="CONDITION",
+        help="Exit 1 unless this holds, such as 'rms(plant.y) < 0.1': metrics as of 'cosim "
+        "metrics', compared and joined by 'and'. Repeatable.",
+    ),
+]
+
+NoVerdictsOption = Annotated[
+    bool,
+    typer.Option(
+        "--no-verdicts",
+        help="Do not judge estimates by a fit at the end; the same as --set "
+        "scenario.verdicts=false.",
+    ),
+]
+
+
+def read_fail_on(texts: Iterable[str] | None, *, no_verdicts: bool = False) -> frozenset[str]:
+    """Return what a command fails on.
+
+    Raises
+    ------
+    UsageError
+        If it is none of ``FAILURES``, or a verdict where none is made.
+    """
+    found = set()
+    for text in texts or ():
+        for name in map(str.strip, text.split(",")):
+            if name not in FAILURES:
+                raise UsageError(
+                    f"{option('fail-on')}: nothing is called {quoted(name)}; "
+                    f"{nearest(name, FAILURES)}"
+                )
+            if no_verdicts and name in OF_VERDICTS:
+                raise UsageError(f"{option('fail-on', name)} needs verdicts; omit --no-verdicts")
+            found.add(name)
+    return frozenset(found)
+
+
+def read_assertions(
+    texts: Iterable[str] | None, known: Mapping[str, str] | None = None
+) -> Assertions | None:
+    """Return what a run must fulfil; None: nothing.
+
+    Parameters
+    ----------
+    texts : iterable of str or None
+    known : mapping of str to str, optional
+        Metrics of a study by name, which may stand for their texts.
+
+    Raises
+    ------
+    UsageError
+        If a text is no assertion.
+    """
+    if not texts:
+        return None
+    from cosim.studies.metrics.assertions import Assertions
+
+    return Assertions(texts, known or {})
+
+
+def asserted_view(assertions: Assertions, other: LiveView | None = None) -> AssertedView:
+    """Return what computes assertions of a run beside what shows it."""
+    from cosim.studies.metrics.assertions import AssertedView
+
+    return AssertedView(assertions, other)
+
+
+def fail_if(run: RecordedRun, fail_on: Collection[str], problems: dict[str, str]) -> None:
+    """Exit with 1 if a run has what a command fails on, or an assertion is not fulfilled.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    fail_on : collection of str
+        Some of ``FAILURES``.
+    problems : mapping of str to str
+        Why assertions are not fulfilled, by their texts.
+    """
+    lines = [f"{option('assert', text)}: {found}" for text, found in problems.items()]
+    if not OF_VERDICTS.isdisjoint(fail_on):
+        from cosim.report.summary import INCONSISTENT, bad_verdicts
+
+        for verdict, text in bad_verdicts(run):
+            name = "inconsistent" if verdict == INCONSISTENT else "no-estimate"
+            if not verdict or name in fail_on:
+                lines.append(f"{option('fail-on', name)}: {text}")
+    if "warning" in fail_on and run.warnings:
+        from cosim.core.recorded.signals import warning_texts
+
+        lines += [f"{option('fail-on', 'warning')}: {text}" for text in warning_texts(run.warnings)]
+    _fail(lines)
+
+
+def fail_if_members(
+    study: Study, fail_on: Collection[str], assertions: Assertions | None, verdicts: Iterable[str]
+) -> None:
+    """Exit with 1 if members have what a command fails on, or do not fulfil an assertion.
+
+    Parameters
+    ----------
+    study : Study
+    fail_on : collection of str
+        Some of ``FAILURES``.
+    assertions : Assertions or None
+    verdicts : iterable of str
+        The columns of verdicts.
+    """
+    metrics = {} if assertions is None else assertions.metrics
+    columns = list(dict.fromkeys(["member", "status", "warnings", *metrics, *verdicts]))
+    found: dict[str, list[tuple[int, str]]] = {}
+    for row in study.table(columns).to_pylist():
+        if row["status"] != "complete":
+            continue
+        number = row["member"]
+        if "warning" in fail_on and row["warnings"]:
+            found.setdefault(option("fail-on", "warning"), []).append((number, row["warnings"]))
+        for column in verdicts:
+            verdict = row[column] or "no verdict"
+            for name, words in _OF_VERDICT.items():
+                if name in fail_on and any(word in verdict for word in words):
+                    found.setdefault(option("fail-on", name), []).append((number, verdict))
+        if assertions is not None:
+            for text, problem in assertions.problems(row).items():
+                found.setdefault(option("assert", text), []).append((number, problem))
+    lines = []
+    for label, members in found.items():
+        numbers = listing([str(number) for number, _ in members])
+        first, text = members[0]
+        example = text.partition("\n")[0]
+        count = f"{len(members)} of {len(study)} members"
+        lines.append(f"{label}: {count} ({numbers}); member {first}: {example}")
+    _fail(lines)
+
+
+def _fail(lines: Iterable[str]) -> None:
+    """Print lines to stderr, and exit with 1 if there are any."""
+    failed = False
+    for line in lines:
+        failed = True
+        print_notice(f"cosim: {line}")
+    if failed:
+        raise typer.Exit(1)
