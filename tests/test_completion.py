@@ -90,3 +90,9 @@ def test_a_line_without_a_scenario_that_can_be_read_completes_nothing(complete):
 def test_kinds_are_completed(complete):
     """All of them."""
     assert complete("cosim list ") == list(KINDS)
+
+
+def test_what_a_command_may_fail_on_is_completed(complete):
+    """After a comma too."""
+    assert complete("cosim run academic --fail-on in") == ["inconsistent"]
+    assert complete("cosim replay a.mcap --fail-on warning,no") == ["warning,no-estimate"]

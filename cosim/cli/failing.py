@@ -108,7 +108,9 @@ def asserted_view(assertions: Assertions, other: LiveView | None = None) -> Asse
     return AssertedView(assertions, other)
 
 
-def fail_if(run: RecordedRun, fail_on: Collection[str], problems: dict[str, str]) -> None:
+def fail_if(
+    run: RecordedRun, fail_on: Collection[str], problems: Mapping[str, str], *, quiet: bool
+) -> None:
     """Exit with 1 if a run has what a command fails on, or an assertion is not fulfilled.
 
     Parameters
@@ -118,19 +120,23 @@ def fail_if(run: RecordedRun, fail_on: Collection[str], problems: dict[str, str]
         Some of ``FAILURES``.
     problems : mapping of str to str
         Why assertions are not fulfilled, by their texts.
+    quiet : bool
+        Its warnings have not been printed.
     """
     lines = [f"{option('assert', text)}: {found}" for text, found in problems.items()]
     if not OF_VERDICTS.isdisjoint(fail_on):
         from cosim.report.summary import INCONSISTENT, bad_verdicts
 
-        for verdict, text in bad_verdicts(run):
+        for names, verdict, reason in bad_verdicts(run):
             name = "inconsistent" if verdict == INCONSISTENT else "no-estimate"
             if not verdict or name in fail_on:
-                lines.append(f"{option('fail-on', name)}: {text}")
-    if "warning" in fail_on and run.warnings:
+                lines.append(f"{option('fail-on', name)}: {names}: {verdict or reason}")
+    count = len(run.warnings) if "warning" in fail_on else 0
+    if count:
         from cosim.core.recorded.signals import warning_texts
 
-        lines += [f"{option('fail-on', 'warning')}: {text}" for text in warning_texts(run.warnings)]
+        texts = warning_texts(run.warnings) if quiet else [f"{count} in all"]
+        lines += [f"{option('fail-on', 'warning')}: {text}" for text in texts]
     _fail(lines)
 
 

@@ -220,7 +220,7 @@ def replay(
                 quiet=quiet,
                 is_kept=out is not None,
             )
-        fail_if(again, failures, {} if view is None else view.problems)
+        fail_if(again, failures, {} if view is None else view.problems, quiet=quiet)
 
 
 def _check_choices(

@@ -249,7 +249,7 @@ def run(
         print_rotated(log, wall=wall, as_json=as_json, quiet=quiet)
     else:
         print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
-    fail_if(log, failures, {} if view is None else view.problems)
+    fail_if(log, failures, {} if view is None else view.problems, quiet=quiet)
 
 
 def _check_dry_run(excluded: Mapping[str, object]) -> None:

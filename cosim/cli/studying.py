@@ -12,7 +12,6 @@ from typer.core import TyperGroup
 
 from cosim import completion
 from cosim.cli.contents import SizeOption, TitleOption, read_size
-from cosim.cli.once import OnceCommand
 from cosim.cli.failing import (
     OF_VERDICTS,
     AssertOption,
@@ -21,6 +20,7 @@ from cosim.cli.failing import (
     read_assertions,
     read_fail_on,
 )
+from cosim.cli.once import OnceCommand
 from cosim.cli.options import (
     JsonOption,
     MapOption,

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
@@ -136,7 +137,7 @@ class StepCertificate(Mapping[str, SignalCertificate]):
         return asdict(self)
 
 
-def certificate(recording: Recording) -> StepCertificate:
+def certificate(recording: RecordedRun) -> StepCertificate:
     """Return the certificate of a run: the error of its communication step, signal by signal.
 
     It is Richardson's estimate from runs with half the step and a quarter, where these show one:

@@ -14,8 +14,8 @@ import numpy as np
 from cosim.arguments import mapping_argument, path_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.core.port import split_element
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorders import Memory
-from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.files import file_type
@@ -79,9 +79,9 @@ class Comparison:
     outcomes: tuple[PlantRun, ...]
 
     @cached_property
-    def recordings(self) -> dict[str, Recording]:
+    def recordings(self) -> dict[str, RecordedRun]:
         """The runs that did not fail, by label."""
-        recordings: dict[str, Recording] = {}
+        recordings: dict[str, RecordedRun] = {}
         for outcome in self.outcomes:
             if outcome.recording is not None:
                 recordings[outcome.label] = outcome.recording

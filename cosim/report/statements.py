@@ -287,6 +287,12 @@ class _Statements:
             messages = [entry for entry in messages if entry in expected_messages]
         yield "warnings", warnings, expected_warnings
         yield "messages", messages, expected_messages
+        if self._source.status != "complete":
+            return
+        noted = {warning[1:] for warning in self._source.warnings}
+        warned = {one[1:] for one in distinct_warnings(self._source.messages())}
+        if len(noted) < MOST_WARNINGS:
+            yield f"{WARNINGS} in {RESULT_FILE}", sorted(noted), sorted(warned)
 
     def _own(self, texts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
         """Return the texts of the components that were computed again."""
@@ -304,11 +310,6 @@ class _Statements:
         if not results:
             yield RESULT_FILE, None, "how the run ended, and its last row"
             return
-        if self._source.status == "complete":
-            noted = sorted({warning[1:] for warning in self._source.warnings})
-            warned = sorted({one[1:] for one in distinct_warnings(self._source.messages())})
-            if len(noted) < MOST_WARNINGS:
-                yield f"{WARNINGS} in {RESULT_FILE}", noted, warned
         recorded = self._source.metadata[RESULT]
         for key in _END_KEYS:
             value = results.get(key)

@@ -614,8 +614,8 @@ def _parameters(
     return tuple(_parameter(name, record) for name, record in pairs)
 
 
-def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str]]:
-    """Yield the verdict and a sentence where estimates contradict the data, or there is none.
+def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
+    """Yield estimates, verdict and reason where estimates contradict the data, or have no value.
 
     The verdict is ``INCONSISTENT``, another one of what has no value, or empty: none was made.
     """
@@ -625,11 +625,11 @@ def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str]]:
         if not record.is_identifier:
             continue
         if name not in found:
-            yield "", f"{name}: no verdict was made"
+            yield name, "", "no verdict was made"
             continue
         identification = found[name]
         if identification.problem:
-            yield NO_ESTIMATE, f"{name}: {NO_ESTIMATE}: {identification.problem}"
+            yield name, NO_ESTIMATE, identification.problem
         own = identification.estimate
         if record.method == OUTPUT_ERROR:
             own = identification.parameters
@@ -639,7 +639,7 @@ def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str]]:
                 key = (parameter.verdict, parameter.reason)
                 labels.setdefault(key, []).append(parameter.estimate)
         for (verdict, reason), names in labels.items():
-            yield verdict, f"{', '.join(names)}: {verdict}: {reason}"
+            yield ", ".join(names), verdict, reason
 
 
 def _parameter(name: str, record: ParameterRecord) -> ParameterSummary:

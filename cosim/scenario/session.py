@@ -17,13 +17,13 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.contracts import Stopped
 from cosim.core.recorded.signals import RunMessage, warning_texts
-from cosim.core.recorders import close, end_of_run
+from cosim.core.recorders import close
 from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.states import SimulationState
 from cosim.core.stepping.step_rows import StepRows
-from cosim.errors import CosimError, Interrupted, RunError, UsageError, warn
+from cosim.errors import CosimError, Interrupted, UsageError, warn
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Session:
 
     A context manager: on exit the log is completed and FMUs are closed. Only the thread that
     started a session may use it. The log of a session that is garbage-collected is completed, too,
-    with a ``ResourceWarning``. What the scenario warns of is shown when the session starts, what its
-    FMUs warned of when it is closed: :class:`cosim.CosimWarning`. Time, signals and states are those of its
+    with a ``ResourceWarning``. Warnings of the scenario are shown when the session starts, those of
+    FMUs when it is closed: :class:`cosim.CosimWarning`. Time, signals and states are those of its
     :class:`cosim.core.Simulation`, whose methods document their errors.
 
     Parameters

@@ -276,7 +276,7 @@ def test_declared_signals_are_compared(valid, tmp_path):
 
 @pytest.mark.slow
 def test_warnings_of_computed_components_are_compared(tmp_path):
-    """A warning cannot be taken out, neither of the metadata nor of the messages."""
+    """A warning cannot be taken out, of the metadata, the messages, or the results."""
     valid = tmp_path / "a.mcap"
     held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.05}
     cosim.run("academic", out=valid, set=held)
@@ -286,8 +286,12 @@ def test_warnings_of_computed_components_are_compared(tmp_path):
     assert "warnings: [] in the log, [('observer', " in problem
     content = take_apart(valid)
     content.messages = [row for row in content.messages if b"do not trust delta" not in row[3]]
-    (problem,) = verified(put_together(content, tmp_path / "c.mcap")).problems
-    assert "messages: [] in the log, [('observer', " in problem
+    problems = verified(put_together(content, tmp_path / "c.mcap")).problems
+    assert "messages: [] in the log, [('observer', " in problems[0]
+    results = {**open_log(valid).results, "warnings": []}
+    attachments = {"result.json": json.dumps(results).encode()}
+    (problem,) = verified(forged(valid, tmp_path / "d.mcap", attachments=attachments)).problems
+    assert "warnings in result.json: [] in the log, [('warning', 'observer', " in problem
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -599,12 +600,14 @@ def test_what_a_run_warns_of_is_shown_in_python(tmp_path):
     """In memory, in a log, in a recorder of one's own, and in a replay: the same list."""
     held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.05}
     path = tmp_path / "a.mcap"
-    with pytest.warns(cosim.CosimWarning, match="observer: .*do not trust delta") as shown:
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
         memory = cosim.run("academic", set=held)
         log = cosim.run("academic", set=held, out=path)
         cosim.run("academic", set=held, recorder=Extremes())
         again = cosim.replay(path)
-    assert len(shown) == 4
+    assert [one.category for one in shown] == [cosim.CosimWarning] * 4
+    assert all("do not trust delta" in str(one.message) for one in shown)
     assert memory.warnings == log.warnings == again.warnings
     assert list(log.summary().warnings) == log.warnings
     assert log.summary().to_dict()["warnings"][0]["of"] == "observer"
@@ -678,7 +681,13 @@ def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
     bad = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.stop": 0.1}
     with pytest.raises(NonFiniteError):
         cosim.run("academic", recorder=recorder, set=bad)
-    assert recorder.calls == ["enter", "begin", ("error", "run"), ["last", "warnings"], "exit NonFiniteError"]
+    assert recorder.calls == [
+        "enter",
+        "begin",
+        ("error", "run"),
+        ["last", "warnings"],
+        "exit NonFiniteError",
+    ]
 
 
 def test_a_recorder_of_ones_own_is_left_where_a_component_cannot_be_prepared():
@@ -882,3 +891,17 @@ ends = {{ kind = "look-up-table", u = [0.0, 0.5], y = [0.0, 1.0], extrapolation 
         found.append([(m.time_ns, m.text) for m in messages if "time event" in m.text])
     assert [time_ns for time_ns, _ in found[0]] == [5 * 10**7 * k for k in range(1, 11)]
     assert found[1:] == found[:1] * 2
+
+
+def test_a_run_without_verdicts_has_the_bits_of_one_with_them():
+    """Only what its end says of the estimates is left out; a replay does as its log."""
+    short = {"scenario.stop": 0.05}
+    judged = cosim.run("academic", set=short)
+    bare = cosim.run("academic", set={**short, "scenario.verdicts": False})
+    assert judged.results["identification"].keys() == {"identifier"}
+    assert "identification" not in bare.results
+    assert [values.tobytes() for values in bare.values()] == [
+        values.tobytes() for values in judged.values()
+    ]
+    (identification,) = bare.summary().identifications
+    assert (identification.component, identification.parameters) == ("identifier", ())

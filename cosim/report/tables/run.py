@@ -68,9 +68,9 @@ def print_summary(
     """
     path = _path_of(recording) if is_kept else None
     if quiet and not as_json:
-        for verdict, text in bad_verdicts(recording):
+        for names, verdict, reason in bad_verdicts(recording):
             if verdict:
-                print_line(f"warning: {text}", error=True)
+                print_line(f"warning: {names}: {verdict}: {reason}", error=True)
         return
     summary = summarize(recording)
     certificate = certificate_of(recording, summary)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from time import perf_counter
 
 from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recording import Recorder, Recording
+from cosim.core.recording import Recorder
 from cosim.errors import ChangedFileError, Interrupted
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
@@ -84,6 +84,6 @@ def measure_beside(
     def beside(kept: Recorder) -> Recorder:
         return TwoRecorders(kept, measured)
 
-    recording: Recording = record(experiment, target, progress=None, beside=beside)
+    recording = record(experiment, target, progress=None, beside=beside)
     results = results_of(summarize(recording)) if with_results else {}
     return {**results, **measured.sink.values()}

@@ -75,9 +75,9 @@ class Assertions:
         for text, comparisons in self._comparisons.items():
             found = []
             for one in comparisons:
-                operands = (one.left, one.right)
-                names = [name for name in operands if isinstance(name, str)]
-                left, right = (values[name] if name in names else name for name in operands)
+                names = [name for name in (one.left, one.right) if isinstance(name, str)]
+                left = values[one.left] if isinstance(one.left, str) else one.left
+                right = values[one.right] if isinstance(one.right, str) else one.right
                 if left is None or right is None or not _HOLDS[one.operation](left, right):
                     found += [f"{name} = {_value_text(values[name])}" for name in names]
             if found:
