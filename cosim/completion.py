@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cosim.scenario.parsing import Scenario
 
 _READABLE: Final[tuple[FileType, ...]] = ("FMU", "log", "table")
+FAILURES: Final = ("inconsistent", "no-estimate", "warning")  # that --fail-on takes
 SETTINGS = "scenario"  # the table whose keys --set reaches like those of a component
 
 
@@ -86,8 +87,7 @@ def complete_map(context: typer.Context, incomplete: str) -> list[str]:
 def complete_failures(incomplete: str) -> list[str]:
     """Return what ``--fail-on`` takes that begins so, after a comma too."""
     before, comma, begin = incomplete.rpartition(",")
-    names = ("inconsistent", "no-estimate", "warning")
-    return [f"{before}{comma}{name}" for name in names if name.startswith(begin)]
+    return [f"{before}{comma}{name}" for name in FAILURES if name.startswith(begin)]
 
 
 def complete_estimators(incomplete: str) -> list[str]:

@@ -173,20 +173,12 @@ def frozen_heap() -> None:
     gc.freeze()
 
 
-def leave_out_verdicts(patch: pytest.MonkeyPatch) -> None:
-    """Leave out the verdicts at the end of runs, which take most of the time of a long run."""
-    from cosim.scenario.identification.run_verdicts import Assessor
-
-    def no_results(assessor: Assessor) -> dict[str, Any]:
-        return {}
-
-    patch.setattr(Assessor, "results", no_results)
-
-
 @pytest.fixture
 def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the verdicts of runs, for tests of signals; fixtures of modules have them."""
-    leave_out_verdicts(monkeypatch)
+    """Leave out the verdicts of all runs, as ``scenario.verdicts = false`` does of one."""
+    from cosim.scenario.building.build import Builder
+
+    monkeypatch.setattr(Builder, "_judged", lambda builder, graph: {})
 
 
 ASSESSED: dict[bytes, Any] = {}  # by the problem and the start of the fit, as pickle writes them

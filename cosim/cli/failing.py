@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -12,12 +12,10 @@ from cosim.cli.options import print_notice
 from cosim.errors import UsageError, listing, nearest, option, quoted
 
 if TYPE_CHECKING:
-    from cosim.core.recorded.run import RecordedRun
     from cosim.scenario.recordings.recording import LiveView
     from cosim.studies.dataset.study import Study
     from cosim.studies.metrics.assertions import AssertedView, Assertions
 
-FAILURES: Final = ("inconsistent", "no-estimate", "warning")
 OF_VERDICTS: Final = frozenset({"inconsistent", "no-estimate"})
 
 _OF_VERDICT: Final = {
@@ -62,15 +60,15 @@ def read_fail_on(texts: Iterable[str] | None, *, no_verdicts: bool = False) -> f
     Raises
     ------
     UsageError
-        If it is none of ``FAILURES``, or a verdict where none is made.
+        If it is none of ``completion.FAILURES``, or a verdict where none is made.
     """
     found = set()
     for text in texts or ():
         for name in map(str.strip, text.split(",")):
-            if name not in FAILURES:
+            if name not in completion.FAILURES:
                 raise UsageError(
                     f"{option('fail-on')}: nothing is called {quoted(name)}; "
-                    f"{nearest(name, FAILURES)}"
+                    f"{nearest(name, completion.FAILURES)}"
                 )
             if no_verdicts and name in OF_VERDICTS:
                 raise UsageError(f"{option('fail-on', name)} needs verdicts; omit --no-verdicts")
@@ -109,34 +107,25 @@ def asserted_view(assertions: Assertions, other: LiveView | None = None) -> Asse
 
 
 def fail_if(
-    run: RecordedRun, fail_on: Collection[str], problems: Mapping[str, str], *, quiet: bool
+    run: Any, fail_on: Collection[str], problems: Mapping[str, str], *, quiet: bool
 ) -> None:
     """Exit with 1 if a run has what a command fails on, or an assertion is not fulfilled.
 
     Parameters
     ----------
-    run : RecordedRun
+    run : Log or Memory
     fail_on : collection of str
-        Some of ``FAILURES``.
+        Some of ``completion.FAILURES``.
     problems : mapping of str to str
         Why assertions are not fulfilled, by their texts.
     quiet : bool
         Its warnings have not been printed.
     """
     lines = [f"{option('assert', text)}: {found}" for text, found in problems.items()]
-    if not OF_VERDICTS.isdisjoint(fail_on):
-        from cosim.report.summary import INCONSISTENT, bad_verdicts
+    if fail_on:
+        from cosim.report.failing import failure_lines
 
-        for names, verdict, reason in bad_verdicts(run):
-            name = "inconsistent" if verdict == INCONSISTENT else "no-estimate"
-            if not verdict or name in fail_on:
-                lines.append(f"{option('fail-on', name)}: {names}: {verdict or reason}")
-    count = len(run.warnings) if "warning" in fail_on else 0
-    if count:
-        from cosim.core.recorded.signals import warning_texts
-
-        texts = warning_texts(run.warnings) if quiet else [f"{count} in all"]
-        lines += [f"{option('fail-on', 'warning')}: {text}" for text in texts]
+        lines += failure_lines(run, fail_on, quiet=quiet)
     _fail(lines)
 
 
@@ -149,7 +138,7 @@ def fail_if_members(
     ----------
     study : Study
     fail_on : collection of str
-        Some of ``FAILURES``.
+        Some of ``completion.FAILURES``.
     assertions : Assertions or None
     verdicts : iterable of str
         The columns of verdicts.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -56,9 +56,6 @@ from cosim.scenario.recorded_tables import (
 )
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
-
-INCONSISTENT: Final = "INCONSISTENT"
-NO_ESTIMATE: Final = "NO_ESTIMATE"
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
@@ -560,8 +557,8 @@ def _identification(
         eigenvalues,
         sentence,
         (*record.notes, *_extent(recording, component, record, identification)),
-        parameters=_parameters(recording, component, own),
-        reference=_parameters(recording, component, others),
+        parameters=parameter_summaries(recording, component, own),
+        reference=parameter_summaries(recording, component, others),
         amplitudes=tuple(amplitudes),
         undetected=tuple(error.text for error in identification.undetected),
         deviation=identification.deviation,
@@ -606,40 +603,13 @@ def _extent(
     yield f"{theta} itself has no value at the end: {cause}"
 
 
-def _parameters(
+def parameter_summaries(
     recording: Recording, component: str, records: Sequence[ParameterRecord]
 ) -> tuple[ParameterSummary, ...]:
+    """Return what may be said about the parameters of an identifier, by their ports."""
     names = element_names(f"{component}.theta", len(records))
     pairs = zip(names, records, strict=True)
     return tuple(_parameter(name, record) for name, record in pairs)
-
-
-def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
-    """Yield estimates, verdict and reason where estimates contradict the data, or have no value.
-
-    The verdict is ``INCONSISTENT``, another one of what has no value, or empty: none was made.
-    """
-    found = recorded_identification(recording)
-    for name in declared_channels(recording.channels):
-        record = component_record(recording, name)
-        if not record.is_identifier:
-            continue
-        if name not in found:
-            yield name, "", "no verdict was made"
-            continue
-        identification = found[name]
-        if identification.problem:
-            yield name, NO_ESTIMATE, identification.problem
-        own = identification.estimate
-        if record.method == OUTPUT_ERROR:
-            own = identification.parameters
-        labels: dict[tuple[str, str], list[str]] = {}
-        for parameter in _parameters(recording, name, own):
-            if parameter.verdict == INCONSISTENT or parameter.value is None:
-                key = (parameter.verdict, parameter.reason)
-                labels.setdefault(key, []).append(parameter.estimate)
-        for (verdict, reason), names in labels.items():
-            yield ", ".join(names), verdict, reason
 
 
 def _parameter(name: str, record: ParameterRecord) -> ParameterSummary:

@@ -16,6 +16,7 @@ from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import flag, listing, quoted
 from cosim.log import Log
 from cosim.report.certificate import certificate_of
+from cosim.report.failing import bad_verdicts
 from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
@@ -24,7 +25,6 @@ from cosim.report.summary import (
     Identification,
     SignalError,
     Summary,
-    bad_verdicts,
     numbers_text,
     span,
     summarize,

@@ -127,7 +127,7 @@ class Metric:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class MetricComparison:
     """Two operands that are compared: texts of metrics, or numbers.
 
     Parameters
@@ -156,7 +156,7 @@ def parse_metric_text(name: str, text: str) -> Metric:
     return Metric(name, text, tuple(parser.reductions), arithmetic)
 
 
-def parse_comparisons(text: str, names: Collection[str] = ()) -> list[Comparison]:
+def parse_comparisons(text: str, names: Collection[str] = ()) -> list[MetricComparison]:
     """Parse comparisons of metrics with numbers, or with each other, joined by ``and``.
 
     Parameters
@@ -213,7 +213,7 @@ class _MetricParser:
             raise self._refusal("expected at least one reduction, such as last(plant.y)")
         return arithmetic
 
-    def comparisons(self, names: Collection[str]) -> list[Comparison]:
+    def comparisons(self, names: Collection[str]) -> list[MetricComparison]:
         """Return the comparisons of the text; of a chain each two that are neighbors."""
         tree = parse_metric(self._text, self._source)
         parts = tree.values if isinstance(tree, ast.BoolOp) else [tree]
@@ -234,7 +234,7 @@ class _MetricParser:
                     raise self._refusal(
                         "expected at least one reduction in a comparison, such as last(plant.y)"
                     )
-                found.append(Comparison(left, COMPARISONS[type(operation)], right))
+                found.append(MetricComparison(left, COMPARISONS[type(operation)], right))
         return found
 
     def _written(self, node: ast.expr) -> str:

@@ -20,7 +20,6 @@ from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.plants.descriptor import reduce
-from tests.conftest import leave_out_verdicts
 from tests.scenario.refusals import check_refused
 from tests.theory.academic import THETA, academic, alpha
 
@@ -106,9 +105,7 @@ def plain(experiment, tmp_path_factory):
     """Return a run of the samples of seed 0, in the plainest form of a file, without verdicts."""
     folder = tmp_path_factory.mktemp("plain")
     path = experiment.written(folder, experiment.measured(0))
-    with pytest.MonkeyPatch.context() as patch:
-        leave_out_verdicts(patch)
-        return experiment.run(path)
+    return experiment.run(path, {"scenario.verdicts": False})
 
 
 def error_of(log):
