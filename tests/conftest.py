@@ -176,9 +176,9 @@ def frozen_heap() -> None:
 @pytest.fixture
 def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the verdicts of all runs, as ``scenario.verdicts = false`` does of one."""
-    from cosim.scenario.building.build import Builder
+    from cosim.scenario.identification.run_verdicts import Assessor
 
-    monkeypatch.setattr(Builder, "_judged", lambda builder, graph: {})
+    monkeypatch.setattr(Assessor, "results", lambda assessor: {})
 
 
 ASSESSED: dict[bytes, Any] = {}  # by the problem and the start of the fit, as pickle writes them

@@ -893,11 +893,12 @@ ends = {{ kind = "look-up-table", u = [0.0, 0.5], y = [0.0, 1.0], extrapolation 
     assert found[1:] == found[:1] * 2
 
 
-def test_a_run_without_verdicts_has_the_bits_of_one_with_them():
-    """Only what its end says of the estimates is left out; a replay does as its log."""
+def test_a_run_without_verdicts_has_the_bits_of_one_with_them(tmp_path):
+    """Only what its end says of the estimates is left out; they can be identified later."""
     short = {"scenario.stop": 0.05}
     judged = cosim.run("academic", set=short)
-    bare = cosim.run("academic", set={**short, "scenario.verdicts": False})
+    path = tmp_path / "bare.mcap"
+    bare = cosim.run("academic", set={**short, "scenario.verdicts": False}, out=path)
     assert judged.results["identification"].keys() == {"identifier"}
     assert "identification" not in bare.results
     assert [values.tobytes() for values in bare.values()] == [
@@ -905,3 +906,8 @@ def test_a_run_without_verdicts_has_the_bits_of_one_with_them():
     ]
     (identification,) = bare.summary().identifications
     assert (identification.component, identification.parameters) == ("identifier", ())
+    verdicts = [
+        one["verdict"] for one in judged.results["identification"]["identifier"]["parameters"]
+    ]
+    later = cosim.identify(path)
+    assert [one.verdict for one in later.assessment.parameters] == verdicts

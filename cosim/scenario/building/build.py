@@ -485,9 +485,7 @@ class Builder:
 
     def _judged(self, graph: Graph) -> dict[str, IdentifiedPlant]:
         """Return what estimates are judged by, where all is here that this rests on."""
-        judged: dict[str, IdentifiedPlant] = {}
-        if not self.scenario.file.scenario.verdicts:
-            return judged
+        judged = {}
         for name, plant in self.context.identified.items():
             sources = (name, plant.observer, plant.regressor)
             here = [source for source in sources if source in graph.components]

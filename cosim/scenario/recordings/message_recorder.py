@@ -72,7 +72,9 @@ class MessageRecorder(PassingRecorder):
         self._inner_steps: list[str] = []  # components that seem to keep one
         self._warnings: dict[tuple[str, str], RunMessage] = {}  # by source and text
         self._last: Vector | None = None
-        self._assessor = Assessor(experiment.graph, experiment.identified)
+        is_judged = experiment.scenario.file.scenario.verdicts
+        self._identified = experiment.identified if is_judged else {}
+        self._assessor = Assessor(experiment.graph, self._identified)
 
     @property
     def warnings(self) -> list[RunMessage]:
@@ -130,7 +132,7 @@ class MessageRecorder(PassingRecorder):
             warnings = [list(warning) for warning in self._warnings.values()]
             self._recorder.result({"last": last, WARNINGS: warnings})
             is_regular = error is None or self._came_true(error)
-            if is_regular and self._experiment.identified:
+            if is_regular and self._identified:
                 self._recorder.result({IDENTIFICATION: self._assessor.results()})
 
     def _came_true(self, error: BaseException | None) -> bool:
