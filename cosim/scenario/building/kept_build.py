@@ -185,6 +185,9 @@ class KeptBuild:
     ) -> Experiment | None:
         """Build components again, and put them into the graph; None: they do not fit there."""
         affected = self._resting_on(tables)
+        compared = {name for name, _ in self._warnings}
+        if compared & affected or (compared and any(t.startswith("models.") for t in tables)):
+            return None  # the warnings of a swap have numbers of what is compared
         names = affected | self._fresh
         context = ScenarioBuildContext(scenario, resources, None, unpacked=self._unpacked)
         context.keep_from(self._context, {*tables, *(f"components.{name}" for name in affected)})

@@ -12,6 +12,7 @@ from cosim.errors import CosimError, Interrupted, ScenarioError, UsageError
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
+from cosim.scenario.exporting import export_component
 from cosim.studies.cluster.opening import TRIAL, open_trying_runner
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.members.logging_runner import open_logging_runner
@@ -262,3 +263,20 @@ def test_the_warnings_of_an_fmu_are_those_of_each_member(tmp_path):
     with open_runner(subject) as runner:
         for number in (0, 1):
             assert runner.run(StudyMember(number)).warnings == texts
+
+
+@pytest.mark.slow
+def test_the_warnings_of_a_swap_have_the_numbers_of_each_member(tmp_path):
+    """Poles of what is replaced follow from what is varied."""
+    path = tmp_path / "heavy.fmu"
+    export_component("pair", "motor", path, set={"models.motor.E[0][0]": 0.04})
+    swap = {"motor": str(path)}
+    subject = StudySubject(
+        "pair", swap=swap, set={"scenario.stop": 0.05}, metrics={"y": "last(motor.y)"}
+    )
+    with open_runner(subject) as runner, open_lone_runner(subject) as alone:
+        for number, inertia in enumerate((0.02, 0.08)):
+            member = StudyMember(number, set={"models.motor.E[0][0]": inertia})
+            (text,) = runner.run(member).warnings
+            assert text.endswith(f"poles -0.5 (was {-0.02 / inertia:g})")
+            assert alone.run(member).warnings == [text]
