@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.core.recorded.signals import warning_texts
 from cosim.report.tables.console import (
     new_table,
     print_json,
@@ -126,6 +127,9 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
             "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
             "'cosim diff' compares all their signals"
         )
+    for label, recording in comparison.recordings.items():
+        for text in warning_texts(recording.warnings):
+            print_line(f"warning: {label}: {text}", error=True)
     for outcome in failures:
         for line in outcome.error.splitlines():
             print_line(f"{outcome.label}: failed: {line}", error=True)
