@@ -64,18 +64,22 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     records = {"cosim.run": run, "cosim.connections": connections}
     if experiment.setting_designs:
         records[SETTINGS] = dict(experiment.setting_designs)
-    means = experiment.graph.mean_inputs
     for name in scenario.specs:
-        table = scenario.tree["components"][name]
-        metadata = experiment.metadata.get(name, {})
-        records[f"cosim.component.{name}"] = {
-            "table": json.dumps(table),
-            "metadata": json.dumps(metadata),
-            "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
-        }
-        if experiment.graph.members[name].channel.interface.one_value:
-            records[f"cosim.component.{name}"][MEANS] = json.dumps(means.get(name, []))
+        records[f"cosim.component.{name}"] = _record_of(experiment, name)
     return records
+
+
+def _record_of(experiment: Experiment, name: str) -> dict[str, str]:
+    """Return the metadata record of a component."""
+    scenario = experiment.scenario
+    record = {
+        "table": json.dumps(scenario.tree["components"][name]),
+        "metadata": json.dumps(experiment.metadata.get(name, {})),
+        "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
+    }
+    if experiment.graph.members[name].channel.interface.one_value:
+        record[MEANS] = json.dumps(experiment.graph.mean_inputs.get(name, []))
+    return record
 
 
 def _plain_gain(gain: LoopGain) -> dict[str, Any]:
