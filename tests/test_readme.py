@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 import cosim
+from cosim.errors import LogError
+from cosim.log.foreign.topics import is_foreign
+from cosim.scenario.recordings.recorded_span import check_whole
 from tests import pages
 from tests.log.recordings import layout, record
 
@@ -25,10 +28,28 @@ def python_block(page, text):
 @pytest.mark.fast("README")
 @pytest.mark.parametrize("page", TEXTS)
 def test_a_page_shows_what_its_commands_print(page, tmp_path, monkeypatch):
-    """From top to bottom, in one fresh folder; the numbers of several lines are laws below."""
+    """From top to bottom, in one fresh folder; the numbers of several lines are laws below.
+
+    Each log that it leaves verifies, but for parts without the beginning of their run.
+    """
     monkeypatch.chdir(tmp_path)
     wrong = [shown for shown, _ in pages.run_page(TEXTS[page]) if not shown.right]
     assert wrong == []
+    for log in filter(is_replayed, sorted(tmp_path.rglob("*.mcap"))):
+        code, printed = pages.run_command(f"cosim replay {log} --verify")
+        assert code == 0, printed
+
+
+def is_replayed(path):
+    """Return whether a file is the log of a scenario, from the start of its run on."""
+    if is_foreign(path):
+        return False
+    log = cosim.open_log(path)
+    try:
+        check_whole(log)
+    except LogError:
+        return False
+    return "cosim.run" in log.metadata
 
 
 def test_pages_are_short():

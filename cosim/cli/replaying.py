@@ -52,7 +52,7 @@ VerifyOption = Annotated[
         "--verify",
         help="Check the content hash of the log and compare everything recomputed with the "
         "log: every signal bit for bit, and the records of the run (truth, connections,"
-        " schedule, times, component tables, overrides, substeps, warnings, last row, "
+        " schedule, times, component tables, designs, overrides, substeps, warnings, last row, "
         "verdicts). Shows the first difference of each component; exit 1 if there is "
         "one. Logs are not signed: replacing one by the log of another run is not "
         "detected.",

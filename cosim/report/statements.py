@@ -9,16 +9,17 @@ compared:
 * of the substeps of loops: which, with what errors, and what components had at their ends; beside
   recorded components only the outputs that are computed again;
 * of every component: its table and kind;
-* of those that are computed again, too: the tables that they rest on, their declared signals, held
-  inputs, metadata, warnings and messages;
+* of those that are computed again, too: the tables that they rest on, their designs, their declared
+  signals, held inputs, metadata, warnings and messages;
 * of the end: the content of ``result.json``, its last row and the verdicts on identifiers included.
 
 Of a partial log a replay may have less than the run had: compared is what it has.
 
-Eigenvalues, and times computed from them, are compared to 1 %; estimates and intervals to 1e-6.
+Eigenvalues, and times computed from them, are compared to 1 %; estimates, intervals and designs to
+1e-6. Designs only where the log reaches its stop, as one may rest on how long the run is.
 
-A replay takes the rest as it stands, and nothing here is said of it: designs, certificates, the
-metadata and messages of what it copies, why the run ended, the machine.
+A replay takes the rest as it stands, and nothing here is said of it: certificates, the designs,
+metadata and messages of what it copies, models from files, why the run ended, the machine.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_identification,
     recorded_substep_counts,
     recorded_warnings,
+    replay_origin,
     run_metadata,
 )
 from cosim.scenario.recorded_tables import IdentificationRecord, ParameterRecord
@@ -69,7 +71,7 @@ _ALWAYS_COMPARED = (
     "warnings",
 )
 NOT_COMPARED = (
-    "matrices of plants, gains of controllers and observers, error growth of loops, error "
+    "designs of what was not recomputed, models from files and FMUs, error growth of loops, error "
     "estimates, stop reason, machine, metadata of FMUs and files"
 )
 
@@ -146,6 +148,8 @@ def compared_statements(source: Log, again: Log | Memory) -> str:
     """Return what :func:`contradictions` compares of a log and its replay, in words."""
     statements = _Statements(source, again, ())
     names = list(_ALWAYS_COMPARED)
+    if replay_origin(again).designs is not None:
+        names.insert(names.index("component tables") + 1, "designs")
     if statements.has_all:
         names.insert(0, "truth")
     if statements.has_last_row:
@@ -189,6 +193,8 @@ class _Statements:
         yield from self._of_connections()
         for name in self._known:
             yield from self._of_component(name)
+        for design, (found, computed) in (replay_origin(self._again).designs or {}).items():
+            yield f"design of {design!r}", found, computed
         yield from self._of_messages()
         yield from self._of_substeps()
         yield from self._of_end()

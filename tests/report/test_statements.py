@@ -33,7 +33,6 @@ time_constant = 0.05
 
 # What a replay takes as it stands: its input, and what is said of components that it copies.
 TAKEN = {("cosim.run", "edits"), ("cosim.run", "format")}
-TAKEN_OF_COMPONENTS = {"cosim.design"}
 TAKEN_OF_COPIED = {"metadata", "fingerprint", "cosim.held", "cosim.design"}
 
 
@@ -120,7 +119,7 @@ def records(path):
     for name, items in take_apart(path).metadata:
         component = name.removeprefix("cosim.component.")
         for key in items:
-            taken = TAKEN_OF_COPIED if component == "plant" else TAKEN_OF_COMPONENTS
+            taken = TAKEN_OF_COPIED if component == "plant" else set()
             if name == "cosim.env" or (name, key) in TAKEN or (component != name and key in taken):
                 continue
             yield name, key

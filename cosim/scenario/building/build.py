@@ -615,18 +615,18 @@ def out_of_range(error: Exception) -> str:
 
 
 def parse(document: Document) -> Scenario:
-    """Read and validate a document.
+    """Read and validate a document; it may be a stranger's, so nothing of an FMU or a class runs.
 
     Raises
     ------
     ScenarioError
         With every problem that shows without building the components; if there is one, with every
-        problem of the file.
+        problem of the file that shows without its code.
     """
     scenario, problems = read(document, parse)
     if problems:
         with ExitStack() as resources:
-            Builder(scenario, resources, problems=problems).check()
+            Builder(scenario, resources, problems=problems, describes=True).check()
     return scenario
 
 

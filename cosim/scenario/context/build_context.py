@@ -320,7 +320,8 @@ class ScenarioBuildContext:
 
     def recorded(self, name: str) -> Interface | None:
         """Return the interface of a component that is taken from a recording; None: it is not."""
-        if self._recording is None or self.spec(name).computable:
+        spec = self.spec(name)  # counts as read, in a run as in a replay
+        if self._recording is None or spec.computable:
             return None
         return find_channel(self._recording.channels, name, source=self._recording.label).interface
 

@@ -14,6 +14,7 @@ from cosim.core.recording import Recording
 from cosim.errors import LogError, UsageError
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.context.named_files import NamedFiles
+from cosim.scenario.context.user_classes import NotImported
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.recorded_tables import LinearizationRecord
 
@@ -146,9 +147,10 @@ class ScenarioFmus:
 
         Raises
         ------
+        NotImported
+            If the FMU would have to be run where nothing is to run.
         UsageError
-            If the FMU would have to be run where nothing is to run, or is not to be opened; see
-            :meth:`NamedFiles.path`.
+            If it is not to be opened; see :meth:`NamedFiles.path`.
         FmuError
             If it cannot be linearized as is asked for.
         RunError
@@ -185,8 +187,10 @@ class ScenarioFmus:
 
         Raises
         ------
+        NotImported
+            If only descriptions are read.
         UsageError
-            If only descriptions are read, or it is not to be opened; see :meth:`NamedFiles.path`.
+            If it is not to be opened; see :meth:`NamedFiles.path`.
         FmuError
             If it cannot be linearized as is asked for.
         RunError
@@ -207,14 +211,11 @@ class ScenarioFmus:
 
         Raises
         ------
-        UsageError
+        NotImported
             If only descriptions are read.
         """
         if self._describes:
-            raise UsageError(
-                f"{fmu} must be run to be linearized; here only descriptions are read; "
-                "'cosim run SCENARIO --dry-run' runs it in a separate process"
-            )
+            raise NotImported(fmu)
 
     def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
         from cosim.fmi.linearizing.linearize import linearize_archive

@@ -19,6 +19,7 @@ from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, ScenarioError, UsageError, flag, listing, nearest, quoted
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
+from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
@@ -38,6 +39,10 @@ from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_rec
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.replayed_part import ReplayedPart
+
+# What other processors make of the linear algebra behind a design: of an entry, of the largest one
+_DESIGN_RTOL = 1e-6
+_OF_LARGEST = 1e-9
 
 
 def texts_in(value: Any) -> set[str]:
@@ -367,6 +372,44 @@ def valid_designs(
         if name in experiment.recorded or (same_tables and same_code and same_hold):
             designs[name] = recorded_designs[name]
     return designs
+
+
+def other_designs(experiment: Experiment, source: Log) -> dict[str, tuple[str, str]]:
+    """Compute recorded designs that a replay takes anew; return those that are other ones.
+
+    Returns
+    -------
+    dict of design to (str, str)
+        The entry that differs first, as it is recorded and as it is computed.
+    """
+    step_ns = experiment.clock.step_ns
+    pairs: dict[str, tuple[Design, Design]] = {}
+    for name, recorded in (experiment.designs or {}).items():
+        if recorded and name not in experiment.recorded:
+            pairs[name] = recorded, experiment.graph.prepare_one(name, step_ns, {})
+    if experiment.setting_designs:
+        from cosim.scenario.actions.settings import prepare_settings  # rarely needed
+
+        anew = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+        for key, text in experiment.setting_designs.items():
+            pairs[key] = decode_design(text), decode_design(anew[key])
+    others = {}
+    for name, (recorded, computed) in pairs.items():
+        for key, array in computed.items():
+            found = recorded[key]
+            near = np.isclose(
+                found,
+                array,
+                rtol=_DESIGN_RTOL,
+                atol=_OF_LARGEST * np.abs(array).max(initial=0.0),
+                equal_nan=True,
+            )
+            if not near.all():
+                place = tuple(int(index) for index in np.argwhere(~near)[0])
+                entry = key + "".join(f"[{index}]" for index in place)
+                others[name] = (f"{entry} = {found[place]}", f"{entry} = {array[place]}")
+                break
+    return others
 
 
 def _same_code(experiment: Experiment, source: Log, name: str) -> bool:

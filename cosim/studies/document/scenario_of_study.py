@@ -8,9 +8,10 @@ from cosim.errors import UsageError
 from cosim.files import file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.document.document import Document
+from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recordings.recorded_scenario import recorded_document
-from cosim.scenario.running.execution import load, load_document
+from cosim.scenario.running.execution import load
 
 
 def is_log(scenario: str) -> bool:
@@ -42,4 +43,18 @@ def load_scenario(scenario: str) -> Scenario:
             f"{scenario} was written by another tool and carries no scenario; expected a study or "
             "a scenario; replay the log with it"
         )
-    return load_document(recorded_document(open_log(scenario)))
+    return _read_recorded(recorded_document(open_log(scenario)))
+
+
+def _read_recorded(document: Document) -> Scenario:
+    """Read the document of a log, of which nothing is built: that would open what it names.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem that its text has.
+    """
+    scenario, problems = read(document, _read_recorded)
+    if problems:
+        raise document.report(problems)
+    return scenario

@@ -8,6 +8,8 @@ import pytest
 
 import cosim
 from cosim.scenario.exporting import export_component
+from tests.fmi import lag
+from tests.fmi.compiled import compile_fmu
 from tests.log.crafting import put_together, take_apart
 
 MONITOR = """
@@ -93,3 +95,102 @@ def test_a_replay_opens_its_log_and_what_the_command_line_names(tmp_path):
     code, opened = answers[-1]
     assert code == 0, errors
     assert str(tmp_path / "bait.fmu") in opened
+
+
+CODE = '''
+from pathlib import Path
+
+from cosim.core import Interface, Signal
+
+Path("ran").write_text(__name__)
+
+
+class Own:
+    interface = Interface((Signal("u"),), (Signal("y"),), feedthrough={"y": ("u",)})
+
+    def initialize(self, t, u):
+        return u
+
+    def outputs(self, t, u):
+        return u
+
+    def advance(self, t, h, u):
+        return u[1:]
+'''
+OF_CODE = """
+[scenario]
+name = "code"
+stop = 0.1
+step = 0.01
+
+[components]
+u = { kind = "sine", rate = 5.0 }
+plant = { kind = "fmu", path = "lag.fmu" }
+own = { kind = "python", class = "own:Own" }
+filter = { kind = "lag", time_constant = 0.1 }
+
+[connections]
+"plant.u" = "u.y"
+"own.u" = "plant.y"
+"filter.u" = "own.y"
+"""
+KEYS = ["nothing.x", "filter.zzz", "plant.zzz", "own.zzz", "scenario.zzz", "plant.start.zzz", "x"]
+WRONG = [
+    *[["--set", f"{key}=1"] for key in KEYS],
+    *[["--set", text] for text in ("filter.time_constant='a'", "filter.time_constant=[1", "=1")],
+    *[["--set", text] for text in ("scenario.step=0", "scenario.stop=-1", "scenario.step=0.007")],
+    *[["--swap", text] for text in ("x=bait.mcap", "filter=missing.fmu", "plant", "u=code.toml")],
+    *[["--map", text] for text in ("plant.y=z", "plant", "x.y=z")],
+    ["--stop", "x"],
+    ["--zzz"],
+]
+METRICS = ["m=last(filter.y)", "m=last(nothing.y)", "m=last(", "last(filter.y)"]
+
+
+def commands_on(log):
+    """Return every command with a log from elsewhere, rightly and with each wrong argument."""
+    replay = ["replay", log]
+    commands = [[*replay, *more] for more in ([], ["--verify"], ["--rerun"], *WRONG)]
+    commands += [[*replay, "--vary", f"{key}=1,2"] for key in KEYS]
+    commands += [[*replay, "--component", name] for name in ("own", "plant", "zzz")]
+    study = ["study", log, "--dry-run"]
+    tune = ["tune", log, "--members", "2"]
+    for key in (*KEYS, "filter.time_constant"):
+        commands += [[*study, "--vary", f"{key}=1,2", "--metric", text] for text in METRICS]
+        commands.append([*tune, "--vary", f"{key}=1:2", "--minimize", "last(filter.y)"])
+    varied = ["--vary", "filter.time_constant=1:2"]
+    commands += [[*tune, *varied, "--minimize", text] for text in METRICS[1:]]
+    for more in WRONG:
+        commands.append([*study, "--vary", "filter.time_constant=1,2", "--metric", METRICS[0], *more])
+        commands.append([*tune, *varied, "--minimize", "last(filter.y)", *more])
+    of_a_scenario = [["run"], ["compare"], ["design"], ["info"], ["check"], ["show"]]
+    of_a_scenario += [["export", "--component", "filter"], ["linearize"], ["identify"]]
+    commands += [[*words, log] for words in of_a_scenario]
+    commands += [[*words, log, *more] for words in of_a_scenario for more in WRONG[:6:5]]
+    commands += [[name, log] for name in ("hash", "cat", "metrics", "recover", "cut", "merge")]
+    commands += [["metrics", log, text] for text in METRICS]
+    commands += [["cat", log, "--signals", name] for name in ("filter.*", "zzz.*")]
+    commands += [["diff", log, log, *more] for more in ([], ["zzz.y"], ["--tol", "x"])]
+    commands.append(["convert", log, "out.csv", "--force"])
+    return [[*command] for command in commands]
+
+
+@pytest.mark.slow
+def test_no_command_runs_the_code_of_a_log(tmp_path, monkeypatch):
+    """Neither the FMU in it nor the class it names, whatever is wrong with the other arguments.
+
+    Both leave a file behind as soon as they are loaded, in a worker of a study too.
+    """
+    monkeypatch.chdir(tmp_path)
+    compile_fmu(tmp_path / "lag.fmu", lag.xml("2"), "lag2.c", "marking.c", defines=('MARK="ran"',))
+    (tmp_path / "own.py").write_text(CODE, encoding="utf-8")
+    (tmp_path / "code.toml").write_text(OF_CODE, encoding="utf-8")
+    run_monitored([["run", "code.toml", "--out", "bait.mcap", "--embed", "--quiet"]], tmp_path)
+    (tmp_path / "ran").unlink()
+    commands = commands_on("bait.mcap")
+    answers, _ = run_monitored(commands, tmp_path)
+    for command, (code, opened) in zip(commands, answers, strict=True):
+        libraries = [name for name in opened if name.endswith(("model.so", "own.py", "lag.fmu"))]
+        assert libraries == [], command
+        assert code in (0, 1, 2), command
+    assert not (tmp_path / "ran").exists()

@@ -285,3 +285,29 @@ def test_fmus_are_embedded_in_logs_alone(folder):
 
     with pytest.raises(UsageError, match="expected embed=True or a recorder, got both"):
         cosim.run(folder / "fmu.toml", embed=True, recorder=Memory())
+
+
+def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path):
+    """Its log has the tables and hashes of an honest one, and its own rows and matrices."""
+    short = {"scenario.stop": 1.0}  # the setpoint steps at 0.5 s
+    honest = cosim.run("pair", out=tmp_path / "honest.mcap", set=short)
+    heavier = {**short, "models.motor.E[0][0]": 0.04}
+    other = cosim.run("pair", out=tmp_path / "other.mcap", set=heavier)
+    said = dict(take_apart(honest.path).metadata)
+
+    def say(content):
+        for name, items in content.metadata:
+            if name == "cosim.run" or name.startswith("cosim.component."):
+                items.update({key: said[name][key] for key in items if key != "cosim.design"})
+
+    log = cosim.open_log(forged(other, tmp_path / "forged.mcap", say))
+    verification = verify(log, cosim.replay(log, rerun=True))
+    assert verification.difference.equal
+    (found,) = verification.contradictions
+    assert found.statement == "design of 'motor'"
+    # of E x' = A x + ...: the derivative by the first state is A/E, half as large for 2 E
+    name, _, matrix_entry = found.found.partition(" = ")
+    assert found.expected.startswith(f"{name} = ")
+    assert float(matrix_entry) == pytest.approx(0.5 * float(found.expected.partition(" = ")[2]))
+    assert verify(honest, cosim.replay(honest, rerun=True)).passed
+    assert verify(log, cosim.replay(log)).passed  # what is copied says nothing of its matrices
