@@ -30,6 +30,15 @@ PortOption = Annotated[
     typer.Option(metavar="NUMBER", help="Port for viewers; default: 8765. 0: any free port."),
 ]
 
+AllowHostOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Further host whose pages may connect as viewers, or further name of this machine. "
+        "Repeatable; default: programs, pages of this machine, app.foxglove.dev.",
+    ),
+]
+
 LiveOption = Annotated[
     bool,
     typer.Option(
@@ -66,6 +75,7 @@ def play(
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a viewer before playing.")] = False,
     host: HostOption = None,
     port: PortOption = None,
+    allow_host: AllowHostOption = None,
     layout: Annotated[
         Path | None,
         typer.Option(
@@ -86,7 +96,7 @@ def play(
     source = open_log(log)
     if layout is not None:
         _write_layout(source, layout)
-    with interruptible() as check, _server(host, port, signals) as server:
+    with interruptible() as check, _server(host, port, allow_host, signals) as server:
         playback = Playback(source, server, speed=speed, check=check)
         typer.echo(f"{server.url}: {printable(str(log))}, {speed:g} x the wall clock")
         try:
@@ -99,7 +109,11 @@ def play(
 
 @contextmanager
 def shown_live(
-    wanted: bool, host: str | None, port: int | None, signals: list[str] | None
+    wanted: bool,
+    host: str | None,
+    port: int | None,
+    allow_host: list[str] | None,
+    signals: list[str] | None,
 ) -> Iterator[LiveServer | None]:
     """Yield the server that shows a run; None: it is not shown.
 
@@ -109,18 +123,20 @@ def shown_live(
         If there are options of it without it, or it cannot listen.
     """
     if not wanted:
-        for name, value in (("--host", host), ("--port", port), ("--show", signals)):
+        given = {"--host": host, "--port": port, "--allow-host": allow_host, "--show": signals}
+        for name, value in given.items():
             if value is not None and value != []:
                 raise UsageError(f"{name} needs --live")
         yield None
         return
-    with _server(host, port, signals, notice=print_notice) as server:
+    with _server(host, port, allow_host, signals, notice=print_notice) as server:
         yield server
 
 
 def _server(
     host: str | None,
     port: int | None,
+    allow_host: list[str] | None,
     signals: list[str] | None,
     *,
     notice: Callable[[str], None] | None = None,
@@ -131,6 +147,7 @@ def _server(
         host=HOST if host is None else host,
         port=PORT if port is None else port,
         signals=signals or (),
+        allow_host=allow_host or (),
         notice=notice,
     )
 

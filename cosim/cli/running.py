@@ -38,7 +38,14 @@ from cosim.cli.options import (
     read_unique_pairs,
     run_in_child,
 )
-from cosim.cli.playing import HostOption, LiveOption, PortOption, ShowOption, shown_live
+from cosim.cli.playing import (
+    AllowHostOption,
+    HostOption,
+    LiveOption,
+    PortOption,
+    ShowOption,
+    shown_live,
+)
 from cosim.errors import UsageError
 from cosim.terminal import show_progress
 
@@ -165,6 +172,7 @@ def run(
     live: LiveOption = False,
     host: HostOption = None,
     port: PortOption = None,
+    allow_host: AllowHostOption = None,
     show: ShowOption = None,
     flush: FlushOption = None,
     sync: SyncOption = False,
@@ -219,7 +227,7 @@ def run(
         _check_rotated(plot, profile=profile)
     seconds: dict[str, float] | None = {} if profile else None
     with (
-        shown_live(live, host, port, show) as server,
+        shown_live(live, host, port, allow_host, show) as server,
         show_progress(quiet or as_json) as progress,
         prints_to_stderr(),
     ):

@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import socket
 import sys
-import time
 from typing import Any, Final, final
 
 from cosim.errors import UsageError, option
 
 _LARGEST_PORT: Final = 2**16 - 1
-_LOOKS: Final = 100  # at whether an address is free again, at most
-_PAUSE: Final = 0.002  # s between two of them
 
 
 @final
@@ -42,34 +39,21 @@ class ReservedAddress:
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
             family, kind, protocol, _, address = found[0]
-            self._socket = socket.socket(family, kind, protocol)
+            self.socket = socket.socket(family, kind, protocol)
             try:
-                _bind(self._socket, address)
+                _bind(self.socket, address)
             except BaseException:
-                self._socket.close()
+                self.socket.close()
                 raise
         except (OSError, ValueError) as error:  # names that are none are ValueErrors
             reason = getattr(error, "strerror", None) or str(error)
             raise self.refusal(reason) from error
-        self._family = family
-        self._address: Any = self._socket.getsockname()
-        number, self.port = self._address[:2]
+        number, self.port = self.socket.getsockname()[:2]
         self.host = f"[{number}]" if family == socket.AF_INET6 else number
 
     def release(self) -> None:
-        """Leave the address to the server; nothing where it was left already."""
-        self._socket.close()
-
-    def wait_until_free(self) -> None:
-        """Wait until a server that was stopped listens no more; it stops in threads of its own."""
-        for _ in range(_LOOKS):
-            with socket.socket(self._family, socket.SOCK_STREAM) as probe:
-                try:
-                    _bind(probe, self._address)
-                except OSError:
-                    time.sleep(_PAUSE)
-                else:
-                    return
+        """Give the address back."""
+        self.socket.close()
 
     def refusal(self, reason: str) -> UsageError:
         """Return the error of an address that cannot be used."""

@@ -8,22 +8,25 @@ takes nothing at all is disconnected. So no viewer delays the sender.
 from __future__ import annotations
 
 import logging
+import secrets
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.errors import UsageError
 from cosim.live.address import ReservedAddress
+from cosim.live.gate import PATIENCE, Gate
 
 if TYPE_CHECKING:
     from foxglove import Channel as SdkChannel
     from foxglove.websocket import WebSocketServer
 
 BACKLOG: Final = 2**16  # messages that wait for a viewer, before the oldest is dropped
+_LOOPBACK: Final = "127.0.0.1"
 _QUIET: Final = 0.25  # s in which viewers receive, or subscribe to, what is left
-_PATIENCE: Final = 0.05  # s between two looks at whether the program is to end
+_LOOK: Final = 0.05  # s between two looks at whether the program is to end
 
 
 def load_sdk() -> ModuleType:
@@ -87,6 +90,8 @@ class ViewerConnection:
         0: any free one.
     name : str
         Shown by viewers.
+    hosts : collection of str
+        See :func:`cosim.live.gate.refusal`.
 
     Raises
     ------
@@ -94,9 +99,11 @@ class ViewerConnection:
         If the SDK is missing, or the address cannot be used.
     """
 
-    def __init__(self, host: str, port: int, name: str) -> None:
+    def __init__(self, host: str, port: int, name: str, hosts: Collection[str] = ()) -> None:
         self._sdk = load_sdk()
         self._name = name
+        self._hosts = (host, *hosts)
+        self._gate: Gate | None = None
         self._address = ReservedAddress(host, port)
         self._context = self._sdk.Context()
         self._listener = _Listener()
@@ -112,7 +119,7 @@ class ViewerConnection:
     @property
     def listens(self) -> bool:
         """Whether viewers can connect."""
-        return self._server is not None
+        return self._gate is not None
 
     def topic(
         self, name: str, *, schema_name: str, schema: bytes, metadata: Mapping[str, str]
@@ -151,19 +158,29 @@ class ViewerConnection:
         UsageError
             If somebody else has taken the address.
         """
-        self._address.release()
+        server = self._start(_unlikely_address())
+        try:
+            self._gate = Gate(self._address.socket, server, self._hosts)
+        except OSError as error:
+            raise self._address.refusal(error.strerror or str(error)) from error
+
+    def _start(self, host: str) -> tuple[str, int]:
+        """Start the server behind the gate; return its address."""
         try:
             self._server = self._sdk.start_server(
                 name=self._name,
-                host=self._address.host,
-                port=self._address.port,
+                host=host,
+                port=0,
                 capabilities=[self._sdk.websocket.Capability.Time],
                 server_listener=self._listener,
                 context=self._context,
                 message_backlog_size=BACKLOG,
             )
         except RuntimeError as error:
-            raise self._address.refusal(str(error)) from error
+            if host == _LOOPBACK:
+                raise self._address.refusal(str(error)) from error
+            return self._start(_LOOPBACK)
+        return host, self._server.port
 
     def set_time(self, time_ns: int) -> None:
         """Send viewers the time of the messages that follow, where it goes on."""
@@ -185,7 +202,7 @@ class ViewerConnection:
             Called again and again; what it raises ends the waiting.
         """
         subscribed = self._listener.subscribed
-        while not subscribed.wait(_PATIENCE):
+        while not subscribed.wait(_LOOK):
             check()
         # They subscribe to one topic after the other.
         while subscribed.is_set():
@@ -195,10 +212,18 @@ class ViewerConnection:
 
     def close(self) -> None:
         """Stop the server; first give viewers the time to receive what is on its way."""
+        if self._server is not None:
+            if any(topic.is_watched for topic in self._topics):
+                time.sleep(_QUIET)
+            # it waits for answers of viewers, which need not come
+            stopping = threading.Thread(target=self._server.stop, daemon=True)
+            stopping.start()
+            stopping.join(PATIENCE)
+        if self._gate is not None:
+            self._gate.close()
         self._address.release()
-        if self._server is None:
-            return
-        if any(topic.is_watched for topic in self._topics):
-            time.sleep(_QUIET)
-        self._server.stop()
-        self._address.wait_until_free()
+
+
+def _unlikely_address() -> str:
+    """Return an address of this machine alone that nobody guesses: who knows it passes the gate."""
+    return f"127.{secrets.randbelow(256)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"

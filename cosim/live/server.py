@@ -32,6 +32,9 @@ class LiveServer:
     signals : sequence of str
         Components, signals or patterns such as ``*.delta`` to publish, with all of the channels
         that hold them; none: all.
+    allow_host : sequence of str
+        Further host names: of pages that viewers are, such as ``viewer.example.org``, and of this
+        machine. Without: pages of this machine, files, app.foxglove.dev, and programs.
     notice : callable, optional
         Called with the address of the server when viewers can connect.
     """
@@ -42,11 +45,13 @@ class LiveServer:
         host: str = HOST,
         port: int = PORT,
         signals: Sequence[str] = (),
+        allow_host: Sequence[str] = (),
         notice: Callable[[str], None] | None = None,
     ) -> None:
         self._host = host
         self._port = port
         self.signals = tuple(signals)
+        self._hosts = tuple(allow_host)
         self._notice = notice
         self._connection: ViewerConnection | None = None
 
@@ -58,7 +63,7 @@ class LiveServer:
         UsageError
             If foxglove-sdk is not installed, or the address cannot be used.
         """
-        self._connection = ViewerConnection(self._host, self._port, "cosim")
+        self._connection = ViewerConnection(self._host, self._port, "cosim", self._hosts)
         return self
 
     def __exit__(

@@ -10,7 +10,7 @@ from tests.log.decoding import message_class
 class CollectingConnection:
     """Stands for the connection to a viewer that subscribes to all topics."""
 
-    def __init__(self, host, port, name):
+    def __init__(self, host, port, name, hosts=()):
         self.url = f"ws://{host}:{port}"
         self.listens = False
         self.topics = {}

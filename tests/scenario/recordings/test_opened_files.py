@@ -97,7 +97,7 @@ def test_a_replay_opens_its_log_and_what_the_command_line_names(tmp_path):
     assert str(tmp_path / "bait.fmu") in opened
 
 
-CODE = '''
+CODE = """
 from pathlib import Path
 
 from cosim.core import Interface, Signal
@@ -116,7 +116,7 @@ class Own:
 
     def advance(self, t, h, u):
         return u[1:]
-'''
+"""
 OF_CODE = """
 [scenario]
 name = "code"
@@ -161,7 +161,9 @@ def commands_on(log):
     varied = ["--vary", "filter.time_constant=1:2"]
     commands += [[*tune, *varied, "--minimize", text] for text in METRICS[1:]]
     for more in WRONG:
-        commands.append([*study, "--vary", "filter.time_constant=1,2", "--metric", METRICS[0], *more])
+        commands.append(
+            [*study, "--vary", "filter.time_constant=1,2", "--metric", METRICS[0], *more]
+        )
         commands.append([*tune, *varied, "--minimize", "last(filter.y)", *more])
     of_a_scenario = [["run"], ["compare"], ["design"], ["info"], ["check"], ["show"]]
     of_a_scenario += [["export", "--component", "filter"], ["linearize"], ["identify"]]
