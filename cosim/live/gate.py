@@ -32,7 +32,7 @@ _MOST_BYTES: Final = 2**16  # of a handshake, and at once
 
 
 def refusal(head: bytes, hosts: Collection[str] = ()) -> str:
-    """Return why who sends the head of an HTTP request may not connect; empty: it may.
+    r"""Return why who sends the head of an HTTP request may not connect; empty: it may.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def refusal(head: bytes, hosts: Collection[str] = ()) -> str:
 
     Examples
     --------
-    >>> refusal(b"GET / HTTP/1.1\\r\\nHost: 127.0.0.1:8765\\r\\n\\r\\n")
+    >>> refusal(b"GET / HTTP/1.1\r\nHost: 127.0.0.1:8765\r\n\r\n")
     ''
     """
     known = _KNOWN | {host.lower() for host in hosts}

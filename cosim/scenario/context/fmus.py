@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.core.contracts import Component
 from cosim.core.recording import Recording
-from cosim.errors import LogError, UsageError
+from cosim.errors import LogError
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.context.user_classes import NotImported
