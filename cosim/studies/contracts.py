@@ -18,6 +18,7 @@ COMPLETE: Final = "complete"
 FAILED: Final = "failed"
 RECORDING: Final = "recording"  # name of the column with the log that is replayed
 SWAP: Final = "swap."  # what the key of a swap that is varied begins with
+MOST_MEMBERS: Final = 2 * 10**7  # whose columns fit into the memory of a small machine
 HANGS: Final = "hangs: "  # begins the reason of a member that took longer than it might
 
 

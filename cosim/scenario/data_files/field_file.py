@@ -102,6 +102,8 @@ def read_field_data(
         If the file cannot be read, is no such table, or has times that do not ascend.
     """
     path = Path(path)
+    if isinstance(offset, int | float) and not math.isfinite(offset):
+        raise UsageError(f'offset: expected a finite number or "first", got {offset}')
     if path.suffix.lower() == MCAP:
         return _read_recorded(path, time, time_unit, offset=offset, columns=columns or {})
     table: _FieldTable
@@ -292,9 +294,11 @@ class _TimeStamps:
 
     def add(self, stamp: Decimal, place: str) -> None:
         """Take the next time stamp."""
-        if self._offset is None:
-            self._offset = stamp
-        t = float((stamp - self._offset) * self._seconds)
+        t = float(stamp)
+        if math.isfinite(t):
+            if self._offset is None:
+                self._offset = stamp
+            t = float((stamp - self._offset) * self._seconds)
         if not math.isfinite(t):
             raise UsageError(f"{self._label}, {place}: expected a finite time, got {t!r} s")
         if self.t and not t > self.t[-1]:
@@ -538,7 +542,7 @@ class _ParquetTable:
     def _only_parquet(self) -> Iterator[None]:
         try:
             yield
-        except (self._arrow.ArrowException, OSError) as error:
+        except (self._arrow.ArrowException, OSError, UnicodeDecodeError) as error:
             raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
     @cached_property

@@ -186,9 +186,10 @@ def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None
         return None
     actions = tree.get(ACTIONS, [])
     number, *inner = path
-    if not isinstance(actions, list) or number not in map(str, range(len(actions))):
-        count = len(actions)
-        return f"unknown action {number!r}; {numbered(count)}"
+    if not isinstance(actions, list):  # the schema of the file names that
+        return None
+    if number not in map(str, range(len(actions))):
+        return f"unknown action {number!r}; {numbered(len(actions))}"
     table = actions[int(number)]
     if not inner or not isinstance(table, dict):
         actions[int(number)] = deepcopy(value)

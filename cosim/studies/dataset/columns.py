@@ -15,7 +15,8 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from cosim.errors import DatasetError, UsageError
+from cosim.errors import DatasetError, UsageError, quoted
+from cosim.log.contents.metadata import read_json
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, MetricValue, StudyMember
 
 ColumnType: TypeAlias = Literal["double", "int64", "bool", "string", "list<double>", "json"]
@@ -154,6 +155,20 @@ def _is_number(value: Any) -> bool:
 def json_text(value: Any) -> str | None:
     """Return a value as JSON, dates as text; None: there is none."""
     return None if value is None else json.dumps(value, default=str, ensure_ascii=False)
+
+
+def json_value(text: str) -> Any:
+    """Return the value of a text that :func:`json_text` made.
+
+    Raises
+    ------
+    DatasetError
+        If it is none.
+    """
+    try:
+        return read_json(text)
+    except ValueError as error:
+        raise DatasetError(f"the dataset is damaged: expected JSON, got {quoted(text)}") from error
 
 
 class RowMaker:

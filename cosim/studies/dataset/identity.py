@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
+from pydantic import TypeAdapter
+
 from cosim.digests import digest_of
 from cosim.errors import DatasetError, flag
+from cosim.log.contents.metadata import read_json
 from cosim.studies.dataset.columns import StudyColumn, all_columns
 from cosim.studies.dataset.layout import PartLayout
 from cosim.version import __version__
@@ -138,7 +141,7 @@ class DatasetDescription:
             If it is damaged, or of another version of the format.
         """
         try:
-            found = json.loads(content)
+            found = read_json(content)
             checksum = found.pop(_CHECKSUM)
             version = found["format"]
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -152,7 +155,7 @@ class DatasetDescription:
             raise _damaged(label)
         try:
             return cls._of_content(found)
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise DatasetError(
                 f"{label}: written by another revision of cosim {found.get('cosim')}; read it "
                 "with that one, or choose another folder"
@@ -160,19 +163,23 @@ class DatasetDescription:
 
     @classmethod
     def _of_content(cls, content: Mapping[str, Any]) -> DatasetDescription:
-        layout = PartLayout(content["part_size"], tuple(content["lengths"]))
-        identity = StudyIdentity(
-            name=content["name"],
-            text=content["study"],
-            digests=content["digests"],
-            columns=tuple(StudyColumn(**column) for column in content["columns"]),
-            members=layout.total,
-            part_size=layout.size,
-            version=content["cosim"],
-            designs=content["designs"],
-            replay_designs=tuple((path, text) for path, text in content["replay_designs"]),
+        layout = TypeAdapter(PartLayout).validate_python(
+            {"size": content["part_size"], "lengths": content["lengths"]}
         )
-        return cls(identity, content["sha256"], layout)
+        identity = TypeAdapter(StudyIdentity).validate_python(
+            {
+                "name": content["name"],
+                "text": content["study"],
+                "digests": content["digests"],
+                "columns": content["columns"],
+                "members": layout.total,
+                "part_size": layout.size,
+                "version": content["cosim"],
+                "designs": content["designs"],
+                "replay_designs": content["replay_designs"],
+            }
+        )
+        return cls(identity, str(content["sha256"]), layout)
 
 
 def scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
@@ -249,7 +256,7 @@ def check_is_dataset(content: bytes | None, label: str) -> None:
     if content is None:
         return
     try:
-        found = json.loads(content)
+        found = read_json(content)
     except ValueError:
         return
     if not isinstance(found, dict) or _CHECKSUM not in found:

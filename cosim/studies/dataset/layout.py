@@ -11,7 +11,11 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from cosim.studies.contracts import MOST_MEMBERS
 
 PARTS: Final = "parts"
 _NAME: Final = re.compile(r"part-(\d+)-(\d+)\.parquet")
@@ -29,8 +33,14 @@ class PartLayout:
         How many members the study had, each time that it was planned; rising.
     """
 
-    size: int
-    lengths: tuple[int, ...]
+    size: Annotated[int, Field(ge=1)]
+    lengths: Annotated[
+        tuple[Annotated[int, Field(ge=0, le=MOST_MEMBERS)], ...], Field(min_length=1)
+    ]
+
+    def __post_init__(self) -> None:
+        if list(self.lengths) != sorted(self.lengths):
+            raise ValueError(f"expected rising numbers of members, got {self.lengths}")
 
     @property
     def total(self) -> int:

@@ -16,8 +16,11 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, final
+
+from pydantic import TypeAdapter
 
 from cosim.log.mcap_file.unfinished import is_written
 from cosim.studies.dataset.storage import DatasetJournal, Storage
@@ -174,10 +177,9 @@ class LogFiles:
 
 def _records(storage: Storage) -> list[LogRecord]:
     """Return the records that can be read; a log whose record cannot has none."""
+    adapter = TypeAdapter(LogRecord)
     records = []
     for line in (storage.read(LOG_RECORDS) or b"").splitlines():
-        try:
-            records.append(LogRecord(**json.loads(line)))
-        except (ValueError, TypeError):
-            continue
+        with suppress(ValueError):
+            records.append(adapter.validate_json(line))
     return records

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from cosim.errors import DatasetError
+from cosim.log.contents.metadata import read_json
 from cosim.studies.dataset.columns import MemberRow
 from cosim.studies.dataset.layout import PartLayout
 from cosim.studies.dataset.storage import DatasetJournal, Storage
@@ -121,7 +122,7 @@ def _line(row: MemberRow) -> bytes:
 def _row(line: bytes, width: int) -> MemberRow | None:
     """Return the row of a line; None: it is damaged."""
     try:
-        row = json.loads(line)
+        row = read_json(line)
     except ValueError:
         return None
     if not isinstance(row, list) or len(row) != width or type(row[0]) is not int:

@@ -12,6 +12,7 @@ from typing import Any, Final
 from cosim.errors import DatasetError
 from cosim.studies.dataset.columns import MemberRow, StudyColumn, arrow_schema, pyarrow
 from cosim.studies.dataset.layout import part_name
+from cosim.studies.dataset.open_rows import JOURNAL
 from cosim.studies.dataset.storage import Storage
 
 _STUDY: Final = "cosim.study"
@@ -37,12 +38,24 @@ class PartFiles:
         self.schema = arrow_schema(columns, {_STUDY: sha256})
 
     def table(self, rows: Sequence[MemberRow]) -> Any:
-        """Return rows as a table."""
+        """Return rows as a table.
+
+        Raises
+        ------
+        DatasetError
+            If one has values of other types, as one that nobody recorded.
+        """
         arrow = pyarrow()
-        arrays = [
-            arrow.array([row[number] for row in rows], field.type)
-            for number, field in enumerate(self.schema)
-        ]
+        try:
+            arrays = [
+                arrow.array([row[number] for row in rows], field.type)
+                for number, field in enumerate(self.schema)
+            ]
+        except (arrow.ArrowException, TypeError, ValueError, OverflowError) as error:
+            raise DatasetError(
+                f"{self._storage.label(JOURNAL)}: a row is damaged; remove the file and run the "
+                "study again: its members are rerun"
+            ) from error
         return arrow.Table.from_arrays(arrays, schema=self.schema)
 
     def write(self, part: range, rows: Sequence[MemberRow]) -> None:
@@ -82,7 +95,8 @@ class PartFiles:
             if not file.schema_arrow.equals(self.schema):  # whichever columns are asked for
                 raise self._damaged(name)
             table = file.read(columns=list(names), use_threads=False).select(list(names))
-        except (arrow.ArrowException, OSError, KeyError) as error:
+            table.validate(full=True)  # texts too
+        except (arrow.ArrowException, OSError, KeyError, UnicodeDecodeError) as error:
             raise self._damaged(name) from error
         if len(table) != len(part):
             raise self._damaged(name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, RECORDING, SWAP, StudyMember
-from cosim.studies.dataset.columns import MEMBER, ColumnRole, StudyColumn
+from cosim.studies.dataset.columns import MEMBER, ColumnRole, StudyColumn, json_value
 from cosim.studies.dataset.study_dataset import StudyDataset
 
 if TYPE_CHECKING:
@@ -190,7 +189,7 @@ def _member_of(row: Mapping[str, Any], columns: Iterable[StudyColumn]) -> StudyM
         if column.name.startswith(SWAP):
             swaps[column.name.removeprefix(SWAP)] = value
         else:
-            changes[column.name] = json.loads(value) if column.type == "json" else value
+            changes[column.name] = json_value(value) if column.type == "json" else value
     recording = changes.pop(RECORDING, None)
     return StudyMember(row[MEMBER], changes, swaps, recording)
 

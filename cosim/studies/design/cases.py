@@ -171,15 +171,14 @@ def _read_parquet(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]
 
     try:
         table = parquet.read_table(path)
-    except (OSError, pyarrow.ArrowException) as error:
+        names = list(table.column_names)
+        if not table.num_rows:
+            raise UsageError(f"file {file} {NO_ROWS}")
+        pairs = zip(names, table.columns, strict=True)
+        return names, [_read_column(column, file, name) for name, column in pairs]
+    except (OSError, pyarrow.ArrowException, UnicodeDecodeError) as error:
         reason = str(error).partition("\n")[0]
         raise UsageError(f"file {file} cannot be read as Parquet: {reason}") from error
-    if not table.num_rows:
-        raise UsageError(f"file {file} {NO_ROWS}")
-    columns = []
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        columns.append(_read_column(column, file, name))
-    return list(table.column_names), columns
 
 
 def _read_column(column: Any, file: str, name: str) -> ColumnValues:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, final
+from typing import Annotated, Any, Protocol, TypeAlias, final
 
 import numpy as np
+from pydantic import Field
+
+from cosim.studies.contracts import MOST_MEMBERS
 
 MemberIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.int64]]
 ColumnValues: TypeAlias = np.ndarray[Any, Any] | list[Any]
+_Count: TypeAlias = Annotated[int, Field(ge=1, le=MOST_MEMBERS)]  # where it is read from a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +30,9 @@ class MemberNumbering:
         Points of the grid.
     """
 
-    samples: int = 1
-    seeds: int = 1
-    grid: int = 1
+    samples: _Count = 1
+    seeds: _Count = 1
+    grid: _Count = 1
 
     @property
     def members(self) -> int:

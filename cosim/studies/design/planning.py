@@ -15,7 +15,7 @@ from cosim.errors import UsageError, nearest, option, quoted
 from cosim.scenario.document.edits import short
 from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
-from cosim.studies.contracts import RECORDING, SWAP
+from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP
 from cosim.studies.design.cases import read_cases
 from cosim.studies.design.columns import (
     DesignColumn,
@@ -33,7 +33,6 @@ from cosim.studies.design.study_design import SampleKind, StudyDesign
 from cosim.studies.document.study_file import StudyFile
 from cosim.studies.document.variations import GridVariation, SampledVariation
 
-MOST_MEMBERS: Final = 2 * 10**7  # whose columns fit into the memory of a small machine
 _BLOCK: Final = 2**16  # samples
 
 

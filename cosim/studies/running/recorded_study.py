@@ -5,23 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from cosim.digests import source_digest
 from cosim.errors import UsageError
 from cosim.log.contents.environment import environment
+from cosim.log.contents.metadata import read_json
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.dataset.study import Study
 from cosim.studies.design.commands import run_command
 from cosim.studies.document.study_file import StudyFile, study_of
 from cosim.version import __version__
-
-_TABLES: Final = "tables"
-_LAYOUT: Final = "layout"
-_SOURCE: Final = "source"
-_ENVIRONMENT: Final = "environment"
-_SEARCH: Final = "search"
-_WARNINGS: Final = "warnings"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +81,15 @@ class RecordedStudy:
 
     def to_text(self) -> str:
         """Return the text that a dataset keeps."""
-        described = {
-            _TABLES: self.study.to_dict(),
-            _SOURCE: self.study.source,
-            _LAYOUT: self.layout.to_dict(),
-            _ENVIRONMENT: dict(self.environment),
-            _SEARCH: None if self.search is None else asdict(self.search),
-            _WARNINGS: list(self.warnings),
-        }
-        return json.dumps(described, ensure_ascii=False)
+        described = _Described(
+            self.study.to_dict(),
+            self.study.source,
+            self.layout,
+            dict(self.environment),
+            self.search,
+            self.warnings,
+        )
+        return json.dumps(asdict(described), ensure_ascii=False)
 
     @classmethod
     def read(cls, text: str) -> RecordedStudy:
@@ -105,18 +101,19 @@ class RecordedStudy:
             If it is of another version of this package.
         """
         try:
-            described = json.loads(text)
-            study, problems = study_of(described[_TABLES], described[_SOURCE])
-            layout = StudyLayout.from_dict(described[_LAYOUT])
-            recorded = described[_ENVIRONMENT]
-            chosen_by = described.get(_SEARCH)
-            search = None if chosen_by is None else RecordedSearch(**chosen_by)
-            warnings = tuple(map(str, described.get(_WARNINGS, ())))
+            described = TypeAdapter(_Described).validate_python(read_json(text))
+            study, problems = study_of(described.tables, described.source)
         except (ValueError, KeyError, TypeError) as error:
-            raise _unreadable(f"{type(error).__name__}: {error}") from error
+            raise _unreadable(_in_a_line(error)) from error
         if study is None:
             raise _unreadable("; ".join(text for _, text in problems))
-        return cls(study, layout, recorded, search, warnings)
+        return cls(
+            study,
+            described.layout,
+            described.environment,
+            described.search,
+            described.warnings,
+        )
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member of a dataset alone.
@@ -124,6 +121,25 @@ class RecordedStudy:
         Its parameters are those that are recorded, whatever the study would plan by now.
         """
         return lambda number: run_command(dataset.member(number), self.study)
+
+
+@dataclass(frozen=True)
+class _Described:
+    """The text of a dataset's study: what it has to have."""
+
+    tables: Mapping[str, Any]
+    source: str
+    layout: StudyLayout
+    environment: Mapping[str, str]
+    search: RecordedSearch | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def _in_a_line(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return f"{type(error).__name__}: {error}"
 
 
 def _unreadable(problem: str) -> UsageError:

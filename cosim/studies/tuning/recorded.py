@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, cast, final
 
 from cosim.studies.contracts import RECORDING, MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import StudyColumn, pyarrow
+from cosim.studies.dataset.columns import StudyColumn, json_value, pyarrow
 from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.points import point_name
@@ -103,4 +102,4 @@ class TuningDataset:
 
 
 def _value(column: StudyColumn, value: Any) -> Any:
-    return json.loads(value) if column.type == "json" and value is not None else value
+    return json_value(value) if column.type == "json" and value is not None else value

@@ -286,11 +286,28 @@ def test_parquet_without_a_table_of_samples_is_refused(tmp_path):
     check_refused(cases, lambda columns: read_field_data(parquet(tmp_path, columns)))
 
 
+@pytest.mark.parametrize("stamps", [[np.inf, np.inf], [0.0, np.inf], [-np.inf, 0.0]])
+@pytest.mark.parametrize("offset", [None, "first", 1.0])
+def test_a_time_that_is_not_finite_is_refused(tmp_path, stamps, offset):
+    """Also as the one that becomes t = 0; so is such an offset."""
+    path = parquet(tmp_path, {"t": stamps, "y": [0.0, 1.0]})
+    csv = written(tmp_path, "".join(f"{t},0\n" for t in ("t", *stamps)))
+    for file in (path, csv):
+        with pytest.raises(
+            UsageError, match=r"(row|line) \d: expected a finite time, got -?inf"
+        ):
+            read_field_data(file, offset=offset)
+    with pytest.raises(UsageError, match="offset: expected a finite number or .*, got inf"):
+        read_field_data(path, offset=np.inf)
+
+
 def test_damaged_and_large_parquet_is_refused(tmp_path, monkeypatch):
     """By its name, and before its numbers are read."""
     path = parquet(tmp_path, {"t": T, "y": Y})
     content = path.read_bytes()
-    for damaged in (b"PAR1", content[:-20], content[:10] + bytes(40) + content[50:]):
+    names = parquet(tmp_path, {"t": T, "position": Y}).read_bytes()
+    no_utf8 = names.replace(b"position", b"pos\xfftion")
+    for damaged in (b"PAR1", content[:-20], content[:10] + bytes(40) + content[50:], no_utf8):
         broken = tmp_path / "broken.parquet"
         broken.write_bytes(damaged)
         with pytest.raises(UsageError, match=r"broken.parquet': not a valid Parquet file"):

@@ -1,5 +1,6 @@
 """Whatever comes in at the border of the scenarios, a CosimError comes out, and soon."""
 
+import itertools
 import math
 import os
 import re
@@ -167,6 +168,22 @@ def test_a_shipped_scenario_with_any_value_anywhere_is_run_or_refused(place, val
         cosim.run(scenario, set={"scenario.stop": scenario.file.scenario.step}, block=1)
 
 
+SMALL = {
+    "scenario": {"name": "small", "stop": 1.0, "step": 0.5},
+    "components": {"u": {"kind": "constant", "value": 1.0}},
+}
+
+
+@pytest.mark.parametrize("value", [1000, 1.0, "x", True, [], [1.0], [{}], {"a": 1.0}, [[1.0]]])
+def test_every_table_as_anything_else_is_refused_or_a_table(value):
+    """The outermost tables are of any type, too; nothing is run of an FMU or a class."""
+    for table in ("components", "models", "connections", "truth", "actions", "record", "swap"):
+        pairs = {**SMALL, table: value}.items()
+        text = "\n".join(f"{toml_of(key)} = {toml_of(item)}" for key, item in pairs)
+        with suppress(CosimError):
+            parse(Document(text, "x.toml", Path.cwd()))
+
+
 @bounded
 @given(st.text(max_size=200) | st.binary(max_size=200))
 def test_any_text_is_read_or_refused(tmp_path, content):
@@ -263,6 +280,15 @@ def test_any_edit_is_applied_or_refused(key, value):
     """Of any key to any value."""
     with suppress(CosimError):
         cosim.run("academic", set={key: value, "scenario.step": 0.01, "scenario.stop": 0.01})
+
+
+def test_an_edit_inside_what_another_one_replaced_is_refused():
+    """By what the other one has made of it."""
+    for first, second in itertools.permutations(
+        ["actions", "actions[0].at", "actions[0].set.u.y"], 2
+    ):
+        message = refusal(set={first: 1.0, second: 1.0})
+        assert "actions" in message
 
 
 @bounded

@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 
+import pyarrow
 import pytest
 from pyarrow import parquet
 
@@ -146,6 +147,21 @@ def test_a_part_without_one_of_its_columns_is_damaged(folder):
         _ = StudyDataset.open(folder).failed
 
 
+def test_a_part_whose_texts_are_no_texts_is_damaged(folder):
+    """Arrow takes any bytes for a text until it is asked for it."""
+    path = next((folder / "parts").iterdir())
+    table = parquet.read_table(path)
+    bad = pyarrow.Array.from_buffers(
+        pyarrow.string(),
+        len(table),
+        pyarrow.array([b"\xff\xfe"] * len(table), pyarrow.binary()).buffers(),
+    )
+    place = table.schema.get_field_index("status")
+    parquet.write_table(table.set_column(place, table.schema.field(place), bad), path)
+    with pytest.raises(DatasetError, match=r"is damaged; remove it and run the study again"):
+        StudyDataset.open(folder).read()
+
+
 @pytest.mark.parametrize("content", ['{"a": 1}', "[]"])
 def test_a_file_of_another_program_is_not_replaced(tmp_path, content):
     """Though it has the name of the description."""
@@ -188,7 +204,7 @@ def test_parts_without_a_description_are_refused(folder):
     assert len(parts(folder)) == 2
 
 
-@pytest.mark.parametrize("line", ["[1, 2", "{}", "[99]", "7", "[true]"])
+@pytest.mark.parametrize("line", ["[1, 2", "{}", "[99]", "7", "[true]", "[" * 100_000])
 def test_a_damaged_line_of_the_journal_is_named(folder, line):
     """But for the last one, which a kill may have cut: that is dropped."""
     path = folder / "_journal.jsonl"
@@ -229,6 +245,50 @@ def test_a_description_with_other_content_is_refused(folder):
     path.write_text(json.dumps({**content, "checksum": digest_of(content)}))
     with pytest.raises(DatasetError, match=r"study.json: written by another revision of"):
         StudyDataset.open(folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("part_size", []),
+        ("part_size", 0),
+        ("lengths", []),
+        ("lengths", [30, 3]),
+        ("lengths", [10**30]),  # whose parts would be counted without end
+        ("columns", [{"name": "a", "role": "parameter", "type": "x"}]),
+        ("columns", 5),
+        ("replay_designs", [["a"]]),
+        ("study", None),
+        ("digests", [1]),
+    ],
+)
+def test_a_description_with_values_of_other_types_is_refused(folder, key, value):
+    """Its checksum is right: somebody else wrote it."""
+    path = folder / "study.json"
+    content = json.loads(path.read_text())
+    del content["checksum"]
+    content[key] = value
+    path.write_text(json.dumps({**content, "checksum": digest_of(content)}))
+    with pytest.raises(DatasetError, match=r"study.json: written by another revision of"):
+        StudyDataset.open(folder)
+
+
+def test_json_without_end_is_damaged(folder):
+    """It costs no traceback, in whichever file."""
+    (folder / "_logs.jsonl").write_text("[" * 100_000)
+    assert len(StudyDataset.open(folder)) == 25
+    (folder / "study.json").write_text('{"a":' * 100_000)
+    with pytest.raises(DatasetError, match=r"study.json is damaged"):
+        StudyDataset.open(folder)
+
+
+def test_a_row_of_the_journal_with_values_of_other_types_is_named(folder):
+    """As many as a row has, so that only its use shows it."""
+    path = folder / "_journal.jsonl"
+    row = json.loads(path.read_text().splitlines()[0])
+    path.write_text(json.dumps([row[0], *([["x"]] * (len(row) - 1))]) + "\n")
+    with pytest.raises(DatasetError, match=r"_journal.jsonl: a row is damaged; remove the file"):
+        StudyDataset.open(folder).read()
 
 
 @pytest.mark.skipif(sys.platform == "win32" or os.getuid() == 0, reason="all is allowed to root")

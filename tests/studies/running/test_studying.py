@@ -1,5 +1,6 @@
 """Studies from their file to their dataset: run, resumed, grown, refused, kept."""
 
+import json
 import os
 import re
 import signal
@@ -11,8 +12,10 @@ import pytest
 
 import cosim
 from cosim.errors import DatasetError, UsageError
+from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
+from cosim.studies.document.study_file import study_of
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.estimate import estimate_study
 from cosim.studies.running.plan import plan_study
@@ -425,3 +428,28 @@ def test_what_members_warn_of_is_a_column_and_a_warning(tmp_path):
     assert number == 1
     assert text.endswith("do not trust delta")
     assert study.table(["warnings"])["warnings"].to_pylist() == [None, text]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("warnings", 5),
+        ("warnings", "abc"),
+        ("warnings", [["a"]]),
+        ("environment", [1]),
+        ("layout", {"kind": "grid", "grid": 10**30}),
+        ("layout", None),
+        ("search", {"metric": "m"}),
+        ("source", None),
+    ],
+)
+def test_what_a_dataset_says_of_its_study_has_the_types_it_rests_on(key, value):
+    """A dataset may be somebody else's."""
+    tables = {"study": {"scenario": "pair", "name": "pair"}, "metrics": {"m": "last(motor.y)"}}
+    study, _ = study_of({**tables, "vary": {"controller.gain": [1]}}, "pair")
+    said = json.loads(RecordedStudy(study, StudyLayout("grid")).to_text())
+    assert RecordedStudy.read(json.dumps(said)).study.name == study.name
+    with pytest.raises(UsageError, match=key):
+        RecordedStudy.read(json.dumps({**said, key: value}))
+    with pytest.raises(UsageError, match="nested too deeply|recursion"):
+        RecordedStudy.read("[" * 100_000)
