@@ -46,7 +46,8 @@ MOST_NAMES: Final = 100  # that a message about an unknown name lists
 
 MOST_CHARACTERS: Final = 120  # of a value that a message quotes
 
-_in_shell: ContextVar[bool] = ContextVar("in_shell", default=False)
+# In the shell: the options that set keys of a scenario there, by the keys
+_in_shell: ContextVar[dict[str, str] | None] = ContextVar("in_shell", default=None)
 
 
 class CosimError(Exception):
@@ -256,11 +257,18 @@ def shortened(text: str, most: int = MOST_CHARACTERS) -> str:
 @contextmanager
 def shell_language() -> Iterator[None]:
     """Name arguments as options of the shell, in every message made inside."""
-    token = _in_shell.set(True)
+    token = _in_shell.set({})
     try:
         yield
     finally:
         _in_shell.reset(token)
+
+
+def name_option(key: str, name: str) -> None:
+    """Name a key of the scenario by the option of the shell that set it: ``--stop``."""
+    given = _in_shell.get()
+    if given is not None:
+        given[key] = name
 
 
 def flag(name: str, value: bool = True) -> str:
@@ -268,7 +276,7 @@ def flag(name: str, value: bool = True) -> str:
 
     ``allow_code=True`` is ``--allow-code`` there.
     """
-    if _in_shell.get():
+    if _in_shell.get() is not None:
         words = name.replace("_", "-")
         return f"--{words}" if value else f"--no-{words}"
     return f"{name}={value}"
@@ -276,16 +284,19 @@ def flag(name: str, value: bool = True) -> str:
 
 def command(name: str) -> str:
     """Name a function of the package: ``cosim.run``, in the shell ``'cosim run'``."""
-    return f"'cosim {name}'" if _in_shell.get() else f"cosim.{name}"
+    return f"'cosim {name}'" if _in_shell.get() is not None else f"cosim.{name}"
 
 
 def option(name: str, key: str | None = None, value: str | None = None) -> str:
     """Name an argument, an entry of it, or an entry with its value.
 
     ``stop``, ``set['plant.x']``, ``map={'plant.u': 'force'}``; in the shell ``--stop``,
-    ``--set plant.x``, ``--map plant.u=force``.
+    ``--set plant.x``, ``--map plant.u=force``, or the option that :func:`name_option` names.
     """
-    if _in_shell.get():
+    given = _in_shell.get()
+    if given is not None:
+        if name == "set" and key in given and value is None:
+            return given[key]
         name = name.replace("_", "-")
         entry = "" if key is None else f" {shortened(key)}"
         return f"--{name}{entry}" if value is None else f"--{name}{entry}={value}"

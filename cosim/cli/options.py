@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim import completion
-from cosim.errors import RunError, UsageError, option, quoted
+from cosim.errors import RunError, UsageError, name_option, option, quoted
 from cosim.files import file_type
 from cosim.report.printable import printable
 from cosim.unanswered import limit_calls
@@ -199,9 +199,10 @@ def read_edits(
         except UsageError as error:
             raise UsageError(f"{option('set', key)}: {error}") from error
     for key, value in given_values(options or {}).items():
+        name = f"--{key.removeprefix('scenario.').replace('verdicts', 'no-verdicts')}"
         if key in edits:
-            name = key.removeprefix("scenario.").replace("verdicts", "no-verdicts")
-            raise UsageError(f"--{name} and --set {key} set the same; omit one of them")
+            raise UsageError(f"{name} and --set {key} set the same; omit one of them")
+        name_option(key, name)
         edits[key] = value
     return edits
 

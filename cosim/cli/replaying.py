@@ -157,7 +157,7 @@ def replay(
     Needs only the log; for a recording of another tool also --scenario and --map.
     """
     from cosim.report.tables.run import print_summary
-    from cosim.scenario.running.replay import replayed_once, replays_of
+    from cosim.scenario.running.replay import LogReplays, replayed_once, replays_of
 
     start_collecting()
     imported = perf_counter()
@@ -201,12 +201,13 @@ def replay(
             from cosim.report.plots import plot_run
 
             plot_run(again, plot)
-        if verify and replays.source is not None:
+        if verify and isinstance(replays, LogReplays):
             from cosim.report.tables.verification import print_verification
             from cosim.report.verification import verify as verify_replay
 
             source = replays.source
-            verification = verify_replay(source, again)
+            designs = None if replays.request.window is not None else replays.designs()
+            verification = verify_replay(source, again, designs)
             print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
             if not verification.passed:
                 raise typer.Exit(1)

@@ -36,6 +36,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, distinct_warnings
@@ -48,6 +49,7 @@ from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.layout import signals_json
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
+from cosim.scenario.actions.settings import recorded_designs as settings_designs
 from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
     component_metadata,
@@ -55,7 +57,6 @@ from cosim.scenario.recorded_metadata import (
     recorded_identification,
     recorded_substep_counts,
     recorded_warnings,
-    replay_origin,
     run_metadata,
 )
 from cosim.scenario.recorded_tables import IdentificationRecord, ParameterRecord
@@ -82,7 +83,9 @@ _EIGENVALUE_RTOL = 1e-2
 _OTHER_KEYS = {"edits", "format", "replay", "stop", "warnings"}
 # what follows from components or signals that a replay may not have
 _OF_ALL_KEYS = {"truth", "first_order_loops", "loop_gains", "models"}
-_ESTIMATE_RTOL = 1e-6  # what other processors make of the linear algebra behind a verdict
+# what other processors make of the linear algebra behind a verdict, or a design
+_ESTIMATE_RTOL = 1e-6
+_OF_LARGEST = 1e-9  # of the largest entry of an array, in addition
 # by how much linear programs may miss the ends of intervals, and more
 _GUARANTEED_RTOL = 1e-4
 _END_KEYS = ("status", "reason", "steps", "end_ns", "content_hash")
@@ -120,7 +123,10 @@ def _first_difference(found: Any, expected: Any) -> tuple[str, Any, Any]:
 
 
 def contradictions(
-    source: Log, again: Log | Memory, computed: Collection[str]
+    source: Log,
+    again: Log | Memory,
+    computed: Collection[str],
+    designs: Mapping[str, Design] | None = None,
 ) -> tuple[Contradiction, ...]:
     """Return the statements of a log that its replay contradicts.
 
@@ -131,6 +137,8 @@ def contradictions(
         Its replay.
     computed : collection of str
         The components that were computed again.
+    designs : mapping of name to Design, optional
+        Those that were computed anew; without them none is compared.
 
     Raises
     ------
@@ -141,14 +149,31 @@ def contradictions(
     for statement, recorded, expected in _Statements(source, again, computed).pairs():
         if recorded != expected:
             differing.append(Contradiction(statement, recorded, expected))
+    recorded_designs = {**source.designs, **settings_designs(source)} if designs else {}
+    for name, design in (designs or {}).items():
+        differing += _other_entries(f"design of {name!r}", recorded_designs[name], design)
     return tuple(differing)
 
 
-def compared_statements(source: Log, again: Log | Memory) -> str:
+def _other_entries(what: str, recorded: Design, design: Design) -> list[Contradiction]:
+    """Return the first entry in which a design is another one than what was computed anew."""
+    for key, array in design.items():
+        found = recorded[key]
+        scale = _OF_LARGEST * np.abs(array).max(initial=0.0)
+        near = np.isclose(found, array, rtol=_ESTIMATE_RTOL, atol=scale, equal_nan=True)
+        if not near.all():
+            place = tuple(np.argwhere(~near)[0].tolist())
+            entry = "".join(f"[{index}]" for index in place)
+            numbers = found[place].item(), array[place].item()
+            return [Contradiction(f"{what}: {key}{entry}", *numbers)]
+    return []
+
+
+def compared_statements(source: Log, again: Log | Memory, *, has_designs: bool) -> str:
     """Return what :func:`contradictions` compares of a log and its replay, in words."""
     statements = _Statements(source, again, ())
     names = list(_ALWAYS_COMPARED)
-    if replay_origin(again).designs is not None:
+    if has_designs:
         names.insert(names.index("component tables") + 1, "designs")
     if statements.has_all:
         names.insert(0, "truth")
@@ -193,8 +218,6 @@ class _Statements:
         yield from self._of_connections()
         for name in self._known:
             yield from self._of_component(name)
-        for design, (found, computed) in (replay_origin(self._again).designs or {}).items():
-            yield f"design of {design!r}", found, computed
         yield from self._of_messages()
         yield from self._of_substeps()
         yield from self._of_end()

@@ -16,11 +16,12 @@ Nothing is signed: the log of another run, put in the place of this one as a who
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 from cosim.core.clock import nanoseconds
+from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import RecordSelection, declared_channels
 from cosim.core.recorders import Memory
@@ -124,7 +125,9 @@ def _compared(source: Log, again: Log | Memory) -> Sequence[str]:
     return shared
 
 
-def verify(source: Log, again: Log | Memory) -> Verification:
+def verify(
+    source: Log, again: Log | Memory, designs: Mapping[str, Design] | None = None
+) -> Verification:
     """Compare a log with its replay and with the hash that its run recorded.
 
     Parameters
@@ -132,6 +135,8 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     source : Log
     again : Log or Memory
         What :func:`cosim.replay` made of it: all of it, or a window, which is then compared alone.
+    designs : mapping of name to Design, optional
+        Those that the replay took from the log, computed anew; without them none is compared.
 
     Raises
     ------
@@ -161,7 +166,7 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     window = origin.window
     span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
     difference = diff(source, again, signals=_compared(source, again), span_ns=span_ns)
-    contradicting = () if window is not None else contradictions(source, again, computed)
+    contradicting = () if window is not None else contradictions(source, again, computed, designs)
     return Verification(
         recorded_hash,
         found_hash,
@@ -175,7 +180,7 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         _components(source, again, difference, origin),
         environment_changes(source),
         window,
-        compared_statements(source, again),
+        compared_statements(source, again, has_designs=designs is not None),
         _is_changed(source, again),
     )
 

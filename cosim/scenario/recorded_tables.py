@@ -381,9 +381,6 @@ class ReplayOrigin:
         Of a partial log: components that are neither copied nor computed, and why.
     uncomputed : mapping of component name to str
         Of it: components that a whole log would have computed, and why they are not.
-    designs : mapping of design to (str, str), or None
-        Recorded designs that are not those of the scenario: the entry that differs first, as it
-        is recorded and as it is computed anew. None: they were not computed anew.
     """
 
     log: str
@@ -393,7 +390,6 @@ class ReplayOrigin:
     left_out: tuple[str, ...] = ()
     absent: Mapping[str, str] = field(default_factory=dict)
     uncomputed: Mapping[str, str] = field(default_factory=dict)
-    designs: Mapping[str, tuple[str, str]] | None = None
 
 
 class ConnectionRecord(_Record):

@@ -242,7 +242,7 @@ def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_
     """All components of a whole log are computed or copied."""
     line = statements_line(verify(open_log(identified), cosim.replay(identified)))
     assert line.endswith(
-        "truth, connections, schedule, times, component tables, designs, overrides, "
+        "truth, connections, schedule, times, component tables, overrides, "
         "substeps, warnings, last row, verdicts"
     )
     path = forged_results(identified, tmp_path / "b.mcap", forge)

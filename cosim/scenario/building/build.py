@@ -176,7 +176,7 @@ class Builder:
                 try:
                     check()
                 except CosimError as error:
-                    self.problems.append((key, str(error)))
+                    self.problems.append((key, str(error).removeprefix(f"{name}: ")))
                     unknown.add(key)
         return unknown
 

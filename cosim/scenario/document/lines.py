@@ -77,7 +77,7 @@ class KeyLines:
         UsageError
             If one is.
         """
-        if self.depth > MOST_LEVELS:
+        if self.depth - 1 > MOST_LEVELS:  # the last part names a value
             raise UsageError(
                 f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
             )
@@ -106,7 +106,9 @@ class _Scanner:
     def scan(self, text: str) -> KeyLines:
         """Return the lines of all keys."""
         for token in _TOKENS.finditer(text):
-            if self._found.depth > MOST_LEVELS:  # refused: keys that grow further cost time alone
+            if (
+                self._found.depth - 1 > MOST_LEVELS
+            ):  # refused: keys that grow further cost time alone
                 break
             content = token[0]
             match token.lastgroup:

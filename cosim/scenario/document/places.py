@@ -75,6 +75,9 @@ class Places:
             case ("swap", *_) if self._swap_edit(key):  # that has the name
                 return self._swap_edit(key)
         place = self._place(key)
+        edit = self._changes.get(short(".".join(map(str, key))))
+        if edit is not None and place == option("set", edit):
+            return place  # which names the key
         dotted = shortened(".".join(map(str, key)))
         return f"{place}: {dotted}" if dotted else place
 

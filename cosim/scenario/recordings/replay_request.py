@@ -19,15 +19,10 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.recorded_metadata import recorded_loop_gains
 from cosim.scenario.recorded_tables import ReplayOrigin
-from cosim.scenario.recordings.recorded_scenario import recorded_document, recorded_stop
+from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
 from cosim.scenario.recordings.replay_changes import Swaps, check_changes
-from cosim.scenario.recordings.replaying import (
-    other_designs,
-    rebuilt,
-    valid_designs,
-    with_setting_designs,
-)
+from cosim.scenario.recordings.replaying import rebuilt, valid_designs, with_setting_designs
 from cosim.scenario.recordings.window import ReplayWindow, window_of
 
 if TYPE_CHECKING:
@@ -196,12 +191,8 @@ def prepared_replay(
         uncomputed=dict(uncomputed),
     )
     gains = () if request.changes or swaps.paths else recorded_loop_gains(source)
-    experiment = replace(experiment, designs=designs, gains=gains)
-    experiment = with_setting_designs(experiment, source, designs)
-    # a design may rest on how long the run is
-    if experiment.clock.stop == recorded_stop(source) and not (request.changes or swaps.paths):
-        origin = replace(origin, designs=other_designs(experiment, source))
-    return replace(experiment, origin=origin)
+    experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
+    return with_setting_designs(experiment, source, designs)
 
 
 def record_replay(

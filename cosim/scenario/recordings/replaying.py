@@ -40,10 +40,6 @@ if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.replayed_part import ReplayedPart
 
-# What other processors make of the linear algebra behind a design: of an entry, of the largest one
-_DESIGN_RTOL = 1e-6
-_OF_LARGEST = 1e-9
-
 
 def texts_in(value: Any) -> set[str]:
     """Return the texts in a value and in all tables and lists inside it."""
@@ -374,42 +370,25 @@ def valid_designs(
     return designs
 
 
-def other_designs(experiment: Experiment, source: Log) -> dict[str, tuple[str, str]]:
-    """Compute recorded designs that a replay takes anew; return those that are other ones.
+def designs_anew(experiment: Experiment) -> dict[str, Design]:
+    """Compute the designs that a replay takes from its log, by the scenario alone.
 
     Returns
     -------
-    dict of design to (str, str)
-        The entry that differs first, as it is recorded and as it is computed.
+    dict of name to Design
+        By component; of those that take the places of others in the run, by time and component.
     """
     step_ns = experiment.clock.step_ns
-    pairs: dict[str, tuple[Design, Design]] = {}
+    anew = {}
     for name, recorded in (experiment.designs or {}).items():
         if recorded and name not in experiment.recorded:
-            pairs[name] = recorded, experiment.graph.prepare_one(name, step_ns, {})
+            anew[name] = experiment.graph.prepare_one(name, step_ns, {})
     if experiment.setting_designs:
         from cosim.scenario.actions.settings import prepare_settings  # rarely needed
 
-        anew = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
-        for key, text in experiment.setting_designs.items():
-            pairs[key] = decode_design(text), decode_design(anew[key])
-    others = {}
-    for name, (recorded, computed) in pairs.items():
-        for key, array in computed.items():
-            found = recorded[key]
-            near = np.isclose(
-                found,
-                array,
-                rtol=_DESIGN_RTOL,
-                atol=_OF_LARGEST * np.abs(array).max(initial=0.0),
-                equal_nan=True,
-            )
-            if not near.all():
-                place = tuple(int(index) for index in np.argwhere(~near)[0])
-                entry = key + "".join(f"[{index}]" for index in place)
-                others[name] = (f"{entry} = {found[place]}", f"{entry} = {array[place]}")
-                break
-    return others
+        texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+        anew |= {key: decode_design(text) for key, text in texts.items()}
+    return anew
 
 
 def _same_code(experiment: Experiment, source: Log, name: str) -> bool:

@@ -19,6 +19,7 @@ from cosim.arguments import (
     truth_argument,
     whole_argument,
 )
+from cosim.core.contracts import Design
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option
 from cosim.log import Log
@@ -28,6 +29,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.recorded_scenario import recorded_stop
 from cosim.scenario.recordings.recording import (
     LiveView,
     Notice,
@@ -42,6 +44,7 @@ from cosim.scenario.recordings.replay_request import (
     record_replay,
     replay_request,
 )
+from cosim.scenario.recordings.replaying import designs_anew
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
@@ -159,6 +162,17 @@ class LogReplays:
         """Replay with some values."""
         request = self._with(values)
         return record_replay(self.source, request, target, progress=progress, profile=profile)
+
+    def designs(self) -> dict[str, Design] | None:
+        """Compute the designs that a replay takes from the log anew, to be compared with those.
+
+        None: the log ends before its stop, and a design may rest on how long the run is.
+        """
+        with ExitStack() as resources:
+            experiment = self.experiment({}, resources)
+            if experiment.clock.stop != recorded_stop(self.source):
+                return None
+            return designs_anew(experiment)
 
     def _with(self, values: Mapping[str, Any]) -> ReplayRequest:
         return replace(self.request, changes={**self.changes, **values})

@@ -264,6 +264,11 @@ def test_values_are_nested_at_most_50_levels_deep(levels, nest):
     for _ in range(50 // levels):
         value = nest(value)
     assert plain(value) == value
+    assert parse_value(toml_of(value)) == value  # from the shell
+    text = f"key = {toml_of(value)}"
+    assert Document(text, "x.toml", Path.cwd()).tree()[0] == {"key": value}
+    with pytest.raises(UsageError, match="at most 50 levels deep"):
+        parse_value(toml_of([value]))
     for deeper in ([value], {"a": value}):
         with pytest.raises(UsageError, match="at most 50 levels deep"):
             plain(deeper)
