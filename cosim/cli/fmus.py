@@ -169,6 +169,6 @@ def linearize(
     if as_toml:
         for note in linearization.notes:
             typer.echo(printable(f"note: {note}"), err=True)
-        typer.echo(model_toml(linearization, disturbances or []), nl=False)
+        typer.echo(printable(model_toml(linearization, disturbances or [])), nl=False)
     else:
         print_linearization(linearization, as_json=as_json)

@@ -473,7 +473,8 @@ def _shortened(warnings: Sequence[str]) -> list[str]:
     shown = list(warnings[:MOST_WARNINGS])
     omitted = len(warnings) - len(shown)
     if omitted:
-        shown.append(f"and {omitted} more warnings; 'cosim check' lists all")
+        plural = "" if omitted == 1 else "s"
+        shown.append(f"and {omitted} more warning{plural}; 'cosim check' lists all")
     return shown
 
 

@@ -290,7 +290,10 @@ def _check(replays: Replays, values: Mapping[str, Any]) -> None:
     try:
         replays.check(values)
     except UsageError as error:
-        raise UsageError(f"{combination_text(values)}: {error}") from error
+        text = str(error)
+        if len(values) == 1:
+            text = text.removeprefix(f"{option('set', next(iter(values)))}: ")
+        raise UsageError(f"{combination_text(values)}: {text}") from error
 
 
 def _replayed(

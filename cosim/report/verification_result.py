@@ -258,7 +258,7 @@ class Verification:
         lines = [f"then: {_difference_text(element)}" for element in others[:_MOST_SHOWN]]
         further = len(others) - _MOST_SHOWN
         if further > 0:
-            lines.append(f"then: {further} more components")
+            lines.append(f"then: {further} more component{'' if further == 1 else 's'}")
         return lines
 
     def to_dict(self) -> dict[str, Any]:

@@ -138,7 +138,7 @@ def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch
     plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
     with monkeypatch.context() as patch:
         patch.setattr("cosim.scenario.recordings.recording.run_into", None)
-        message = r"^set\['plant\.nope'\]: components\.plant\.nope: unknown key 'nope'[^\n]*$"
+        message = r"^set\['plant\.nope'\]: unknown key 'nope'[^\n]*$"
         with pytest.raises(UsageError, match=message):
             compare("academic", swap=plants, set={"plant.nope": 1.0})
     mixed = {"plant": [folder / "plant.fmu", folder / "log.mcap"]}

@@ -238,7 +238,8 @@ class EventList:
 
 def _message(record: EventRecord) -> Message:
     t, kind, omitted = record
-    text = f"{omitted} more events of this step are not listed"
+    events = "event of this step is" if omitted == 1 else "events of this step are"
+    text = f"{omitted} more {events} not listed"
     if kind != NOT_LISTED:
         text = f"{KINDS[kind]} at t = {t!r} s"
     return Message(t, "debug", "event", text)

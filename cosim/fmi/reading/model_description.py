@@ -80,7 +80,8 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
         lines = [f"{path}: {XML}: {problem}" for problem in attributes.problems[:MOST_PROBLEMS]]
         omitted = len(attributes.problems) - len(lines)
         if omitted:
-            lines.append(f"{path}: {XML}: and {omitted} more problems; 'cosim check' lists all")
+            more = f"{omitted} more problem{'' if omitted == 1 else 's'}"
+            lines.append(f"{path}: {XML}: and {more}; 'cosim check' lists all")
         raise FmuError("\n".join(lines))
     xml = contents.wanted[XML].decode("utf-8", "replace")
     warnings = (*contents.warnings, *attributes.warnings)

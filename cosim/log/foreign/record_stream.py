@@ -88,9 +88,7 @@ def check_magic(path: Path, stream: BinaryIO, size: int) -> None:
         return
     if not size:
         raise LogError(f"{path} is empty; expected an MCAP file")
-    raise LogError(
-        f"{path} is not an MCAP file: expected it to begin with {MAGIC!r}, got {magic!r}"
-    )
+    raise LogError(f"{path} is not an MCAP file: expected it to begin with {MAGIC!r}")
 
 
 def _check_data(path: Path, position: int, content: bytes, crc: int) -> None:

@@ -94,9 +94,8 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
     stream.seek(0)
     magic = stream.read(len(MAGIC))
     if magic != MAGIC:
-        raise LogError(
-            f"{path} is not an MCAP file: expected it to begin with {MAGIC!r}, got {magic!r}"
-        )
+        # what else stands there is not shown: a stranger's scenario may name any file
+        raise LogError(f"{path} is not an MCAP file: expected it to begin with {MAGIC!r}")
     contents = FileContents()
     position = len(MAGIC)
     opcode = 0

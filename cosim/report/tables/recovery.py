@@ -29,7 +29,8 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
         if len(rows.lost) > _MOST_INTERVALS:
             omitted = rows.lost[_MOST_INTERVALS:]
             count = sum(interval.count for interval in omitted)
-            shown.append(f"{count} in {len(omitted)} more intervals")
+            plural = "" if len(omitted) == 1 else "s"
+            shown.append(f"{count} in {len(omitted)} more interval{plural}")
         table.add_row(name, str(rows.count), "; ".join(shown) or "0")
     print_table(table)
     end = recovery.end_ns / NANOSECONDS

@@ -251,9 +251,9 @@ class Builder:
         read_by = self.context.records.reads
         kept = []
         for key, text in self.problems:
-            name = str(key[1]) if key[:1] == ("components",) and len(key) > 1 else ""
-            reads = read_by.get(name, ())
-            others = [table for table in reads if table != f"components.{name}"]
+            others: set[str] = set()
+            if key[:1] == ("components",) and len(key) > 1:
+                others = {*read_by.get(str(key[1]), ())} - {f"components.{key[1]}"}
             if not any((table, text) in known for table in others):
                 kept.append((key, text))
         self.problems = kept

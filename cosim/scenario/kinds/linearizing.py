@@ -260,7 +260,7 @@ def _header(
     names = {"x": x, "u": u, "delta": delta, "y": y}
     listed = "; ".join(f"{signal}: {listing}" for signal, listing in names.items() if listing)
     lines.append(f"# {listed}")
-    return lines
+    return [" ".join(line.splitlines()) for line in lines]  # a name of an FMU may have several
 
 
 def _operating_point(linearization: Linearization) -> str:

@@ -210,7 +210,7 @@ def differences(recorded: StudyIdentity, planned: StudyIdentity) -> str:
     found += _other_parameters(_parameters(recorded), _parameters(planned))
     more = len(found) - _SHOWN
     if more > 0:
-        found = [*found[:_SHOWN], f"and {more} other differences"]
+        found = [*found[:_SHOWN], f"and {more} other difference{'' if more == 1 else 's'}"]
     return "; ".join(found)
 
 

@@ -181,7 +181,8 @@ def _print_texts(statistics: MetricStatistics) -> None:
     texts = [f"{count} {text}" for text, count in statistics.texts.items()]
     more = len(texts) - _MOST_TEXTS
     shown = "; ".join(texts[:_MOST_TEXTS])
-    print_line(f"{statistics.name}: {shown}" + (f"; and {more} other texts" if more > 0 else ""))
+    others = f"; and {count_text(more, 'other text')}" if more > 0 else ""
+    print_line(f"{statistics.name}: {shown}{others}")
 
 
 def _print_without(results: StudyResults, statistics: MetricStatistics) -> None:
@@ -223,7 +224,7 @@ def _print_groups(title: str, groups: Sequence[ReasonGroup]) -> None:
     print_table(table)
     more = len(groups) - _MOST_REASONS
     if more > 0:
-        print_line(f"and {more} other reasons; see --json")
+        print_line(f"and {count_text(more, 'other reason')}; see --json")
 
 
 def _print_command(number: int, command_of: CommandOf) -> None:

@@ -218,7 +218,8 @@ def _check_bounds(space: SearchSpace, study: StudyFile, scenario: Scenario) -> N
             try:
                 edited_scenario(study, scenario, {}, {key.key: value})
             except UsageError as error:
-                raise UsageError(f"{key.key} = {quoted(value)}: {error}") from error
+                text = str(error).removeprefix(f"{option('set', key.key)}: ")
+                raise UsageError(f"{key.key} = {quoted(value)}: {text}") from error
 
 
 def _search_digests(search: TuningSearch) -> dict[str, str]:

@@ -82,8 +82,8 @@ def test_files_that_are_no_logs_are_named(tmp_path):
     path = tmp_path / "a.mcap"
     with pytest.raises(LogError, match=r"a\.mcap cannot be read: No such file"):
         open_log(path)
-    path.write_bytes(b"hello, world")
-    with pytest.raises(LogError, match=r"a\.mcap is not an MCAP file: .*b'hello, w'"):
+    path.write_bytes(b"hello, world")  # not shown: it may be any file of this machine
+    with pytest.raises(LogError, match=r"a\.mcap is not an MCAP file: expected (?!.*hello)"):
         open_log(path)
     stream = io.BytesIO()
     writer = Writer(stream)

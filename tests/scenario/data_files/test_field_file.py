@@ -295,7 +295,7 @@ def test_a_time_that_is_not_finite_is_refused(tmp_path, stamps, offset):
     for file in (path, csv):
         with pytest.raises(UsageError, match=r"(row|line) \d: expected a finite time, got -?inf"):
             read_field_data(file, offset=offset)
-    with pytest.raises(UsageError, match="offset: expected a finite number or .*, got inf"):
+    with pytest.raises(UsageError, match=r"offset: expected a finite number or .*, got inf"):
         read_field_data(path, offset=np.inf)
 
 

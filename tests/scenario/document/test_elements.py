@@ -105,11 +105,11 @@ UNKNOWN = [
     ("plant.x_a0[0].x", r"components\.plant\.x_a0\[0\]: expected a table, got 1\.0"),
     (
         "delta.terms[0].teta",
-        r"set\['delta\.terms\[0\]\.teta'\]: components\.delta\.terms\.0\.teta: unknown key",
+        r"set\['delta\.terms\[0\]\.teta'\]: unknown key",
     ),
     (
         "plant.x_a0[1]",
-        r"set\['plant\.x_a0\[1\]'\]: components\.plant\.x_a0\.1: expected a number, got 'a'",
+        r"set\['plant\.x_a0\[1\]'\]: expected a number, got 'a'",
     ),
     ("plnt.x_a0[1]", r"unknown component 'plnt'; did you mean 'plant'\?"),
     ("delta[0]", r"expected COMPONENT\.PARAMETER"),

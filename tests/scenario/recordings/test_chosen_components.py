@@ -150,7 +150,7 @@ def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
     """Between its samples it has no value, and no row."""
     log = cosim.run("academic", out=tmp_path / "a.mcap", set=SAMPLES)
     message = (
-        r"set\['sensor'\]: components\.sensor: .* only every 10 communication steps .*; "
+        r"set\['sensor'\]: .* only every 10 communication steps .*; "
         "recompute it, too"
     )
     with pytest.raises(ScenarioError, match=message):

@@ -180,6 +180,4 @@ def test_an_edit_of_a_parameter_is_named_as_the_place(tmp_path):
     own_module(tmp_path, ", width: float")
     with pytest.raises(ScenarioError) as error:
         cosim.run(one(tmp_path), set={"own.width": "x"})
-    assert str(error.value) == (
-        "set['own.width']: components.own.width: expected a number, got 'x'"
-    )
+    assert str(error.value) == ("set['own.width']: expected a number, got 'x'")

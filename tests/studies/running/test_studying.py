@@ -451,5 +451,5 @@ def test_what_a_dataset_says_of_its_study_has_the_types_it_rests_on(key, value):
     assert RecordedStudy.read(json.dumps(said)).study.name == study.name
     with pytest.raises(UsageError, match=key):
         RecordedStudy.read(json.dumps({**said, key: value}))
-    with pytest.raises(UsageError, match="nested too deeply|recursion"):
+    with pytest.raises(UsageError, match=r"nested too deeply|recursion"):
         RecordedStudy.read("[" * 100_000)

@@ -229,7 +229,7 @@ def test_a_first_point_that_is_refused_is_named_by_its_key(lag):
     ("expression", "key", "message"),
     [
         ("last(plant.z)", "plant.time_constant", "minimize: the run has no"),
-        ("last(plant.y)", "plant.tim", "plant.tim = 0.1: set['plant.tim']: components.plant"),
+        ("last(plant.y)", "plant.tim", "plant.tim = 0.1: unknown key 'tim'"),
         ("last(plant.y", "plant.time_constant", "minimize: metric 'last(plant.y'"),
     ],
 )
