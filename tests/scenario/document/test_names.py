@@ -79,7 +79,7 @@ def test_names_that_look_the_same_are_not_two():
 def test_a_name_is_a_word_of_letters_digits_and_hyphens():
     """Of any language, with 100 bytes at most."""
     names = ["", "_a", "1a", "a b", "a/b", "a\n", "a" * 101, "温" * 34, "-a", "."]
-    cases = [(name, r"scenario\.name: ") for name in names]
+    cases = [(name, r"scenario\.name'\]: expected a name") for name in names]
     check_refused(cases, lambda name: cosim.load("academic").set({"scenario.name": name}))
 
 

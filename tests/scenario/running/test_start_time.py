@@ -124,13 +124,16 @@ def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
 def test_a_start_that_does_not_fit_is_refused(subtests):
     """With the key, what was found and what was needed."""
     for changes, text in [
-        ({"start_time": -1.0}, r"scenario\.start_time: .*>= 0 s, got -1\.0 s"),
-        ({"start_time": 1.5e-9}, r"scenario\.start_time: 1\.5e-09 s is not a whole number of nano"),
+        ({"start_time": -1.0}, r"scenario\.start_time'?\]?: .*>= 0 s, got -1\.0 s"),
+        (
+            {"start_time": 1.5e-9},
+            r"scenario\.start_time'?\]?: 1\.5e-09 s is not a whole number of nano",
+        ),
         (
             {"start_time": 40.0},
             r"scenario\.stop'?\]?: expected a time after start_time = 40\.0 s, got 20\.0 s",
         ),
-        ({"start_time": 20.0}, r"scenario\.stop: .* start_time = 20\.0 s, got 20\.0 s"),
+        ({"start_time": 20.0}, r"scenario\.stop'?\]?: .* start_time = 20\.0 s, got 20\.0 s"),
         (
             {"start_time": 0.0005},
             r"stop: 20\.0 s is not a whole number of 0\.001 s steps after the start at 0\.0005 s; "
@@ -170,5 +173,5 @@ def test_a_computed_start_of_the_identification_counts_from_the_start_of_the_run
 
 
 def test_a_replay_keeps_its_start(logs):
-    with pytest.raises(UsageError, match=r"scenario\.start_time: .*got 16\.5 s"):
+    with pytest.raises(UsageError, match=r"scenario\.start_time'?\]?: .*got 16\.5 s"):
         cosim.replay(logs[START], set={"scenario.start_time": 16.5})
