@@ -103,7 +103,7 @@ def test_a_bound_is_positive(subtests):
     for bound in [0.0, -0.01]:
         with (
             subtests.test(bound=bound),
-            pytest.raises(ScenarioError, match=rf"identifier\.irregular: .*> 0, got {bound}$"),
+            pytest.raises(ScenarioError, match=rf"identifier\.irregular'\]: .*> 0, got {bound}$"),
         ):
             cosim.run("academic-noisy", set={"identifier.irregular": bound})
 
