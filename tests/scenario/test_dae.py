@@ -105,5 +105,5 @@ def test_dae_is_for_descriptor_plants_and_fmi_3(component, fmi, message, tmp_pat
 
 def test_a_form_that_there_is_not_is_refused():
     """Where the scenario is read, before the FMU is."""
-    with pytest.raises(CosimError, match=r"plant\.dae: .*'dae'.*did you mean 'ode'\?"):
+    with pytest.raises(CosimError, match=r"plant\.dae'\]: .*'dae'.*did you mean 'ode'\?"):
         cosim.run("academic", swap={"plant": "plant.fmu"}, set={"plant.dae": "dae"})
