@@ -196,7 +196,7 @@ def warn(texts: Iterable[str]) -> None:
 
     In the shell there is nothing to do: what a command prints has them.
     """
-    if _in_shell.get():
+    if _in_shell.get() is not None:
         return
     level = 1
     frame = sys._getframe()

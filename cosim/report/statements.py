@@ -149,10 +149,21 @@ def contradictions(
     for statement, recorded, expected in _Statements(source, again, computed).pairs():
         if recorded != expected:
             differing.append(Contradiction(statement, recorded, expected))
-    recorded_designs = {**source.designs, **settings_designs(source)} if designs else {}
-    for name, design in (designs or {}).items():
-        differing += _other_entries(f"design of {name!r}", recorded_designs[name], design)
+    for name, (recorded, anew) in _designs(source, designs).items():
+        if recorded.keys() == anew.keys():
+            differing += _other_entries(f"design of {name!r}", recorded, anew)
     return tuple(differing)
+
+
+def _designs(source: Log, designs: Mapping[str, Design] | None) -> dict[str, tuple[Design, Design]]:
+    """Return the recorded design of each component beside that computed anew.
+
+    One of an earlier version of cosim may have other arrays; a replay goes by those.
+    """
+    if not designs:
+        return {}
+    recorded = {**source.designs, **settings_designs(source)}
+    return {name: (recorded[name], anew) for name, anew in designs.items()}
 
 
 def _other_entries(what: str, recorded: Design, design: Design) -> list[Contradiction]:
@@ -169,12 +180,17 @@ def _other_entries(what: str, recorded: Design, design: Design) -> list[Contradi
     return []
 
 
-def compared_statements(source: Log, again: Log | Memory, *, has_designs: bool) -> str:
+def compared_statements(
+    source: Log, again: Log | Memory, designs: Mapping[str, Design] | None
+) -> str:
     """Return what :func:`contradictions` compares of a log and its replay, in words."""
     statements = _Statements(source, again, ())
     names = list(_ALWAYS_COMPARED)
-    if has_designs:
-        names.insert(names.index("component tables") + 1, "designs")
+    if designs is not None:
+        pairs = _designs(source, designs).items()
+        others = [name for name, (recorded, anew) in pairs if recorded.keys() != anew.keys()]
+        kept = f" but that of {', '.join(others)}, of another version of cosim" if others else ""
+        names.insert(names.index("component tables") + 1, f"designs{kept}")
     if statements.has_all:
         names.insert(0, "truth")
     if statements.has_last_row:

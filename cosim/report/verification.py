@@ -180,7 +180,7 @@ def verify(
         _components(source, again, difference, origin),
         environment_changes(source),
         window,
-        compared_statements(source, again, has_designs=designs is not None),
+        compared_statements(source, again, designs),
         _is_changed(source, again),
     )
 

@@ -29,7 +29,6 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.recorded_scenario import recorded_stop
 from cosim.scenario.recordings.recording import (
     LiveView,
     Notice,
@@ -163,16 +162,10 @@ class LogReplays:
         request = self._with(values)
         return record_replay(self.source, request, target, progress=progress, profile=profile)
 
-    def designs(self) -> dict[str, Design] | None:
-        """Compute the designs that a replay takes from the log anew, to be compared with those.
-
-        None: the log ends before its stop, and a design may rest on how long the run is.
-        """
+    def designs(self) -> dict[str, Design]:
+        """Compute the designs that a replay takes from the log anew, to be compared with those."""
         with ExitStack() as resources:
-            experiment = self.experiment({}, resources)
-            if experiment.clock.stop != recorded_stop(self.source):
-                return None
-            return designs_anew(experiment)
+            return designs_anew(self.experiment({}, resources))
 
     def _with(self, values: Mapping[str, Any]) -> ReplayRequest:
         return replace(self.request, changes={**self.changes, **values})

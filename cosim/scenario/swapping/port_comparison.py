@@ -450,15 +450,15 @@ def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
 
 
 def _response_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
-    """Compare static gains; where they are the same or unknown, responses at a rate too."""
+    """Compare static gains; where they and the poles do not differ, responses at a rate too."""
     linear = old.component.linear or new.component.linear
     if linear is None:
         return
     error = _error(old.component, new.component)
-    for aspect, rate in (
-        ("static gain", 0.0),
-        (f"response at {linear.rate:.3g} rad/s", linear.rate),
-    ):
+    rates = {"static gain": 0.0}
+    if all(aspect.verdict != "differs" for aspect in _poles(old.component, new.component)):
+        rates[f"response at {linear.rate:.3g} rad/s"] = linear.rate
+    for aspect, rate in rates.items():
         before = old.responses(rate, old.component)
         after = new.responses(rate, old.component)
         if before is not None or after is not None:

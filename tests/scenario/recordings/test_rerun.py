@@ -10,6 +10,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import FmuError, LogError, UsageError
+from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from cosim.scenario.recorded_metadata import component_record, replay_origin
@@ -317,3 +318,22 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
     out = capsys.readouterr()
     assert "design of 'motor'" in out.err
     assert "component tables, designs, overrides" in out.out
+
+
+def test_a_design_of_another_version_is_gone_by_and_not_compared(tmp_path):
+    """An older identifier has fewer arrays; the report names it."""
+    honest = cosim.run("academic", out=tmp_path / "honest.mcap", set={"scenario.stop": 7.0})
+
+    def say(content):
+        for name, items in content.metadata:
+            if name == "cosim.component.identifier":
+                design = decode_design(items["cosim.design"])
+                del design["grids"]
+                items["cosim.design"] = encode_design(design)
+
+    log = cosim.open_log(forged(honest, tmp_path / "older.mcap", say))
+    anew = replays_of(log, rerun=True).designs()
+    verification = verify(log, cosim.replay(log, rerun=True), anew)
+    assert verification.passed
+    assert "designs but that of identifier, of another version" in verification.statements
+    assert "another version" not in verify(honest, cosim.replay(honest), anew).statements
