@@ -57,11 +57,12 @@ class StudyColumn:
     text: str = ""
 
 
+WARNINGS: Final = "warnings"
 _FIRST: Final = (StudyColumn(MEMBER, "number", "int64"),)
 _LAST: Final = (
     StudyColumn("status", "outcome", "string"),
     StudyColumn("reason", "outcome", "string"),
-    StudyColumn("warnings", "outcome", "string"),  # a line each
+    StudyColumn(WARNINGS, "outcome", "string"),  # a line each
     StudyColumn("steps", "outcome", "int64"),
     StudyColumn("wall_time", "outcome", "double", "s"),
     StudyColumn("worker", "outcome", "string"),

@@ -18,6 +18,7 @@ from cosim.studies.dataset.layout import PartLayout
 from cosim.version import __version__
 
 FORMAT: Final = 2
+_READ: Final = (1, FORMAT)  # parts of 1 have no column of warnings
 PART_SIZE: Final = 1000
 DESCRIPTION: Final = "study.json"
 OF_KEY: Final = "key "  # begins what the digest of a key of the scenario is named
@@ -146,7 +147,7 @@ class DatasetDescription:
             version = found["format"]
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _damaged(label) from error
-        if version != FORMAT:
+        if version not in _READ:
             raise DatasetError(
                 f"{label}: expected dataset format {FORMAT}, got {version!r}; read it with cosim "
                 f"{found.get('cosim')}, or choose another folder"

@@ -10,7 +10,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from cosim.errors import DatasetError
-from cosim.studies.dataset.columns import MemberRow, StudyColumn, arrow_schema, pyarrow
+from cosim.studies.dataset.columns import (
+    WARNINGS,
+    MemberRow,
+    StudyColumn,
+    arrow_schema,
+    pyarrow,
+)
 from cosim.studies.dataset.layout import part_name
 from cosim.studies.dataset.open_rows import JOURNAL
 from cosim.studies.dataset.storage import Storage
@@ -92,9 +98,15 @@ class PartFiles:
         try:
             file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
             self._check_study(name, file.schema_arrow.metadata or {})
-            if not file.schema_arrow.equals(self.schema):  # whichever columns are asked for
+            there = file.schema_arrow.names
+            lacking = [] if WARNINGS in there else [self.schema.field(WARNINGS)]  # of format 1
+            expected = arrow.schema([field for field in self.schema if field not in lacking])
+            if not file.schema_arrow.equals(expected):  # whichever columns are asked for
                 raise self._damaged(name)
-            table = file.read(columns=list(names), use_threads=False).select(list(names))
+            table = file.read([column for column in names if column in there], use_threads=False)
+            for field in lacking:
+                table = table.append_column(field, arrow.nulls(len(part), field.type))
+            table = table.select(list(names))
             table.validate(full=True)  # texts too
         except (arrow.ArrowException, OSError, KeyError, UnicodeDecodeError) as error:
             raise self._damaged(name) from error

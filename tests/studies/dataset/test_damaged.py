@@ -184,7 +184,7 @@ def test_an_empty_path_is_refused():
 def test_a_damaged_description_is_named(folder):
     """Whatever byte is damaged."""
     path = folder / "study.json"
-    problem = r"study.json( is damaged; .* new=True|: expected dataset format 1, got )"
+    problem = r"study.json( is damaged; .* new=True|: expected dataset format 2, got )"
     for damaged in flips(path.read_bytes()):
         path.write_bytes(damaged)
         with pytest.raises(DatasetError, match=problem):

@@ -1,15 +1,18 @@
 """What other readers find in the parts, and what a study is for its user."""
 
+import json
 import sys
 
 import pandas
 import pyarrow.dataset
 import pytest
+from pyarrow import parquet
 
 import cosim
+from cosim.digests import digest_of
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.dataset.study_dataset import StudyDataset
-from tests.studies.dataset.outcomes import add, identity, outcome, rates
+from tests.studies.dataset.outcomes import add, identity, outcome, parts, rates
 
 COUNT = 30
 
@@ -138,3 +141,23 @@ def test_a_folder_without_a_study_is_refused(tmp_path):
     """With what was expected."""
     with pytest.raises(DatasetError, match=r"no study.json there; expected the dataset of a stud"):
         cosim.open_study(tmp_path)
+
+
+def test_datasets_of_format_1_are_read(tmp_path):
+    """Their parts have no column of warnings; members added later have one."""
+    with StudyDataset.open_or_create(tmp_path, identity(20)) as dataset:
+        add(dataset, range(10))
+    (path,) = (tmp_path / "parts").iterdir()
+    older = parquet.read_table(path).drop_columns(["warnings"])
+    parquet.write_table(older, path)
+    description = tmp_path / "study.json"
+    content = {**json.loads(description.read_text()), "format": 1}
+    del content["checksum"]
+    description.write_text(json.dumps({**content, "checksum": digest_of(content)}))
+    read = StudyDataset.open(tmp_path).read()
+    assert read.drop_columns(["warnings", "log"]).equals(older)
+    assert StudyDataset.open(tmp_path).read(["warnings"])["warnings"].null_count == 10
+    with StudyDataset.open_or_create(tmp_path, identity(20)) as dataset:
+        add(dataset, range(10, 20))
+    assert len(StudyDataset.open(tmp_path).read(["warnings"])) == 20
+    assert len(parts(tmp_path)) == 2
