@@ -249,18 +249,24 @@ def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
 def test_an_impossible_selection_is_refused_before_the_run(tmp_path, subtests):
     """Nothing is written."""
     for settings, message in [
-        (record(["plan.*"]), r"record.signals: no signal matches 'plan\.\*'; did you mean 'plant"),
+        (
+            record(["plan.*"]),
+            r"record\.signals'\]: no signal matches 'plan\.\*'; did you mean 'plant",
+        ),
         (record(["plant.yy"]), "'plant' has no signal 'yy'; did you mean 'y'"),
         (record(["plnt.y"]), "no component 'plnt'; did you mean 'plant'"),
-        (record([]), r"record.signals: expected at least 1.*, got \[\]"),
-        (record("plant.y"), "record.signals: expected a list of strings, got 'plant.y'"),
+        (record([]), r"record\.signals'\]: expected at least 1.*, got \[\]"),
+        (record("plant.y"), r"record\.signals'\]: expected a list of strings, got 'plant.y'"),
         (record([1]), "record.signals.0: expected a string, got 1"),
         (record(["plant.x_a[0]"]), r"whole signals, such as 'plant.x_a', got 'plant.x_a\[0\]'"),
-        (record(every=0), "record.every: expected .*>= 1, got 0"),
-        (record(every=-3), "record.every: expected .*>= 1, got -3"),
-        (record(every=2.5), r"record.every: expected a whole number, got 2\.5"),
-        (record(every=True), "record.every: expected a whole number, got True"),
-        (record(every=2**70), f"record.every: expected an integer of at most 64 bits, got {2**70}"),
+        (record(every=0), r"record\.every'\]: expected .*>= 1, got 0"),
+        (record(every=-3), r"record\.every'\]: expected .*>= 1, got -3"),
+        (record(every=2.5), r"record\.every'\]: expected a whole number, got 2\.5"),
+        (record(every=True), r"record\.every'\]: expected a whole number, got True"),
+        (
+            record(every=2**70),
+            rf"record\.every'\]: expected an integer of at most 64 bits, got {2**70}",
+        ),
         ({"record.evry": 2}, "unknown key 'evry'; did you mean 'every'"),
     ]:
         with subtests.test(settings=settings):

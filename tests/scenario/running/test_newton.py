@@ -53,5 +53,7 @@ def test_a_loop_that_cannot_be_solved_is_reported_at_its_key(tmp_path):
     assert "relay in this loop cannot go back to the start of a step (rollback is not" in str(
         caught.value
     )
-    with pytest.raises(ScenarioError, match=r"scenario\.iterations: .*coupling = 'newton'.*got 3"):
+    with pytest.raises(
+        ScenarioError, match=r"scenario\.iterations'\]: .*coupling = 'newton'.*got 3"
+    ):
         cosim.run("closed-loop", set={**NEWTON, "scenario.iterations": 3})

@@ -278,10 +278,10 @@ def test_wrong_substeps_are_refused(pair, subtests):
     for key, value, text in [
         ("min", 0.02, r"min: expected at most 0.005 s, .*got 0.02 s"),
         ("min", 1e-10, r"1e-10 s is not a whole number of nanoseconds"),
-        ("min", 0.0, r"scenario\.substeps\.min: expected a number > 0, got 0\.0"),
-        ("min", -1.0, r"scenario\.substeps\.min: expected a number > 0, got -1\.0"),
-        ("rtol", -1.0, r"scenario.substeps.rtol: expected a number >= 0, got -1.0"),
-        ("atol", "small", r"scenario.substeps.atol: .*small"),
+        ("min", 0.0, r"scenario\.substeps\.min'\]: expected a number > 0, got 0\.0"),
+        ("min", -1.0, r"scenario\.substeps\.min'\]: expected a number > 0, got -1\.0"),
+        ("rtol", -1.0, r"scenario.substeps.rtol'\]: expected a number >= 0, got -1.0"),
+        ("atol", "small", r"scenario.substeps.atol'\]: .*small"),
         ("max", 1.0, r"scenario.substeps.max"),
     ]:
         with subtests.test(key=key, value=value):
