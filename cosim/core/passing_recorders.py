@@ -48,6 +48,10 @@ class PassingRecorder:
         """Pass on."""
         self._recorder.begin(plan)
 
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Pass on; a subclass that changes rows changes these, too."""
+        follow(self._recorder, rows)
+
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on."""
         self._recorder.write(block, signals)
@@ -118,10 +122,6 @@ class Watched(PassingRecorder):
         if self._began is not None:
             self._began()
 
-    def follow(self, rows: RowsUnderWay) -> None:
-        """Pass on."""
-        follow(self._recorder, rows)
-
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Pass on."""
         return None if self._memory is None else self._memory.memory_for(block, steps)
@@ -177,8 +177,9 @@ class TwoRecorders:
         self._second.begin(plan)
 
     def follow(self, rows: RowsUnderWay) -> None:
-        """Let the first one follow them."""
+        """Pass on."""
         follow(self._first, rows)
+        follow(self._second, rows)
 
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Return the memory of the first."""

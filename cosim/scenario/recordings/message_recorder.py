@@ -13,8 +13,8 @@ from cosim.core.conditions import until_text
 from cosim.core.contracts import Block, Stopped
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, RunMessage
-from cosim.core.recorders import close, end_of_run, error_text, follow
-from cosim.core.recording import INNER_STEP, MessageLevel, Plan, Recorder, RowsUnderWay
+from cosim.core.recorders import close, end_of_run, error_text
+from cosim.core.recording import INNER_STEP, MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
@@ -176,10 +176,6 @@ class MessageRecorder(PassingRecorder):
             self.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
             self._record(name, messages, self._reached_ns)
-
-    def follow(self, rows: RowsUnderWay) -> None:
-        """Pass on; the messages of a block come when it is written."""
-        follow(self._recorder, rows)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Record the messages of the block, and pass it on."""

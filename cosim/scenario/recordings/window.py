@@ -14,7 +14,15 @@ from cosim.arrays import Matrix
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Block
 from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recording import CompleteRecording, MessageLevel, Recorder, SignalEvent, Substep
+from cosim.core.recorders import follow
+from cosim.core.recording import (
+    CompleteRecording,
+    MessageLevel,
+    Recorder,
+    RowsUnderWay,
+    SignalEvent,
+    Substep,
+)
 from cosim.errors import UsageError, quoted
 
 _ENDS: Final = 2  # of a window
@@ -121,14 +129,28 @@ class WindowRecorder(PassingRecorder):
         self._index = window.index
         self._begin_ns = window.begin_ns
 
+    def follow(self, rows: RowsUnderWay) -> None:
+        """Pass on what is in the window."""
+
+        def within() -> tuple[Block, Matrix] | None:
+            found = rows()
+            return None if found is None else self._within(*found)
+
+        follow(self._recorder, within)
+
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on the rows from the begin of the window on."""
+        within = self._within(block, signals)
+        if within is not None:
+            self._recorder.write(*within)
+
+    def _within(self, block: Block, signals: Matrix) -> tuple[Block, Matrix] | None:
         left_out = max(0, self._index - block.index)
         if left_out > block.steps:
-            return
+            return None
         part = block.part(left_out, block.steps)
         shifted = Block(part.index - self._index, part.time_ns, part.time, part.h)
-        self._recorder.write(shifted, signals[left_out:])
+        return shifted, signals[left_out:]
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on what is not before the window."""
