@@ -42,7 +42,7 @@ class CommandResult(NamedTuple):
     output: str
     messages: str
     exit_code: int
-    failure: str = ""
+    failure: str
 
 
 def run_command(arguments: Sequence[str], *, columns: int | None, limit: float) -> CommandResult:
@@ -57,31 +57,26 @@ def run_command(arguments: Sequence[str], *, columns: int | None, limit: float) 
         How long a call of foreign code may take [s]; the child keeps it (:func:`call_limit`).
     """
     with TemporaryFolder("command") as folder:
-        ended = folder / "ended"
+        ended, output, messages = (folder / name for name in ("ended", "output", "messages"))
         environment = child_environment(folder, COMMAND_VARIABLE, str(columns or 0))
-        child = run_child(
-            ["cosim", *arguments],
-            environment | {_ENDED_VARIABLE: str(ended), _LIMIT_VARIABLE: repr(limit)},
-            streams=subprocess.PIPE,
-        )
+        # files, as a pipe has no end as long as a process that an FMU started lives on
+        with output.open("wb") as stdout, messages.open("wb") as stderr:
+            exit_code = run_child(
+                ["cosim", *arguments],
+                environment | {_ENDED_VARIABLE: str(ended), _LIMIT_VARIABLE: repr(limit)},
+                streams=(stdout, stderr),
+            )
+        printed = [path.read_text("utf-8", "replace") for path in (output, messages)]
         ended_itself = ended.exists()
-    assert child.exit_code is not None  # there is no limit
+    assert exit_code is not None  # there is no limit
     failure = ""
-    if sys.platform != "win32" and child.exit_code == -signal.SIGALRM:
+    if sys.platform != "win32" and exit_code == -signal.SIGALRM:
         failure = f"was ended, as a call did not return within {limit:g} s"
-    elif child.exit_code < 0:
-        failure = describe_exit(child.exit_code)
+    elif exit_code < 0:
+        failure = describe_exit(exit_code)
     elif not ended_itself:
-        failure = f"was ended by one of them, with exit code {child.exit_code}"
-    return CommandResult(child.output, child.messages, child.exit_code, failure)
-
-
-class ChildEnd(NamedTuple):
-    """What a child wrote, where that is read, and its exit code; None: it did not end in time."""
-
-    output: str
-    messages: str
-    exit_code: int | None
+        failure = f"was ended by one of them, with exit code {exit_code}"
+    return CommandResult(*printed, exit_code, failure)
 
 
 def run_child(
@@ -89,10 +84,12 @@ def run_child(
     environment: Mapping[str, str],
     *,
     folder: Path | None = None,
-    streams: int = subprocess.DEVNULL,
+    streams: tuple[Any, Any] = (subprocess.DEVNULL, subprocess.DEVNULL),
     timeout: float | None = None,
-) -> ChildEnd:
+) -> int | None:
     """Run a module of Python in a process that leads a session; nothing of it is left behind.
+
+    Return its exit code; None: it did not end in time.
 
     Parameters
     ----------
@@ -101,8 +98,8 @@ def run_child(
     environment : mapping
     folder : Path or None
         That it works in; None: this one.
-    streams : int
-        For its stdout and stderr, of :mod:`subprocess`.
+    streams : tuple
+        Its stdout and stderr, as of :mod:`subprocess`; no pipes.
     timeout : float or None
         After it the child and what it started are killed [s].
     """
@@ -111,18 +108,14 @@ def run_child(
         cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,
-        stdout=streams,
-        stderr=streams,
-        text=True,
-        encoding="utf-8",
-        errors="replace",
+        stdout=streams[0],
+        stderr=streams[1],
         start_new_session=True,
     )
     try:
-        output, messages = child.communicate(timeout=timeout)
-        return ChildEnd(output or "", messages or "", child.returncode)
+        return child.wait(timeout)
     except subprocess.TimeoutExpired:
-        return ChildEnd("", "", None)
+        return None
     finally:
         kill(child)
 

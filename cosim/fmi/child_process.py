@@ -117,14 +117,14 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
     with TemporaryFolder("trial") as folder:
         log = folder / "result"
         log.touch()
-        child = run_child(
+        exit_code = run_child(
             [TRIAL, task, str(log), *arguments],
             child_environment(folder, CHILD_VARIABLE),
             folder=folder,
             timeout=timeout,
         )
         text = log.read_text(encoding="utf-8", errors="replace")
-        return _problems(text, child.exit_code, timeout)
+        return _problems(text, exit_code, timeout)
 
 
 def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[TrialProblem, ...]:

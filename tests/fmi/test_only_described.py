@@ -106,6 +106,15 @@ def test_an_fmu_that_hangs_is_not_waited_for(call, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_what_an_fmu_starts_does_not_keep_a_command(call, tmp_path):
+    """It holds stdout and stderr of the child open, and ends with it."""
+    attach(tmp_path, 'if (!fork()) execlp("sleep", "sleep", "100", (char *)0);')
+    code, out, _ = call("check", "marked.toml")
+    assert code == 0
+    assert "assumptions are fulfilled" in out
+
+
+@pytest.mark.slow
 def test_a_dry_run_of_an_fmu_that_ends_the_process(call, tmp_path):
     """Exit code 0 of it does not say that the scenario can run."""
     attach(tmp_path, "exit(0);")
