@@ -348,3 +348,39 @@ def test_where_the_process_dies_is_said(rogue, tmp_path, what, code, words):
     said = f"cosim: plant, at t = 0.02 s: {words}; its log is x.mcap; in fmi2DoStep"
     assert said in done.stderr.splitlines()
     assert cosim.open_log(tmp_path / "x.mcap").status == "unfinished"
+
+
+VIRTUAL_MACHINE = """
+#define _GNU_SOURCE
+#include <signal.h>
+#include <sys/mman.h>
+#include <unistd.h>
+static char *page;
+static void give(int number, siginfo_t *info, void *context)
+{
+    if (info->si_addr != page || mprotect(page, 4096, PROT_READ))
+        _exit(3);
+}
+void begin(void)
+{
+    struct sigaction action = {.sa_sigaction = give, .sa_flags = SA_SIGINFO};
+    page = mmap(0, 4096, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    sigaction(SIGSEGV, &action, 0);
+}
+int read_page(void) { return *(volatile char *)page; }
+"""
+
+
+@pytest.mark.slow
+def test_who_lives_by_faults_gets_them_as_they_are(tmp_path):
+    """A virtual machine that was there before needs the address, and goes on."""
+    (tmp_path / "vm.c").write_text(VIRTUAL_MACHINE)
+    binary = tmp_path / "vm.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", binary, tmp_path / "vm.c"], check=True)
+    program = (
+        "import ctypes; from cosim.native.fmi.process import report_deaths; "
+        f"vm = ctypes.CDLL({str(binary)!r}); vm.begin(); report_deaths(); "
+        "print(vm.read_page())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "0\n", "")

@@ -90,8 +90,10 @@ static void report(const char *how)
     say("\n");
 }
 
-static void on_signal(int number)
+static void on_signal(int number, siginfo_t *info, void *context)
 {
+    const int is_sent = info->si_code <= 0 || number == SIGABRT || number == SIGALRM;
+    (void)context;
     char how[64] = "crashes: ";
     for (int i = 0; i < FATAL; i++) {
         sigaction(fatal[i].number, &before[i], NULL);
@@ -99,7 +101,10 @@ static void on_signal(int number)
             strcat(how, fatal[i].name);
     }
     report(number == SIGALRM ? "does not return" : how);
-    raise(number); /* it comes behind this handler, to who was there before */
+    /* It comes again behind this handler, to who was there before: what the processor raised by
+     * itself, with the address that a virtual machine may wait for. */
+    if (is_sent)
+        raise(number);
 }
 
 #ifdef __GLIBC__
@@ -136,8 +141,8 @@ void cosim_report_deaths(void)
     if (!sigaltstack(NULL, &there) && there.ss_flags & SS_DISABLE)
         sigaltstack(&own, NULL);
     memset(&action, 0, sizeof action);
-    action.sa_handler = on_signal;
-    action.sa_flags = SA_ONSTACK;
+    action.sa_sigaction = on_signal;
+    action.sa_flags = SA_ONSTACK | SA_SIGINFO;
     for (int i = 0; i < FATAL; i++)
         sigaction(fatal[i].number, &action, &before[i]);
 #ifdef __GLIBC__
