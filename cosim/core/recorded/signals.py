@@ -391,8 +391,11 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     def _overview(self) -> str:
         end = self.end_ns / 1e9
         overview = f"{self.status}, {self.steps} steps to {end:g} s"
-        count = len(self.warnings)
-        warned = f", {count} warning{'' if count == 1 else 's'}" if count else ""
+        try:
+            count = len(self.warnings)
+            warned = f", {count} warning{'' if count == 1 else 's'}" if count else ""
+        except LogError:  # a debugger shows the run all the same
+            warned = ", warnings that cannot be read"
         partial = self.partial
         if partial is not None:
             return f"{overview}, partial: {partial.text(self.channels)}{warned}"

@@ -109,8 +109,9 @@ def test_of_very_many_warnings_the_first_of_each_source_are_shown():
 
 @pytest.mark.parametrize("wrong", [3, [3], [[0, "warning", "pump"]], [["0", "warning", "a", "b"]]])
 def test_recorded_warnings_of_another_shape_are_an_error(wrong):
-    """Of a file that somebody wrote by hand."""
+    """Of a file that somebody wrote by hand; it is shown in a notebook all the same."""
     run = with_warnings()
     run.result({"warnings": wrong})
     with pytest.raises(LogError, match=r"the run: warnings .*\[time_ns, level, source, text\]"):
         _ = run.warnings
+    assert ", warnings that cannot be read>" in repr(run)
