@@ -20,7 +20,7 @@ outside.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
@@ -132,6 +132,7 @@ def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:
     return False
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
 def resolution(
     graph: Graph, clock: Clock, row: Vector, linearized: Mapping[str, Linearized]
 ) -> Resolution:
@@ -147,7 +148,36 @@ def resolution(
     linearized : mapping of component name to Linearized
         Those that can be linearized.
     """
-    return _Model(graph, clock, row, linearized).resolution()
+    model = _Model(graph, clock, row, linearized)
+    h = clock.step_ns / NANOSECONDS
+    sources = model.integrated_sources()
+    rates: dict[str, float] = {}
+    unknown = [name for name in sources if model.is_unknown(name)]
+    fast: list[_FastStage] = []
+    for stage in graph.stages:
+        names = [member.name for member in stage.members if member.name in sources]
+        part = _FastStage(model, [name for name in names if name in model.linear])
+        if part.size > LARGEST:
+            unknown += part.stage
+            continue
+        rate = part.fastest(is_loop=stage.is_loop)
+        if rate is None:
+            continue
+        rates |= dict.fromkeys(part.stage, rate)
+        if rate * h * max(model.spans.values()) > SLOW:
+            fast.append(part)
+
+    def worst(parts: int) -> Missed:
+        found = (part.missed(h / parts) for part in fast)
+        return max(found, key=lambda one: one.error, default=NONE)
+
+    missed = worst(1)
+    step_ns = None
+    if missed.error > LIMIT:
+        step_ns = largest_part(clock.step_ns, lambda parts: worst(parts).error <= LIMIT)
+    rate = max(rates.values(), default=0.0)
+    fastest = tuple(name for name in rates if rates[name] == rate)
+    return Resolution(h, fastest, rate, tuple(unknown), missed, step_ns)
 
 
 class _Model:
@@ -161,6 +191,8 @@ class _Model:
         Which inputs are interpolated over a step, and integrated.
     spans : dict of component name to int
         Communication steps of such an interpolation.
+    drivers, driven : dict of component name to dict
+        Whose outputs a component gets, and who gets its own.
     """
 
     def __init__(
@@ -169,6 +201,7 @@ class _Model:
         self.graph = graph
         self.clock = clock
         self.row = row
+        self.labels = graph.labels()
         self.linear = {name: own for name, own in linearized.items() if own.is_continuous}
         self.integrated: dict[str, Mask] = {}
         self.spans: dict[str, int] = {}
@@ -186,65 +219,20 @@ class _Model:
                 self.drivers[to.component][source.component] = None
                 self.driven[source.component][to.component] = None
 
-    @cached_property
-    def labels(self) -> list[str]:
-        """The name of every column."""
-        return self.graph.labels()
-
     def _refined(self, name: str) -> Mask:
         """Return which inputs of a component come out of a loop that divides its steps."""
-        stages = [stage for stage in self.graph.stages if stage.controls]
-        for stage in stages:
+        for stage in self.graph.stages:
             names = [member.name for member in stage.members]
-            if name in names:
+            if stage.controls and name in names:
                 matrices = wiring(stage.members, self.graph.layout.width)
                 return np.asarray(matrices[names.index(name)].any(axis=1))
         return np.zeros(self.graph.layout[name].interface.n_u, np.bool_)
-
-    def interpolated(self, name: str) -> Mask:
-        """Return which inputs of a component are interpolated and integrated."""
-        nothing = np.zeros(self.graph.layout[name].interface.n_u, np.bool_)
-        return self.integrated.get(name, nothing)
 
     def passes(self, name: str) -> bool:
         """Return whether what drives a component is in its outputs at once."""
         return name in self.linear and bool(self.linear[name].D.any())
 
-    @np.errstate(over="ignore", invalid="ignore")  # of modes that leave all bounds
-    def resolution(self) -> Resolution:
-        """Return what is found of all components."""
-        h = self.clock.step_ns / NANOSECONDS
-        sources = self._integrated_sources()
-        rates: dict[str, float] = {}
-        unknown = [name for name in sources if self._is_unknown(name)]
-        fast: list[_FastStage] = []
-        for stage in self.graph.stages:
-            names = [member.name for member in stage.members if member.name in sources]
-            part = _FastStage(self, [name for name in names if name in self.linear])
-            if part.size > LARGEST:
-                unknown += part.stage
-                continue
-            rate = part.fastest(is_loop=stage.is_loop)
-            if rate is None:
-                continue
-            rates |= dict.fromkeys(part.stage, rate)
-            if rate * h * max(self.spans.values()) > SLOW:
-                fast.append(part)
-
-        def worst(parts: int) -> Missed:
-            return max(
-                (part.missed(h / parts) for part in fast), key=lambda one: one.error, default=NONE
-            )
-
-        missed = worst(1)
-        step_ns = None
-        if missed.error > LIMIT:
-            step_ns = largest_part(self.clock.step_ns, lambda parts: worst(parts).error <= LIMIT)
-        rate = max(rates.values(), default=0.0)
-        fastest = tuple(name for name in rates if rates[name] == rate)
-        return Resolution(h, fastest, rate, tuple(unknown), missed, step_ns)
-
-    def _integrated_sources(self) -> dict[str, None]:
+    def integrated_sources(self) -> dict[str, None]:
         """Return the components whose outputs others integrate, also through what passes them."""
         sources: dict[str, None] = {}
         for name in self.integrated:
@@ -256,85 +244,55 @@ class _Model:
                 sources |= self.drivers[name]
         return sources
 
-    def _is_unknown(self, name: str) -> bool:
+    def is_unknown(self, name: str) -> bool:
         """Return whether a component follows its inputs in continuous time, unknown how."""
-        channel = self.graph.members[name].channel
-        if name in self.linear or not channel.interface.n_u:
+        interface = self.graph.members[name].channel.interface
+        if name in self.linear or not interface.n_u:
             return False
-        ports = [Port(name, signal.name) for signal in channel.interface.outputs]
+        ports = [Port(name, signal.name) for signal in interface.outputs]
         return any(self.graph.variability(port) == "continuous" for port in ports)
 
 
 class _FastStage:
     """The linear components of a stage, and those behind them that pass on their outputs.
 
-    Parameters
-    ----------
-    model : _Model
-    stage : list of str
-        The components of the stage.
+    With them those that integrate these outputs, and behind all of them what else drives them.
     """
 
     def __init__(self, model: _Model, stage: list[str]) -> None:
         self.stage = stage
         self._model = model
-
-    @cached_property
-    def size(self) -> int:
-        """The number of its states."""
-        return sum(len(self._model.linear[name].A) for name in self._names)
+        passing = list(stage)
+        for name in passing:  # grows on the way
+            passing += [n for n in model.driven[name] if n not in passing and model.passes(n)]
+        driven = chain.from_iterable(model.driven[name] for name in passing)
+        consumers = [name for name in driven if name in model.integrated]
+        names = dict.fromkeys((*passing, *consumers))
+        self._names = [name for name in names if name in model.linear]
+        drivers = chain.from_iterable(model.drivers[name] for name in self._names)
+        others = dict.fromkeys((*drivers, *consumers))
+        self._inside = [model.graph.members[name] for name in self._names]
+        self._others = [model.graph.members[n] for n in others if n not in self._names]
+        self.size = sum(len(model.linear[name].A) for name in self._names)
 
     def fastest(self, *, is_loop: bool) -> float | None:
         """Return the fastest mode of the stage [1/s]; None: it has none."""
-        linear = self._model.linear
         modes: list[float] = []
         for name in self.stage:
-            modes += np.abs(np.linalg.eigvals(linear[name].A)).tolist()
+            modes += np.abs(np.linalg.eigvals(self._model.linear[name].A)).tolist()
         if is_loop and modes and self._system is not None:
             modes += np.abs(self._system.poles).tolist()
         return max(modes, default=None)
 
     @cached_property
-    def _passing(self) -> list[str]:
-        """The components, and those that pass on their outputs."""
-        model = self._model
-        names = list(self.stage)
-        for name in names:  # grows on the way
-            names += [n for n in model.driven[name] if n not in names and model.passes(n)]
-        return names
-
-    @cached_property
-    def _consumers(self) -> list[str]:
-        """Those that integrate these outputs."""
-        model = self._model
-        driven = chain.from_iterable(model.driven[name] for name in self._passing)
-        return [name for name in dict.fromkeys(driven) if name in model.integrated]
-
-    @cached_property
-    def _names(self) -> list[str]:
-        """All of them that are linear in continuous time."""
-        names = dict.fromkeys((*self._passing, *self._consumers))
-        return [name for name in names if name in self._model.linear]
-
-    @cached_property
-    def _members(self) -> list[Member]:
-        """The components in their places, and behind them what else they are connected with."""
-        drivers = chain.from_iterable(self._model.drivers[name] for name in self._names)
-        names = dict.fromkeys((*self._names, *drivers, *self._consumers))
-        return [self._model.graph.members[name] for name in names]
-
-    @cached_property
     def _loop(self) -> LoopModel:
-        """All of them; the others have outputs alone."""
-        linear = []
-        for member in self._members:
+        """All of them in their places; the others have outputs alone."""
+        linear = [self._model.linear[name] for name in self._names]
+        for member in self._others:
             interface = member.channel.interface
             nothing = static(np.zeros((interface.n_y, interface.n_u)))
-            is_inside = member.name in self._names
-            linear.append(
-                self._model.linear[member.name] if is_inside else replace(nothing, is_discrete=True)
-            )
-        matrices = wiring(self._members, self._model.graph.layout.width)
+            linear.append(replace(nothing, is_discrete=True))
+        matrices = wiring([*self._inside, *self._others], self._model.graph.layout.width)
         return LoopModel(tuple(linear), matrices, (), (), 0.0)
 
     @cached_property
@@ -342,81 +300,39 @@ class _FastStage:
         """The components as one, driven by the outputs of the others."""
         return connect(self._loop)
 
-    @cached_property
-    def _is_excited(self) -> bool:
-        """Whether a mode may be: by a jump of what drives them, or at the start."""
-        jumping = any(self._jumps(m).any() for m in self._members[len(self._names) :])
-        rates = [self._model.linear[name].rate for name in self._names]
-        return jumping or any(rate is not None and rate.any() for rate in rates)
-
-    def _jumps(self, member: Member) -> Mask:
-        """Return which outputs of a component may jump."""
-        jumps: list[bool] = []
-        for signal in member.channel.interface.outputs:
-            may_jump = bool(self._model.graph.jumps(Port(member.name, signal.name)))
-            jumps += [may_jump] * signal.size
-        return np.array(jumps, np.bool_)
-
     def missed(self, h: float) -> Missed:
         """Return the largest error of a response where the step is h."""
-        system = self._system if self._is_excited else None
+        system = self._system
         if system is None:
             return NONE
         causes, G, by_w = self._excitations(system)
+        if not G.any():
+            return NONE
         response = _Response(system.A, G, h)
-        P = self._with_errors(system, response)
-        inside = [number for number, m in enumerate(self._members) if m.name in self._names]
-        places: list[int] = []
-        for number in inside:
-            member = self._members[number]
-            places += range(member.outputs.start, member.outputs.stop)
+        places = list(chain.from_iterable(_columns(member) for member in self._inside))
         rows = np.eye(len(system.C))[: len(places)]  # those inside stand before the others
         wrong = np.hstack([np.zeros((len(places), len(response.x))), rows @ system.C])
-        found = [self._largest(response, P, wrong[np.newaxis], rows, places, by_w)]
-        for number, member in enumerate(self._members):
-            if number in inside or member.name not in self._model.integrated:
+        P = self._with_errors(system, response)
+        checks = [(response, P, wrong[np.newaxis], rows, places)]
+        for number, member in enumerate(self._others, start=len(self._inside)):
+            if member.name not in self._model.integrated:
                 continue  # it is not known what the others make of the errors of their inputs
             elements = np.flatnonzero(self._model.integrated[member.name])
             response = _Response(system.A, G, h * self._model.spans[member.name])
             rows = self._loop.wiring[number][elements]
-            wrong = response.missed(rows @ system.C)
             places = (member.inputs.start + elements).tolist()
-            found.append(self._largest(response, response.P, wrong, rows, places, by_w))
-        error, place, column = max(found)
-        return Missed(error, self._model.labels[place], causes[column]) if error else NONE
-
-    def _largest(
-        self,
-        response: _Response,
-        P: Matrix,
-        wrong: NDArray[np.float64],
-        rows: Matrix,
-        places: list[int],
-        by_w: Matrix,
-    ) -> tuple[float, int, int]:
-        """Return the largest relative error of signals, its place in the row, and what excites it.
-
-        Parameters
-        ----------
-        response : _Response
-        P, wrong : arrays
-            As for :meth:`_Response.errors`.
-        rows : Matrix, shape (m, n_y)
-            The signals, by all outputs.
-        places : list of int
-            Theirs in the row.
-        by_w : Matrix
-            What excites them, as outputs of the others.
-        """
-        system = self._system
-        assert system is not None
-        initial = self._model.row[places]
-        base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
+            checks.append((response, response.P, response.missed(rows @ system.C), rows, places))
         clock = self._model.clock
-        steps = max(1, round((clock.stop - clock.start_time) / response.h))
-        errors = response.errors(P, wrong, rows @ system.C, base, steps)
-        row, column = np.unravel_index(int(errors.argmax()), errors.shape)
-        return float(errors[row, column]), places[row], int(column)
+        largest = (0.0, 0, 0)  # error, place of the signal in the row, cause
+        for response, P, wrong, rows, places in checks:
+            initial = self._model.row[places]
+            base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
+            steps = max(1, round((clock.stop - clock.start_time) / response.h))
+            errors = response.errors(P, wrong, rows @ system.C, base, steps)
+            at, cause = np.unravel_index(int(errors.argmax()), errors.shape)
+            largest = max(largest, (float(errors[at, cause]), places[at], int(cause)))
+        error, place, cause = largest
+        return Missed(error, self._model.labels[place], causes[cause]) if error else NONE
 
     def _with_errors(self, system: ConnectedSystem, response: _Response) -> Matrix:
         """Return what a step does to x and g, and to the errors of the states behind them.
@@ -440,7 +356,8 @@ class _FastStage:
             before[x, size:] += whole.B0 @ U[u]
             before[x, size:][:, x] += whole.Ad
             part = first_order_hold(own.A, own.B, response.h / POINTS, held)
-            of_inputs = missed[:, u] * self._model.interpolated(name)[:, np.newaxis]
+            interpolated = self._model.integrated.get(name, held)
+            of_inputs = missed[:, u] * interpolated[:, np.newaxis]
             for first, second in pairwise(of_inputs):
                 before[x, :size] = part.Ad @ before[x, :size] + part.B0 @ first + part.B1 @ second
         P = np.zeros((size + n, size + n))
@@ -458,21 +375,30 @@ class _FastStage:
         """
         causes: list[str] = []
         jumping: list[int] = []
-        number = 0
-        for member in self._members[len(self._names) :]:
-            columns = range(member.outputs.start, member.outputs.stop)
-            for column, may_jump in zip(columns, self._jumps(member), strict=True):
-                if may_jump and system.B[:, number].any():
-                    causes.append(f"a jump of {self._model.labels[column]}")
-                    jumping.append(number)
-                number += 1
+        columns = list(chain.from_iterable(_columns(member) for member in self._others))
+        jumps = list(chain.from_iterable(self._jumps(member) for member in self._others))
+        for number, column in enumerate(columns):
+            if jumps[number] and system.B[:, number].any():
+                causes.append(f"a jump of {self._model.labels[column]}")
+                jumping.append(number)
         rates = []
         for name in self._names:
             own = self._model.linear[name]
             rates.append(np.zeros(len(own.A)) if own.rate is None else own.rate)
         initial = np.concatenate(rates)[:, np.newaxis]
-        by_w = np.eye(number)[:, jumping]
+        by_w = np.eye(len(columns))[:, jumping]
         return [*causes, "the initial state"], np.hstack([system.B @ by_w, initial]), by_w
+
+    def _jumps(self, member: Member) -> Iterator[bool]:
+        """Yield of every output of a component whether it may jump."""
+        for signal in member.channel.interface.outputs:
+            may_jump = bool(self._model.graph.jumps(Port(member.name, signal.name)))
+            yield from [may_jump] * signal.size
+
+
+def _columns(member: Member) -> range:
+    """Return the columns of the outputs of a component."""
+    return range(member.outputs.start, member.outputs.stop)
 
 
 class _Response:
