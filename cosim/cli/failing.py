@@ -12,16 +12,15 @@ from cosim.cli.options import print_notice
 from cosim.errors import UsageError, listing, nearest, option, quoted
 
 if TYPE_CHECKING:
-    from cosim.scenario.recordings.recording import LiveView
     from cosim.studies.dataset.study import Study
     from cosim.studies.metrics.assertions import AssertedView, Assertions
 
-OF_VERDICTS: Final = frozenset({"inconsistent", "no-estimate"})
-
-_OF_VERDICT: Final = {
+# what fails a verdict of a study, by the words in it
+_WORDS: Final = {
     "inconsistent": ("INCONSISTENT", "no verdict"),
     "no-estimate": ("NO_ESTIMATE", "NOT_IDENTIFIABLE", "no verdict"),
 }
+OF_VERDICTS: Final = _WORDS.keys()
 
 FailOnOption = Annotated[
     list[str] | None,
@@ -81,11 +80,7 @@ def read_assertions(
 ) -> Assertions | None:
     """Return what a run must fulfil; None: nothing.
 
-    Parameters
-    ----------
-    texts : iterable of str or None
-    known : mapping of str to str, optional
-        Metrics of a study by name, which may stand for their texts.
+    ``known``: metrics of a study by name, which may stand for their texts.
 
     Raises
     ------
@@ -99,16 +94,7 @@ def read_assertions(
     return Assertions(texts, known or {})
 
 
-def asserted_view(assertions: Assertions, other: LiveView | None = None) -> AssertedView:
-    """Return what computes assertions of a run beside what shows it."""
-    from cosim.studies.metrics.assertions import AssertedView
-
-    return AssertedView(assertions, other)
-
-
-def fail_if(
-    run: Any, fail_on: Collection[str], problems: Mapping[str, str], *, quiet: bool
-) -> None:
+def fail_if(run: Any, fail_on: Collection[str], view: AssertedView | None, *, quiet: bool) -> None:
     """Exit with 1 if a run has what a command fails on, or an assertion is not fulfilled.
 
     Parameters
@@ -116,65 +102,52 @@ def fail_if(
     run : Log or Memory
     fail_on : collection of str
         Some of ``completion.FAILURES``.
-    problems : mapping of str to str
-        Why assertions are not fulfilled, by their texts.
+    view : AssertedView or None
+        Knows why assertions are not fulfilled.
     quiet : bool
         Its warnings have not been printed.
     """
+    problems = {} if view is None else view.problems
     lines = [f"{option('assert', text)}: {found}" for text, found in problems.items()]
     if fail_on:
-        from cosim.report.failing import failure_lines
+        from cosim.report.tables.run import failure_lines
 
         lines += failure_lines(run, fail_on, quiet=quiet)
     _fail(lines)
 
 
-def fail_if_members(
-    study: Study, fail_on: Collection[str], assertions: Assertions | None, verdicts: Iterable[str]
-) -> None:
-    """Exit with 1 if members have what a command fails on, or do not fulfil an assertion.
-
-    Parameters
-    ----------
-    study : Study
-    fail_on : collection of str
-        Some of ``completion.FAILURES``.
-    assertions : Assertions or None
-    verdicts : iterable of str
-        The columns of verdicts.
-    """
+def fail_if_members(study: Study, fail_on: Collection[str], assertions: Assertions | None) -> None:
+    """Exit with 1 if members have what a command fails on, or do not fulfil an assertion."""
     metrics = {} if assertions is None else assertions.metrics
+    verdicts: list[str] = []
+    if not OF_VERDICTS.isdisjoint(fail_on):
+        verdicts = [name for name in study.metrics if name.endswith(" verdict")]
     columns = list(dict.fromkeys(["member", "status", "warnings", *metrics, *verdicts]))
     found: dict[str, list[tuple[int, str]]] = {}
     for row in study.table(columns).to_pylist():
         if row["status"] != "complete":
             continue
-        number = row["member"]
+        problems = {} if assertions is None else assertions.problems(row)
+        own = [(option("assert", text), problem) for text, problem in problems.items()]
         if "warning" in fail_on and row["warnings"]:
-            found.setdefault(option("fail-on", "warning"), []).append((number, row["warnings"]))
-        for column in verdicts:
-            verdict = row[column] or "no verdict"
-            for name, words in _OF_VERDICT.items():
+            own.append((option("fail-on", "warning"), row["warnings"]))
+        for verdict in (row[column] or "no verdict" for column in verdicts):
+            for name, words in _WORDS.items():
                 if name in fail_on and any(word in verdict for word in words):
-                    found.setdefault(option("fail-on", name), []).append((number, verdict))
-        if assertions is not None:
-            for text, problem in assertions.problems(row).items():
-                found.setdefault(option("assert", text), []).append((number, problem))
+                    own.append((option("fail-on", name), verdict))
+        for label, text in own:
+            found.setdefault(label, []).append((row["member"], text))
     lines = []
     for label, members in found.items():
         numbers = listing([str(number) for number, _ in members])
         first, text = members[0]
-        example = text.partition("\n")[0]
-        count = f"{len(members)} of {len(study)} members"
-        lines.append(f"{label}: {count} ({numbers}); member {first}: {example}")
+        count = f"{len(members)} of {len(study)} members ({numbers})"
+        lines.append(f"{label}: {count}; member {first}: {text.partition(chr(10))[0]}")
     _fail(lines)
 
 
-def _fail(lines: Iterable[str]) -> None:
-    """Print lines to stderr, and exit with 1 if there are any."""
-    failed = False
+def _fail(lines: Collection[str]) -> None:
     for line in lines:
-        failed = True
         print_notice(f"cosim: {line}")
-    if failed:
+    if lines:
         raise typer.Exit(1)

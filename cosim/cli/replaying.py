@@ -15,7 +15,6 @@ from cosim.cli.failing import (
     AssertOption,
     FailOnOption,
     NoVerdictsOption,
-    asserted_view,
     fail_if,
     read_assertions,
     read_fail_on,
@@ -190,7 +189,7 @@ def replay(
         return
     check_plot(plot, out)
     notice = None if quiet else print_notice
-    view = None if assertions is None else asserted_view(assertions)
+    view = None if assertions is None else assertions.view()
     with ExitStack() as resources:
         with show_progress(quiet or as_json) as progress, prints_to_stderr():
             replayed = replayed_once(
@@ -221,7 +220,7 @@ def replay(
                 quiet=quiet,
                 is_kept=out is not None,
             )
-        fail_if(again, failures, {} if view is None else view.problems, quiet=quiet)
+        fail_if(again, failures, view, quiet=quiet)
 
 
 def _check_choices(

@@ -14,7 +14,6 @@ from cosim.cli.failing import (
     AssertOption,
     FailOnOption,
     NoVerdictsOption,
-    asserted_view,
     fail_if,
     read_assertions,
     read_fail_on,
@@ -231,7 +230,7 @@ def run(
         show_progress(quiet or as_json) as progress,
         prints_to_stderr(),
     ):
-        view = None if assertions is None else asserted_view(assertions, server)
+        view = None if assertions is None else assertions.view(server)
         log = run_scenario(
             edited,
             out=path,
@@ -258,7 +257,7 @@ def run(
         print_rotated(log, wall=wall, as_json=as_json, quiet=quiet)
     else:
         print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
-    fail_if(log, failures, {} if view is None else view.problems, quiet=quiet)
+    fail_if(log, failures, view, quiet=quiet)
 
 
 def _check_dry_run(excluded: Mapping[str, object]) -> None:

@@ -229,7 +229,7 @@ def run(
             with_results = file.subject.with_results
             file = file.with_options(metrics=assertions.metrics, results=with_results)
     if not (OF_VERDICTS.isdisjoint(failures) or file.subject.with_results):
-        raise UsageError(f"--fail-on {', '.join(OF_VERDICTS & failures)} needs --results")
+        raise UsageError(f"--fail-on {','.join(sorted(OF_VERDICTS & failures))} needs --results")
     place = str(default_place(file)) if out is None else out
     if dry_run:
         if scheduler is not None:
@@ -256,10 +256,8 @@ def run(
             raise
     if not quiet:
         _show(place, ShownParts(as_json=as_json))
-    wanted = not OF_VERDICTS.isdisjoint(failures)
-    verdicts = [name for name in done.metrics if wanted and name.endswith(" verdict")]
     if failures or assertions is not None:
-        fail_if_members(done, failures, assertions, verdicts)
+        fail_if_members(done, failures, assertions)
     if done.failures:
         raise typer.Exit(1)
 

@@ -55,6 +55,7 @@ from cosim.scenario.recorded_tables import (
     ReconstructionRecord,
 )
 from cosim.theory.assessment.consistency import NOTHING_ELSE
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.excitation import describe_excitation, information
 
 if TYPE_CHECKING:
@@ -531,6 +532,30 @@ def _value_outcomes(
     return outcomes
 
 
+def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
+    """Yield estimates, verdict and reason where estimates contradict the data, or have no value.
+
+    The verdict is ``INCONSISTENT``, another one of what has no value, or empty: none was made.
+    """
+    found = recorded_identification(recording)
+    for name in declared_channels(recording.channels):
+        record = component_record(recording, name)
+        if not record.is_identifier:
+            continue
+        if name not in found:
+            yield name, "", "no verdict was made"
+            continue
+        if found[name].problem:
+            yield name, Verdict.NO_ESTIMATE, found[name].problem
+        labels: dict[tuple[str, str], list[str]] = {}
+        for parameter in _parameters(recording, name, _own_estimate(record, found[name])):
+            if parameter.verdict == Verdict.INCONSISTENT or parameter.value is None:
+                key = (parameter.verdict, parameter.reason)
+                labels.setdefault(key, []).append(parameter.estimate)
+        for (verdict, reason), names in labels.items():
+            yield ", ".join(names), verdict, reason
+
+
 def _identification(
     recording: Recording,
     component: str,
@@ -547,9 +572,7 @@ def _identification(
     amplitudes = []
     for of_data in identification.amplitudes:
         amplitudes += [_parameter(amplitude.name, amplitude) for amplitude in of_data]
-    is_output_error = record.method == OUTPUT_ERROR
-    own = identification.parameters if is_output_error else identification.estimate
-    others = () if is_output_error else identification.parameters
+    others = () if record.method == OUTPUT_ERROR else identification.parameters
     return Identification(
         component,
         record.start_time,
@@ -557,8 +580,8 @@ def _identification(
         eigenvalues,
         sentence,
         (*record.notes, *_extent(recording, component, record, identification)),
-        parameters=parameter_summaries(recording, component, own),
-        reference=parameter_summaries(recording, component, others),
+        parameters=_parameters(recording, component, _own_estimate(record, identification)),
+        reference=_parameters(recording, component, others),
         amplitudes=tuple(amplitudes),
         undetected=tuple(error.text for error in identification.undetected),
         deviation=identification.deviation,
@@ -603,10 +626,17 @@ def _extent(
     yield f"{theta} itself has no value at the end: {cause}"
 
 
-def parameter_summaries(
+def _own_estimate(
+    record: ComponentRecord, identification: IdentificationRecord
+) -> Sequence[ParameterRecord]:
+    """Return what is known of the estimate of an identifier by the method that it has."""
+    is_output_error = record.method == OUTPUT_ERROR
+    return identification.parameters if is_output_error else identification.estimate
+
+
+def _parameters(
     recording: Recording, component: str, records: Sequence[ParameterRecord]
 ) -> tuple[ParameterSummary, ...]:
-    """Return what may be said about the parameters of an identifier, by their ports."""
     names = element_names(f"{component}.theta", len(records))
     pairs = zip(names, records, strict=True)
     return tuple(_parameter(name, record) for name, record in pairs)

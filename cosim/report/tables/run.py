@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,10 +13,9 @@ from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import warning_texts
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
-from cosim.errors import flag, listing, quoted
+from cosim.errors import flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import certificate_of
-from cosim.report.failing import bad_verdicts
 from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
@@ -25,6 +24,7 @@ from cosim.report.summary import (
     Identification,
     SignalError,
     Summary,
+    bad_verdicts,
     numbers_text,
     span,
     summarize,
@@ -35,6 +35,7 @@ from cosim.report.tables.estimates import estimate_notes, estimate_rows, estimat
 from cosim.report.tables.lateness import lateness_text
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.recorded_metadata import recorded_start, recorded_window
+from cosim.theory.assessment.verdicts import Verdict
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
@@ -96,6 +97,23 @@ def print_summary(
     simulated = span(summary.start, summary.end)
     tables[0].title = f"{summary.scenario}: {simulated} in {summary.steps} steps"
     print_tables(tables)
+
+
+def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) -> list[str]:
+    """Return why a run is failed by "inconsistent", "no-estimate" or "warning", a line a reason.
+
+    ``quiet``: its warnings have not been printed.
+    """
+    lines = []
+    if {"inconsistent", "no-estimate"}.intersection(fail_on):
+        for names, verdict, reason in bad_verdicts(run):
+            name = "inconsistent" if verdict == Verdict.INCONSISTENT else "no-estimate"
+            if not verdict or name in fail_on:
+                lines.append(f"{option('fail-on', name)}: {names}: {verdict or reason}")
+    if "warning" in fail_on and run.warnings:
+        texts = warning_texts(run.warnings) if quiet else [f"{len(run.warnings)} in all"]
+        lines += [f"{option('fail-on', 'warning')}: {text}" for text in texts]
+    return lines
 
 
 def _path_of(recording: Recording) -> Path | None:

@@ -63,6 +63,10 @@ class Assertions:
                     if isinstance(name, str):
                         self.metrics[name] = known.get(name, name)
 
+    def view(self, other: LiveView | None = None) -> AssertedView:
+        """Return what computes them of a run, beside what shows it."""
+        return AssertedView(self, other)
+
     def problems(self, values: Mapping[str, float | None]) -> dict[str, str]:
         """Return why assertions are not fulfilled, by their texts; those that are are left out.
 
