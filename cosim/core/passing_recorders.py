@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, final
 
@@ -22,18 +23,22 @@ from cosim.core.recording import (
 class PassingRecorder:
     """Passes everything on; a subclass says what else it does.
 
-    Rows are computed in the memory of the other recorder only where a subclass offers it.
+    What one raises ends the run; all are closed all the same. Rows are computed in the memory of
+    another recorder only where a subclass offers it.
 
     Parameters
     ----------
-    recorder : Recorder
+    recorders : Recorder
+        One after the other.
     """
 
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
+    def __init__(self, *recorders: Recorder) -> None:
+        self._recorder = recorders[0]
+        self._recorders = recorders
 
     def __enter__(self) -> Self:
-        self._recorder.__enter__()
+        for recorder in self._recorders:
+            recorder.__enter__()
         return self
 
     def __exit__(
@@ -42,35 +47,44 @@ class PassingRecorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._recorder.__exit__(error_type, error, trace)
+        with ExitStack() as closing:
+            for recorder in reversed(self._recorders):
+                closing.callback(recorder.__exit__, error_type, error, trace)
 
     def begin(self, plan: Plan) -> None:
         """Pass on."""
-        self._recorder.begin(plan)
+        for recorder in self._recorders:
+            recorder.begin(plan)
 
     def follow(self, rows: RowsUnderWay) -> None:
         """Pass on; a subclass that changes rows changes these, too."""
-        follow(self._recorder, rows)
+        for recorder in self._recorders:
+            follow(recorder, rows)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on."""
-        self._recorder.write(block, signals)
+        for recorder in self._recorders:
+            recorder.write(block, signals)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""
-        self._recorder.message(time_ns, level, source, text)
+        for recorder in self._recorders:
+            recorder.message(time_ns, level, source, text)
 
     def event(self, event: SignalEvent) -> None:
         """Pass on."""
-        self._recorder.event(event)
+        for recorder in self._recorders:
+            recorder.event(event)
 
     def substep(self, substep: Substep) -> None:
         """Pass on."""
-        self._recorder.substep(substep)
+        for recorder in self._recorders:
+            recorder.substep(substep)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on."""
-        self._recorder.result(values)
+        for recorder in self._recorders:
+            recorder.result(values)
 
 
 @final
@@ -139,74 +153,10 @@ class Watched(PassingRecorder):
 
 
 @final
-class TwoRecorders:
-    """Passes everything on to two recorders, one after the other.
-
-    What one raises ends the run; both are closed all the same.
-
-    Parameters
-    ----------
-    first : Recorder
-        Keeps the run: where it has memory for rows, that is used.
-    second : Recorder
-    """
-
-    def __init__(self, first: Recorder, second: Recorder) -> None:
-        self._first = first
-        self._second = second
-
-    def __enter__(self) -> Self:
-        self._first.__enter__()
-        self._second.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            self._first.__exit__(error_type, error, trace)
-        finally:
-            self._second.__exit__(error_type, error, trace)
-
-    def begin(self, plan: Plan) -> None:
-        """Pass on."""
-        self._first.begin(plan)
-        self._second.begin(plan)
-
-    def follow(self, rows: RowsUnderWay) -> None:
-        """Pass on."""
-        follow(self._first, rows)
-        follow(self._second, rows)
+class TwoRecorders(PassingRecorder):
+    """Passes everything on to two recorders; where the first has memory for rows, that is used."""
 
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Return the memory of the first."""
-        memory = row_memory(self._first)
+        memory = row_memory(self._recorder)
         return None if memory is None else memory.memory_for(block, steps)
-
-    def write(self, block: Block, signals: Matrix) -> None:
-        """Pass on."""
-        self._first.write(block, signals)
-        self._second.write(block, signals)
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Pass on."""
-        self._first.message(time_ns, level, source, text)
-        self._second.message(time_ns, level, source, text)
-
-    def event(self, event: SignalEvent) -> None:
-        """Pass on."""
-        self._first.event(event)
-        self._second.event(event)
-
-    def substep(self, substep: Substep) -> None:
-        """Pass on."""
-        self._first.substep(substep)
-        self._second.substep(substep)
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Pass on."""
-        self._first.result(values)
-        self._second.result(values)

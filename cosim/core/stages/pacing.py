@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 from time import perf_counter
-from typing import Final, Protocol, runtime_checkable
+from typing import Final
 
 import numpy as np
 
@@ -21,22 +21,13 @@ from cosim.arrays import Matrix
 from cosim.core.clock import BLOCK_WORK
 from cosim.core.contracts import Block
 from cosim.core.stages.coupling import Advancing, Cut
+from cosim.core.stages.native_stage import NativeStage
 from cosim.errors import RunError
 
 CALL_WORK: Final = 1e-3  # s of wall time that one call of a component should take
 STAGE_WORK: Final = 5e-4  # s of wall time that a stage may take of a block: calls cost a tenth
 PIECE_WORK: Final = 0.3  # s of wall time after which a block is divided
 GROWTH: Final = 4  # steps of a call, at most, in units of those of the last
-
-
-@runtime_checkable
-class ShowsSteps(Protocol):
-    """Shows how far it is in a call of ``advance``."""
-
-    @property
-    def steps_under_way(self) -> int:
-        """Steps that the call under way has completed; another thread may ask. Outside one: 0."""
-        ...
 
 
 class Pacer:
@@ -101,7 +92,7 @@ class _PacedStage:
     def __init__(self, stage: Advancing) -> None:
         self.reached = 0
         self._stage = stage
-        self._shown = stage if isinstance(stage, ShowsSteps) else None
+        self._shown = stage if isinstance(stage, NativeStage) else None
         self._steps = 1
 
     @property
