@@ -66,7 +66,7 @@ def run_command(arguments: Sequence[str], *, columns: int | None, limit: float) 
                 environment | {_ENDED_VARIABLE: str(ended), _LIMIT_VARIABLE: repr(limit)},
                 streams=(stdout, stderr),
             )
-        printed = [path.read_text("utf-8", "replace") for path in (output, messages)]
+        printed, said = (path.read_text("utf-8", "replace") for path in (output, messages))
         ended_itself = ended.exists()
     assert exit_code is not None  # there is no limit
     failure = ""
@@ -76,7 +76,7 @@ def run_command(arguments: Sequence[str], *, columns: int | None, limit: float) 
         failure = describe_exit(exit_code)
     elif not ended_itself:
         failure = f"was ended by one of them, with exit code {exit_code}"
-    return CommandResult(*printed, exit_code, failure)
+    return CommandResult(printed, said, exit_code, failure)
 
 
 def run_child(

@@ -212,15 +212,9 @@ def replay(
                 raise typer.Exit(1)
         else:
             wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
-            print_summary(
-                again,
-                wall=wall,
-                profile=None,
-                as_json=as_json,
-                quiet=quiet,
-                is_kept=out is not None,
-            )
-        fail_if(again, failures, view, quiet=quiet)
+            kept = out is not None
+            print_summary(again, wall=wall, as_json=as_json, quiet=quiet, is_kept=kept)
+        fail_if(again, failures, view, quiet=quiet or verify)
 
 
 def _check_choices(

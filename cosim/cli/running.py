@@ -197,8 +197,7 @@ def run(
     if dry_run:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         numbers = given_values({"--stop": stop, "--step": step})
-        for name, number in numbers.items():
-            options[name] = [repr(number)]
+        options |= {name: [repr(number)] for name, number in numbers.items()}
         run_in_child(["run", scenario, "--dry-run"], options, as_json=as_json)
     imported = perf_counter()
     with prints_to_stderr():

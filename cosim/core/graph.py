@@ -195,20 +195,15 @@ class Graph:
         for stage in self.stages:
             loop = frozenset(member.name for member in stage.members)
             moving = self._variabilities.moving_in(loop)
-            for member in stage.members:
-                extrapolated = stage.extrapolated.get(member.name, frozenset())
+            for name, channel in ((member.name, member.channel) for member in stage.members):
+                extrapolated = stage.extrapolated.get(name, frozenset())
                 if coupling != "jacobi":
                     # what a delayed input has at the end of a step is known before it is used
-                    extrapolated -= frozenset(member.channel.interface.delayed)
-                self.held[member.name] = self._variabilities.held(
-                    member.channel, extrapolated, loop, self._torn
-                )
-                self.latest[member.name] = self._variabilities.latest(
-                    member.channel, self.held[member.name]
-                )
-                self._in_loop[member.name] = self._variabilities.driven_by(
-                    member.channel, moving, alone=True
-                )
+                    extrapolated -= frozenset(channel.interface.delayed)
+                held = self._variabilities.held(channel, extrapolated, loop, self._torn)
+                self.held[name] = held
+                self.latest[name] = self._variabilities.latest(channel, held)
+                self._in_loop[name] = self._variabilities.driven_by(channel, moving, alone=True)
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that.

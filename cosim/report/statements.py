@@ -91,6 +91,7 @@ _GUARANTEED_RTOL = 1e-4
 _END_KEYS = ("status", "reason", "steps", "end_ns", "content_hash")
 
 _Statement: TypeAlias = tuple[str, Any, Any]  # about what, as recorded, as it should be
+DesignPairs: TypeAlias = Mapping[str, tuple[Design, Design]]  # as recorded, and computed anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +124,7 @@ def _first_difference(found: Any, expected: Any) -> tuple[str, Any, Any]:
 
 
 def contradictions(
-    source: Log,
-    again: Log | Memory,
-    computed: Collection[str],
-    designs: Mapping[str, Design] | None = None,
+    source: Log, again: Log | Memory, computed: Collection[str], designs: DesignPairs
 ) -> tuple[Contradiction, ...]:
     """Return the statements of a log that its replay contradicts.
 
@@ -137,8 +135,8 @@ def contradictions(
         Its replay.
     computed : collection of str
         The components that were computed again.
-    designs : mapping of name to Design, optional
-        Those that were computed anew; without them none is compared.
+    designs : mapping of name to (Design, Design)
+        As recorded, and computed anew, of what is compared.
 
     Raises
     ------
@@ -149,19 +147,17 @@ def contradictions(
     for statement, recorded, expected in _Statements(source, again, computed).pairs():
         if recorded != expected:
             differing.append(Contradiction(statement, recorded, expected))
-    for name, (recorded, anew) in _designs(source, designs).items():
+    for name, (recorded, anew) in designs.items():
         if recorded.keys() == anew.keys():
             differing += _other_entries(f"design of {name!r}", recorded, anew)
     return tuple(differing)
 
 
-def _designs(source: Log, designs: Mapping[str, Design] | None) -> dict[str, tuple[Design, Design]]:
+def design_pairs(source: Log, designs: Mapping[str, Design]) -> DesignPairs:
     """Return the recorded design of each component beside that computed anew.
 
     One of an earlier version of cosim may have other arrays; a replay goes by those.
     """
-    if not designs:
-        return {}
     recorded = {**source.designs, **settings_designs(source)}
     return {name: (recorded[name], anew) for name, anew in designs.items()}
 
@@ -180,14 +176,15 @@ def _other_entries(what: str, recorded: Design, design: Design) -> list[Contradi
     return []
 
 
-def compared_statements(
-    source: Log, again: Log | Memory, designs: Mapping[str, Design] | None
-) -> str:
-    """Return what :func:`contradictions` compares of a log and its replay, in words."""
+def compared_statements(source: Log, again: Log | Memory, designs: DesignPairs | None) -> str:
+    """Return what :func:`contradictions` compares of a log and its replay, in words.
+
+    ``designs``: as there; None: they are not compared.
+    """
     statements = _Statements(source, again, ())
     names = list(_ALWAYS_COMPARED)
     if designs is not None:
-        pairs = _designs(source, designs).items()
+        pairs = designs.items()
         others = [name for name, (recorded, anew) in pairs if recorded.keys() != anew.keys()]
         kept = f" but that of {', '.join(others)}, of another version of cosim" if others else ""
         names.insert(names.index("component tables") + 1, f"designs{kept}")

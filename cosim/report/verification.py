@@ -30,7 +30,7 @@ from cosim.log import Log, open_log
 from cosim.log.comparison.diff import diff
 from cosim.log.comparison.difference import LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
-from cosim.report.statements import compared_statements, contradictions
+from cosim.report.statements import compared_statements, contradictions, design_pairs
 from cosim.report.verification_result import (
     ComponentVerification,
     CopiedSubsteps,
@@ -166,7 +166,10 @@ def verify(
     window = origin.window
     span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
     difference = diff(source, again, signals=_compared(source, again), span_ns=span_ns)
-    contradicting = () if window is not None else contradictions(source, again, computed, designs)
+    pairs = None if designs is None else design_pairs(source, designs)
+    contradicting = (
+        () if window is not None else contradictions(source, again, computed, pairs or {})
+    )
     return Verification(
         recorded_hash,
         found_hash,
@@ -180,7 +183,7 @@ def verify(
         _components(source, again, difference, origin),
         environment_changes(source),
         window,
-        compared_statements(source, again, designs),
+        compared_statements(source, again, pairs),
         _is_changed(source, again),
     )
 

@@ -49,7 +49,7 @@ def print_summary(
     recording: RecordedRun,
     *,
     wall: Mapping[str, float],
-    profile: Mapping[str, float] | None,
+    profile: Mapping[str, float] | None = None,
     as_json: bool,
     quiet: bool,
     is_kept: bool = True,
