@@ -77,8 +77,7 @@ def _listen(reader: int, ended: threading.Event) -> None:
         answered = _ask_main_thread()
         if ended.is_set() or answered.wait(PATIENCE) or is_deferred():
             continue
-        if select.select([reader], [], [], 0.0)[0]:
-            os.read(reader, _ALL)  # before it is said what a second one does
+        _is_repeated(reader)  # taken before it is said what a second one does
         _write(
             f"{REASONS[signal.SIGINT]}: {_current_call()} does not return: ended in {GRACE:g} s "
             "if it still does not, at once with Ctrl-C again, without a complete log"

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -28,7 +29,6 @@ from cosim.fmi.variable import LARGEST_EXACT, Variable
 StartScalar: TypeAlias = bool | int | float | str
 StartValue: TypeAlias = "StartScalar | Sequence[StartValue]"
 Starts: TypeAlias = Mapping[str, StartValue]  # by variable name
-Asked = TypeVar("Asked")
 Found = TypeVar("Found")
 CONVERTED: Final = 1e-9  # relative: what rounding leaves where an FMU converts units and back
 
@@ -172,7 +172,7 @@ class Initialization:
         yield from self._differences(unclocked, unclocked.take(self._inputs.take(u)))
         for name, texts in self._values.texts.items():
             if _is_kept(description[name]):
-                found = self._ask(self._instance.get_text, description[name])
+                found = self._ask(partial(self._instance.get_text, description[name]))
                 if found not in (None, texts):
                     yield f"{name} is {found}, was set to {texts}"
 
@@ -180,7 +180,7 @@ class Initialization:
         """Yield the elements of variables that read back as others than those that were set."""
         if not references.size:
             return
-        found = self._ask(self._instance.get_float64, references)
+        found = self._ask(partial(self._instance.get_float64, references))
         if found is None:
             return
         single = references.where(lambda variable: variable.type == "Float32")
@@ -191,11 +191,11 @@ class Initialization:
             index = f"[{references.elements[i].index}]" if variable.dimensions else ""
             yield f"{variable.name}{index} is {found[i]}, was set to {wanted[i]}"
 
-    def _ask(self, get: Callable[[Asked], Found], subject: Asked) -> Found | None:
+    def _ask(self, get: Callable[[], Found]) -> Found | None:
         """Return what the FMU has for variables that no run needs; None where it refuses."""
         mark = self._instance.mark_messages()
         try:
-            return get(subject)
+            return get()
         except RunError:
             self._instance.forget_messages(mark)
             return None
