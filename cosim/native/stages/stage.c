@@ -478,6 +478,12 @@ static inline void next_step(const cosim_stage *s, Step *step)
     step->row += s->width;
 }
 
+/* Say how far the stage is: another thread that sees it sees the rows up to there. */
+static inline void show(int64_t *place, int64_t value)
+{
+    __atomic_store_n(place, value, __ATOMIC_RELEASE);
+}
+
 /* Do the steps of the segment up to `end`, from the cursor on; or return the number of the
  * operation that is left. */
 static int64_t run_segment(cosim_stage *s, int64_t end)
@@ -485,7 +491,7 @@ static int64_t run_segment(cosim_stage *s, int64_t end)
     const cosim_segment *segment = s->segments + s->segment;
     const cosim_operation *operations = segment->operations, *behind = operations + segment->count;
     Step step = first_step(s);
-    for (; s->step < end; ++s->step) {
+    for (; s->step < end; show(&s->step, s->step + 1)) {
         const cosim_operation *operation = operations + s->operation;
         if (operation == operations)
             begin_step(s);
@@ -522,7 +528,7 @@ static int64_t run_cascade(cosim_stage *s, int64_t end)
         const double *t = s->t + k, *before = row + m->u;
         row += s->width;
         const double *u = row + m->u, *u0 = m->takes_latest ? u : before;
-        s->step = k; /* before: another thread may look how far it is */
+        show(&s->step, k);
         const int32_t status = m->advance(m->self, t[0], t[1], s->h, u0, u, row + m->y);
         if (status != COSIM_OK)
             return segment->first + 1;
@@ -538,9 +544,9 @@ static int64_t run_cascade(cosim_stage *s, int64_t end)
 
 static void next_segment(cosim_stage *s)
 {
-    ++s->segment;
     s->step = s->completed;
     s->operation = 0;
+    show(&s->segment, s->segment + 1); /* last: of a segment `step` is its own */
 }
 
 /* Go past the operation that the caller has done. */
@@ -568,8 +574,9 @@ int64_t cosim_stage_run(cosim_stage *s, int64_t end, int32_t answer)
             if (left)
                 return left;
         }
-        s->completed = s->step = last;
-        s->segment = 0;
+        s->step = last;
+        show(&s->completed, last);
+        show(&s->segment, 0);
     }
     return 0;
 }
