@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Self, final
+from typing import final
 
 import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
+from cosim.core.recorders import Nothing
 from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
 from cosim.live.connection import ViewerConnection
 from cosim.live.publisher import Publisher
@@ -18,7 +19,7 @@ from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
 
 
 @final
-class LiveRecorder:
+class LiveRecorder(Nothing):
     """Publishes rows, messages, events and substeps; keeps nothing.
 
     Parameters
@@ -44,9 +45,6 @@ class LiveRecorder:
         self._listen = listen
         self._publisher: Publisher | None = None  # until the run begins
         self._has_rows = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self,
@@ -111,6 +109,3 @@ class LiveRecorder:
         """Publish a substep with the next rows."""
         assert self._publisher is not None
         self._publisher.add_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Do nothing: viewers have no place for it."""

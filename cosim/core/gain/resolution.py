@@ -329,8 +329,8 @@ class _FastStage:
             base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
             steps = max(1, round((clock.stop - clock.start_time) / response.h))
             errors = response.errors(P, wrong, rows @ system.C, base, steps)
-            at, cause = np.unravel_index(int(errors.argmax()), errors.shape)
-            largest = max(largest, (float(errors[at, cause]), places[at], int(cause)))
+            at, column = np.unravel_index(int(errors.argmax()), errors.shape)
+            largest = max(largest, (float(errors[at, column]), places[at], int(column)))
         error, place, cause = largest
         return Missed(error, self._model.labels[place], causes[cause]) if error else NONE
 
