@@ -206,6 +206,9 @@ def run(
 
     check_out(out)
     failures = read_fail_on(fail_on)
+    if dry_run and (failures or asserted):
+        name = "--fail-on" if failures else "--assert"
+        raise UsageError(f"--dry-run completes no member that could fail; omit it or {name}")
     with prints_to_stderr():
         file = read_study(source).with_options(
             vary=_variations(vary),

@@ -65,6 +65,13 @@ def test_what_cannot_be_checked_is_refused_before_the_run(options, named, call, 
     assert not list(tmp_path.glob("logs/*"))
 
 
+@pytest.mark.parametrize("option", [("--fail-on", "warning"), ("--assert", "rms(plant.y) < 1")])
+def test_a_dry_run_of_a_study_has_no_members_to_fail(option, call):
+    """So it says nothing about them, and is not asked."""
+    code, err = call("study", "academic", "--seeds", "2", "--dry-run", *option)
+    assert (code, f"omit it or {option[0]}" in err) == (2, True)
+
+
 def test_a_verdict_that_is_asked_for_and_not_made_fails(call):
     """A scenario may switch verdicts off: nobody then says that all is well."""
     options = ("--set", "scenario.verdicts=false", "--fail-on", "inconsistent")
