@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.blocks.identification_problem import sampling_interface
 from cosim.core.contracts import Design, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, UsageError
@@ -360,13 +361,4 @@ def _interface(gains: CompensatorGains, options: CompensatorOptions) -> Interfac
         used = Signal("model_theta", parameters, variability="discrete", optional=True)
         outputs.append(used)
     inputs.append(Signal("r", p, role="input", connection="optional"))
-    names = tuple(signal.name for signal in inputs)
-    return Interface(
-        tuple(inputs),
-        tuple(outputs),
-        delayed=names,
-        prepares=True,
-        rollback=True,
-        native=True,
-        continuous=True,
-    )
+    return sampling_interface(inputs, outputs)

@@ -356,7 +356,7 @@ class IdentificationProblem:
 
 
 def sampling_interface(inputs: Sequence[Signal], outputs: Sequence[Signal]) -> Interface:
-    """Return the interface of an identifier that takes samples at the beginning of a step."""
+    """Return the interface of a component that takes samples at the beginning of a step."""
     names = tuple(signal.name for signal in inputs)
     return Interface(
         tuple(inputs),

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, distinct_warnings
+from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, DistinctWarnings
 from cosim.core.recorders import Memory
 from cosim.core.recording import Substep
 from cosim.core.signals import Channel, Interface, element_names
@@ -332,7 +332,7 @@ class _Statements:
         if self._source.status != "complete":
             return
         noted = {warning[1:] for warning in self._source.warnings}
-        warned = {one[1:] for one in distinct_warnings(self._source.messages())}
+        warned = {one[1:] for one in DistinctWarnings(self._source.messages())}
         if len(noted) < MOST_WARNINGS:
             yield f"{WARNINGS} in {RESULT_FILE}", sorted(noted), sorted(warned)
 

@@ -73,13 +73,21 @@ class RunMessage(NamedTuple):
         return self.level in ("warning", "error", "fatal")
 
 
-def distinct_warnings(messages: Iterable[RunMessage]) -> list[RunMessage]:
-    """Return the first message of each text of a source that is a warning; ``MOST_WARNINGS``."""
-    distinct: dict[tuple[str, str], RunMessage] = {}
-    for message in messages:
-        if message.is_warning and len(distinct) < MOST_WARNINGS:
-            distinct.setdefault((message.source, message.text), message)
-    return list(distinct.values())
+class DistinctWarnings:
+    """The first message of each text of a source that is a warning; ``MOST_WARNINGS`` of them."""
+
+    def __init__(self, messages: Iterable[RunMessage] = ()) -> None:
+        self._by_text: dict[tuple[str, str], RunMessage] = {}
+        for message in messages:
+            self.add(message)
+
+    def __iter__(self) -> Iterator[RunMessage]:
+        return iter(self._by_text.values())
+
+    def add(self, message: RunMessage) -> None:
+        """Keep a message, where it is a new warning."""
+        if message.is_warning and len(self._by_text) < MOST_WARNINGS:
+            self._by_text.setdefault((message.source, message.text), message)
 
 
 def warning_texts(warnings: Iterable[RunMessage]) -> list[str]:
@@ -245,7 +253,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         """
         entries = self.results.get(WARNINGS)
         if entries is None:  # the run has not come to its end, or an earlier version recorded it
-            return distinct_warnings(self.messages())
+            return list(DistinctWarnings(self.messages()))
         try:
             return [_read_warning(*entry) for entry in entries]
         except TypeError as error:

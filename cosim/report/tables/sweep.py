@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from cosim.core.recorded.signals import distinct_warnings, warning_texts
+from cosim.core.recorded.signals import DistinctWarnings, warning_texts
 from cosim.errors import quoted
 from cosim.report.sweep import ERROR, HALF_WIDTH, LARGEST_ERROR, ReplaySweep, SweepRow, SweepValue
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
@@ -24,7 +24,7 @@ def print_sweep(sweep: ReplaySweep, *, as_json: bool, quiet: bool) -> None:
             table.add_row(*values, *_cells(row, columns))
         print_table(table)
         warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
-        for text in warning_texts(distinct_warnings(warnings)):
+        for text in warning_texts(DistinctWarnings(warnings)):
             print_line(f"warning: {text}", error=True)
     for number, row in enumerate(sweep.rows, start=1):
         for line in row.problem.splitlines():

@@ -12,7 +12,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.contracts import Block, Stopped
 from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, RunMessage
+from cosim.core.recorded.signals import WARNINGS, DistinctWarnings, RunMessage
 from cosim.core.recorders import close, end_of_run, error_text
 from cosim.core.recording import INNER_STEP, MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
@@ -70,7 +70,7 @@ class MessageRecorder(PassingRecorder):
         self._reached_ns = experiment.clock.start_ns
         self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
         self._inner_steps: list[str] = []  # components that seem to keep one
-        self._warnings: dict[tuple[str, str], RunMessage] = {}  # by source and text
+        self._warnings = DistinctWarnings()
         self._last: Vector | None = None
         is_judged = experiment.scenario.file.scenario.verdicts
         self._identified = experiment.identified if is_judged else {}
@@ -79,13 +79,11 @@ class MessageRecorder(PassingRecorder):
     @property
     def warnings(self) -> list[RunMessage]:
         """The warnings so far: each text of a component once."""
-        return list(self._warnings.values())
+        return list(self._warnings)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Record a message, and note it where it is a new warning."""
-        message = RunMessage(time_ns, level, source, text)
-        if message.is_warning and len(self._warnings) < MOST_WARNINGS:
-            self._warnings.setdefault((source, text), message)
+        self._warnings.add(RunMessage(time_ns, level, source, text))
         self._recorder.message(time_ns, level, source, text)
 
     def __exit__(
@@ -129,7 +127,7 @@ class MessageRecorder(PassingRecorder):
             last = {}
             for label, value in zip(labels, self._last.tolist(), strict=True):
                 last[label] = value if math.isfinite(value) else None
-            warnings = [list(warning) for warning in self._warnings.values()]
+            warnings = [list(warning) for warning in self._warnings]
             self._recorder.result({"last": last, WARNINGS: warnings})
             is_regular = error is None or self._came_true(error)
             if is_regular and self._identified:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import operator
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,15 +19,9 @@ from cosim.studies.analysis.confidence import (
     proportion_interval,
 )
 from cosim.studies.analysis.independence import StudyLayout, drawn_members, independence_of
+from cosim.studies.metrics.language import COMPARISONS
 
-_COMPARISONS: Final[dict[str, Callable[[Any, Any], Any]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-}
+_COMPARISONS: Final = dict(COMPARISONS.values())
 _PART: Final = re.compile(r"\s*(.+?)\s*(<=|>=|==|!=|<|>)\s*(.+?)\s*")
 _MOST_MEMBERS: Final = 20  # that are listed in JSON
 

@@ -9,12 +9,7 @@ from typing import Protocol, final
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block, Design
 from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorded.signals import (
-    MOST_WARNINGS,
-    RunMessage,
-    distinct_warnings,
-    warning_texts,
-)
+from cosim.core.recorded.signals import DistinctWarnings, RunMessage, warning_texts
 from cosim.core.recorders import EndOfRun, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Plan, Recorder
 from cosim.studies.contracts import MetricValue
@@ -55,7 +50,7 @@ class MemberRecorder(PassingRecorder):
         self.plan: Plan | None = None
         self.setting_designs: Mapping[str, Design] = {}
         self.recorded: Collection[str] = ()
-        self._warnings: list[RunMessage] = []
+        self._warnings = DistinctWarnings()
 
     def __exit__(
         self,
@@ -69,14 +64,11 @@ class MemberRecorder(PassingRecorder):
     @property
     def warnings(self) -> list[str]:
         """What the run warned of, as lines in alphabetical order."""
-        texts = warning_texts(distinct_warnings(self._warnings))
-        return sorted(without_folders(text, "fmu") for text in texts)
+        return sorted(without_folders(text, "fmu") for text in warning_texts(self._warnings))
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Keep a warning, and pass on."""
-        message = RunMessage(time_ns, level, source, text)
-        if message.is_warning and len(self._warnings) < MOST_WARNINGS:
-            self._warnings.append(message)
+        self._warnings.add(RunMessage(time_ns, level, source, text))
         self._recorder.message(time_ns, level, source, text)
 
     def begin(self, plan: Plan) -> None:

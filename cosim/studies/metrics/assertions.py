@@ -5,10 +5,9 @@ Several are joined by ``and``. A metric without a value fulfils nothing.
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import Final, final
 
 from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recording import Recorder
@@ -18,14 +17,6 @@ from cosim.studies.metrics.language import parse_comparisons
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
-_HOLDS: Final[Mapping[str, Callable[[float, float], Any]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-}
 NO_METRICS: Final[Mapping[str, str]] = MappingProxyType({})
 
 
@@ -82,15 +73,13 @@ class Assertions:
                 names = [name for name in (one.left, one.right) if isinstance(name, str)]
                 left = values[one.left] if isinstance(one.left, str) else one.left
                 right = values[one.right] if isinstance(one.right, str) else one.right
-                if left is None or right is None or not _HOLDS[one.operation](left, right):
-                    found += [f"{name} = {_value_text(values[name])}" for name in names]
+                if left is None or right is None or not one.holds(left, right):
+                    for name in names:
+                        value = values[name]
+                        found.append(f"{name} = {'no value' if value is None else repr(value)}")
             if found:
                 problems[text] = ", ".join(dict.fromkeys(found))
         return problems
-
-
-def _value_text(value: float | None) -> str:
-    return "no value" if value is None else repr(value)
 
 
 @final

@@ -11,10 +11,11 @@ A condition with ``for`` is true at the rows up to which it has held for so long
 from __future__ import annotations
 
 import ast
+import operator
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -41,13 +42,14 @@ _QUOTED_OR_DURATION: Final = re.compile(
     r'|"(?:\\.|[^"\\])*(?:"|$)'
     r"|(?<=[\s)\]])for(?=\s)(?P<duration>[^,()\[\]'\"]*)"
 )
-COMPARISONS: Final[dict[type[ast.cmpop], str]] = {
-    ast.Lt: "<",
-    ast.LtE: "<=",
-    ast.Gt: ">",
-    ast.GtE: ">=",
-    ast.Eq: "==",
-    ast.NotEq: "!=",
+Compare: TypeAlias = Callable[[Any, Any], Any]
+COMPARISONS: Final[dict[type[ast.cmpop], tuple[str, Compare]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
 }
 _CONSTANTS: Final = ("pi", "e")
 _NOT_NESTED: Final = frozenset(KINDS) - {"min", "max"}
@@ -126,20 +128,11 @@ class Metric:
     arithmetic: Arithmetic
 
 
-@dataclass(frozen=True, slots=True)
-class MetricComparison:
-    """Two operands that are compared: texts of metrics, or numbers.
-
-    Parameters
-    ----------
-    left : str or float
-    operation : str
-        One of ``COMPARISONS``.
-    right : str or float
-    """
+class MetricComparison(NamedTuple):
+    """Two operands that are compared: texts of metrics, or numbers."""
 
     left: str | float
-    operation: str
+    holds: Compare
     right: str | float
 
 
@@ -228,13 +221,13 @@ class _MetricParser:
             operands = [_operand(self._written(node), names) for node in nodes]
             for left, operation, right in zip(operands, part.ops, operands[1:], strict=False):
                 if type(operation) not in COMPARISONS:
-                    known = " ".join(COMPARISONS.values())
+                    known = " ".join(dict(COMPARISONS.values()))
                     raise self._refusal(f"expected one of the comparisons {known}")
                 if isinstance(left, float) and isinstance(right, float):
                     raise self._refusal(
                         "expected at least one reduction in a comparison, such as last(plant.y)"
                     )
-                found.append(MetricComparison(left, COMPARISONS[type(operation)], right))
+                found.append(MetricComparison(left, COMPARISONS[type(operation)][1], right))
         return found
 
     def _written(self, node: ast.expr) -> str:
