@@ -10,6 +10,7 @@ place, NaN where there is none.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -27,6 +28,7 @@ from cosim.native.step import NativeStep
 
 SAMPLE_TIMES: Final = "sample_times"
 USUAL_GAP: Final = 10.0  # median distances of samples
+_ELEMENT: Final = re.compile(r"(?P<whole>.+)\[(?P<index>\d{1,9})\]", re.DOTALL)
 JITTER: Final = 1.1  # communication steps: so far apart are samples that come once in a step
 
 
@@ -406,16 +408,18 @@ def elements_named(names: Sequence[str]) -> dict[str, list[str]]:
     """Return names by signal: x[0], x[1], ..., all from 0 on, are the elements of x."""
     groups: dict[str, dict[int, str]] = {}
     for name in names:
-        whole, bracket, rest = name.rpartition("[")
-        index = rest.removesuffix("]")
-        if bracket and whole and rest.endswith("]") and index.isdecimal():
-            groups.setdefault(whole, {})[int(index)] = name
+        match = _ELEMENT.fullmatch(name)
+        if match is not None:
+            groups.setdefault(match["whole"], {})[int(match["index"])] = name
+    known = set(names)
+    whole_of: dict[str, str] = {}
+    for whole, elements in groups.items():
+        if whole not in known and sorted(elements) == list(range(len(elements))):
+            whole_of |= dict.fromkeys(elements.values(), whole)
     signals: dict[str, list[str]] = {}
     for name in names:
-        whole = name.rpartition("[")[0]
-        elements = groups.get(whole, {})
-        if name in elements.values() and sorted(elements) == list(range(len(elements))):
+        whole = whole_of.get(name, name)
+        if whole not in signals:
+            elements = groups[whole] if name in whole_of else {0: name}
             signals[whole] = [elements[i] for i in range(len(elements))]
-        else:
-            signals[name] = [name]
     return signals

@@ -201,6 +201,7 @@ def test_elements_are_grouped_where_all_are_there():
     names = ["x[1]", "y", "x[0]", "z[1]", "z[2]", "w[a]"]
     expected = {"x": ["x[0]", "x[1]"], "y": ["y"], "z[1]": ["z[1]"], "z[2]": ["z[2]"]}
     assert elements_named(names) == {**expected, "w[a]": ["w[a]"]}
+    assert list(elements_named(["x", "x[0]"])) == ["x", "x[0]"]  # neither is lost
 
 
 def test_a_step_is_finer_than_samples_that_come_less_often_than_once_in_it():

@@ -34,8 +34,9 @@ _TIMES: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The name of a column, its unit, and where it stands."""
+    """All that is written of a column, its name and unit in it, and where it stands."""
 
+    text: str
     name: str
     unit: str | None
     position: int
@@ -46,28 +47,45 @@ class Header:
         text = text.strip()
         match = _HEADER.fullmatch(text)
         if match is None or not match["name"]:
-            return Header(text, None, position)
+            return Header(text, text, None, position)
         unit = (match["unit"] or match["known"]).strip()
         is_spaced = text[len(match["name"])].isspace()
         is_index = unit.isdecimal() and not (is_spaced and unit == "1")
         if is_index or (match["known"] and base_unit(unit) is None):
-            return Header(text, None, position)
-        return Header(match["name"], "1" if unit in NO_UNIT else unit, position)
+            return Header(text, text, None, position)
+        return Header(text, match["name"], "1" if unit in NO_UNIT else unit, position)
 
     @property
-    def _times(self) -> re.Match[str] | None:
+    def times(self) -> re.Match[str] | None:
+        """The name where it is ``t``, ``Time``, ``time_ms``, ``Timestamp`` or the like; no ``T``.
+
+        Its ``unit`` is that at the end.
+        """
         return _TIMES.fullmatch(re.sub("[ -]", "_", self.name))
 
-    @property
-    def is_named_as_times(self) -> bool:
-        """Whether it is named ``t``, ``Time``, ``time_ms``, ``Timestamp`` or the like; no ``T``."""
-        return self._times is not None
 
-    @property
-    def time_unit(self) -> str | None:
-        """The unit of times at the end of the name, as in ``time_ms``."""
-        match = self._times
-        return None if match is None else match["unit"]
+def find_headers(label: str, headers: Iterable[Header], names: Iterable[str]) -> list[Header]:
+    """Return columns by all that is written of them, or else by their names without units.
+
+    Raises
+    ------
+    UsageError
+        If there is none of a name, or there are several.
+    """
+    by_text: dict[str, list[Header]] = {}
+    by_name: dict[str, list[Header]] = {}
+    for header in headers:
+        by_text.setdefault(header.text, []).append(header)
+        by_name.setdefault(header.name, []).append(header)
+    found = []
+    for name in names:
+        matches = by_text.get(name) or by_name.get(name, [])
+        if not matches:
+            raise UsageError(f"{label} has no column {name!r}; {nearest(name, by_name)}")
+        if len(matches) > 1:
+            raise UsageError(f"{label}: expected a unique column {name!r}, got {len(matches)}")
+        found += matches
+    return found
 
 
 def unit_of(label: str, name: str, parts: Sequence[Header]) -> str | tuple[str, ...] | None:
@@ -102,7 +120,8 @@ def second_of(
     UsageError
         If it is no unit of time.
     """
-    name = unit or clock.unit or clock.time_unit or "s"
+    own = clock.unit or (clock.times and clock.times["unit"])
+    name = unit or own or "s"
     meaning = base_unit(name)
     second = base_unit("s")
     assert second is not None
@@ -141,30 +160,8 @@ class NamedColumns:
         return [Header.parse(text, position) for position, text in enumerate(self.names)]
 
     def find(self, names: Iterable[str]) -> list[Header]:
-        """Return columns by their names, with their units or without them.
-
-        Raises
-        ------
-        UsageError
-            If there is none of a name, or there are several.
-        """
-        headers = self.headers
-        named: dict[str, list[Header]] = {}
-        for header in headers:
-            named.setdefault(header.name, []).append(header)
-        written = {text: [header] for text, header in zip(self.names, headers, strict=True)}
-        found = []
-        for name in names:
-            matches = written.get(name) or named.get(name, [])
-            if not matches:
-                suggestion = nearest(name, self.names)
-                raise UsageError(f"{self.label} has no column {name!r}; {suggestion}")
-            if len(matches) > 1:
-                raise UsageError(
-                    f"{self.label}: expected a unique column {name!r}, got {len(matches)}"
-                )
-            found += matches
-        return found
+        """Return columns by their names; see :func:`find_headers`."""
+        return find_headers(self.label, self.headers, names)
 
     def columns(self, headers: Sequence[Header]) -> Matrix:
         """Return columns side by side, shape (N, number of ``headers``)."""

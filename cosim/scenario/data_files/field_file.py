@@ -18,21 +18,22 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from decimal import Decimal
-from functools import cached_property
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import NAN
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
-from cosim.errors import UsageError, nearest
+from cosim.errors import UsageError
 from cosim.files import read_bounded
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.csv_file import (
@@ -40,6 +41,7 @@ from cosim.scenario.data_files.csv_file import (
     MOST_COLUMNS,
     NO_UNIT,
     Header,
+    find_headers,
     is_number,
     read_lines,
     second_of,
@@ -112,7 +114,10 @@ def read_field_data(
     else:
         table = _CsvTable(path, separator, decimal)
     headers = _Headers(table)
-    clock = headers.named(time) if time is not None else headers.clock()
+    if time is None:
+        clock = headers.clock()
+    else:
+        (clock,) = find_headers(table.label, headers.all, [time])
     chosen = headers.signals(clock, columns)
     stamps = _TimeStamps(table, offset or 0.0, _seconds(table, clock, time_unit))
     values: dict[int, list[float]] = {}
@@ -170,14 +175,14 @@ class _Headers:
     def __init__(self, table: _FieldTable) -> None:
         self._label = table.label
         self._table = table
-        self._written = [name.strip() for name in table.names]
         self.all: list[Header] = []
-        for position, text in enumerate(self._written):
-            if text:
-                header = Header.parse(text, position)
-                self.all.append(self._with_unit(header, table.unit(position)))
-        # pandas writes an index without a name as a first column without one
-        self._unnamed = [] if not self._written or self._written[0] else [Header("", None, 0)]
+        self._unnamed: list[Header] = []
+        for position, text in enumerate(table.names):
+            header = Header.parse(text, position)
+            if header.text:
+                self.all.append(self._with_unit(header, table.units.get(position)))
+            elif position == 0:  # pandas writes an index without a name so
+                self._unnamed.append(header)
         if len(self._unnamed + self.all) < 2:
             raise UsageError(
                 f"{table.label}: expected at least two named columns (times and samples), got "
@@ -193,7 +198,7 @@ class _Headers:
         unit = "1" if declared in NO_UNIT else declared
         if header.unit not in (None, unit):
             raise UsageError(
-                f"{self._label}, column {self._written[header.position]!r}: expected one unit, got "
+                f"{self._label}, column {header.text!r}: expected one unit, got "
                 f"{header.unit!r} in its name and {unit!r} in its metadata"
             )
         return replace(header, unit=unit)
@@ -215,9 +220,9 @@ class _Headers:
         return [*candidates, *self._unnamed, *self.all][0]
 
     def _candidates(self) -> list[Header]:
-        named = [header for header in self.all if header.is_named_as_times]
-        stamps = [header for header in self.all if self._table.has_stamps(header.position)]
-        index = [header for header in self.all if header.name in self._table.index]
+        named = [header for header in self.all if header.times is not None]
+        stamps = [header for header in self.all if header.position in self._table.stamps]
+        index = [header for header in self.all if header.position in self._table.index]
         of_times = [header for header in index if header in named or header in stamps]
         with_names = [header for header in index if not _UNNAMED.fullmatch(header.name)]
         if of_times or not with_names:
@@ -226,45 +231,31 @@ class _Headers:
 
     def notes(self, clock: Header) -> tuple[str, ...]:
         """Return what is to be known where nothing says which column has the times."""
-        if self._candidates():
-            return ()
-        if self._table.stamp_unit(clock) is not None:
+        if self._candidates() or self._table.stamp_unit(clock) is not None:
             return ()
         return (
             f"{self._label}: the times are those of the first column, {clock.name!r}, as no column "
             "is named t, time or the like; time selects another",
         )
 
-    def named(self, name: str) -> Header:
-        """Return a column, by its name or by all that its header says."""
-        matches = []
-        for header in self.all:
-            if name in (header.name, self._written[header.position]):
-                matches.append(header)
-        if not matches:
-            names = [header.name for header in self.all]
-            raise UsageError(f"{self._label} has no column {name!r}; {nearest(name, names)}")
-        if len(matches) > 1:
-            raise UsageError(
-                f"{self._label}: expected a unique column {name!r}, got {len(matches)}"
-            )
-        return matches[0]
-
     def signals(
         self, clock: Header, columns: Mapping[str, str | Sequence[str]] | None
     ) -> dict[str, list[Header]]:
         """Return the columns of every signal."""
-        signals = {}
         if columns is None:
             names = [header.name for header in self.all if header != clock]
-            for name, parts in elements_named(names).items():
-                signals[name] = [self.named(part) for part in parts]
-            return signals
-        for name, parts in listed_columns(columns).items():
-            signals[name] = [self.named(part) for part in parts]
-        if not signals:
-            raise UsageError(f"columns: expected a column for each signal, got {dict(columns)}")
-        return signals
+            for name, count in Counter(names).most_common(1):
+                if count > 1:
+                    raise UsageError(
+                        f"{self._label}: expected a unique column {name!r}, got {count}"
+                    )
+            own = {header.name: header for header in self.all if header != clock}
+            named = elements_named(names).items()
+            return {name: [own[part] for part in parts] for name, parts in named}
+        if not columns:
+            raise UsageError("columns: expected a column for each signal, got {}")
+        listed = listed_columns(columns).items()
+        return {name: find_headers(self._label, self.all, parts) for name, parts in listed}
 
 
 # --- times ---
@@ -311,7 +302,7 @@ class _TimeStamps:
 
 
 _DURATION: Final = re.compile(
-    r"(?:(?P<days>-?\d+) days?)?\s*(?:\+?(?P<h>\d+):(?P<min>\d\d):(?P<s>\d\d(?:\.\d+)?))?"
+    r"(?:(?P<days>-?\d{1,9}) days?)?\s*(?:\+?(?P<h>\d{1,9}):(?P<min>\d\d):(?P<s>\d\d(?:\.\d+)?))?"
 )
 _DATE: Final = re.compile(
     r"(?P<day>\d{4}-\d\d-\d\d)(?:[T ](?P<time>\d\d:\d\d(?::\d\d)?)(?P<fraction>\.\d+)?"
@@ -345,24 +336,18 @@ def _nanoseconds(text: str) -> Decimal | None:
 
 
 class _FieldTable(Protocol):
-    """A table in a file: ``label`` names it in messages, ``hint`` says how it was split."""
+    """A table in a file: ``label`` names it in messages, ``hint`` says how it was split.
+
+    ``units`` are those that are declared beside the names of columns, ``index`` has the columns
+    that were the index of a frame, ``stamps`` those whose type is that of dates or durations.
+    """
 
     label: str
     names: Sequence[str]
     hint: str
-
-    @property
-    def index(self) -> Collection[str]:
-        """The columns that were the index of a frame."""
-        ...
-
-    def unit(self, position: int) -> str | None:
-        """Return the unit that is declared beside the name of a column."""
-        ...
-
-    def has_stamps(self, position: int) -> bool:
-        """Return whether the type of a column is that of dates or durations."""
-        ...
+    units: Mapping[int, str]
+    index: Collection[int]
+    stamps: Collection[int]
 
     def stamp_unit(self, clock: Header) -> str | None:
         """Return the unit of dates or durations; None: the times are numbers."""
@@ -375,6 +360,10 @@ class _FieldTable(Protocol):
 
 class _CsvTable:
     """A CSV file."""
+
+    units: Mapping[int, str] = MappingProxyType({})
+    index: Collection[int] = ()
+    stamps: Collection[int] = ()
 
     def __init__(self, path: Path, separator: str | None, decimal: str) -> None:
         self.label = f"file {str(path)!r}"
@@ -420,16 +409,6 @@ class _CsvTable:
             number = rows.line_num
             if any(cell.strip() for cell in cells):
                 yield f"line {number}", cells
-
-    @property
-    def index(self) -> Collection[str]:
-        return ()
-
-    def unit(self, position: int) -> str | None:
-        return None
-
-    def has_stamps(self, position: int) -> bool:
-        return False
 
     def stamp_unit(self, clock: Header) -> str | None:
         rows = self._rows()
@@ -522,16 +501,26 @@ class _ParquetTable:
             self._schema = self._file.schema_arrow
             self.names: Sequence[str] = self._schema.names
             rows = self._file.metadata.num_rows
+        self.units: Mapping[int, str] = self._declared_units()
+        types = pyarrow.types
+        self.stamps: Collection[int] = [
+            position
+            for position, column in enumerate(self._schema.types)
+            if types.is_timestamp(column) or types.is_duration(column)
+        ]
+        entries = self._pandas_index()
+        index = [position for position, name in enumerate(self.names) if name in entries]
         # pandas keeps an index of evenly spaced integers, row numbers or others, only there
         self._ranges = {}
-        for entry in self._index:
+        for entry in entries:
             if isinstance(entry, dict) and isinstance(entry.get("name"), str):
-                with suppress(KeyError, TypeError, ValueError):  # of another tool
+                with suppress(KeyError, TypeError, ValueError, OverflowError):  # of another tool
                     numbers = range(entry["start"], entry["stop"], entry["step"])
-                    named = Header.parse(entry["name"], 0).is_named_as_times
+                    named = Header.parse(entry["name"], 0).times is not None
                     if len(numbers) == rows and (named or numbers.step > 1):
                         self._ranges[len(self.names)] = numbers
                         self.names = [*self.names, entry["name"]]
+        self.index: Collection[int] = [*index, *self._ranges]
         if rows * max(1, len(self.names)) * _BYTES > LARGEST:
             raise UsageError(
                 f"{self.label}: expected at most {LARGEST // _BYTES} numbers, got {rows} rows of "
@@ -545,35 +534,24 @@ class _ParquetTable:
         except (self._arrow.ArrowException, OSError, UnicodeDecodeError) as error:
             raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
-    @cached_property
-    def _index(self) -> list[Any]:
-        """What pandas wrote of the index: names of columns, and what makes a range."""
+    def _pandas_index(self) -> list[Any]:
+        """Return what pandas wrote of the index: names of columns, and what makes a range."""
         written = (self._schema.metadata or {}).get(b"pandas", b"null")
         try:
             return list(json.loads(written)["index_columns"])
         except (ValueError, KeyError, TypeError, RecursionError):
             return []  # of another tool
 
-    @property
-    def index(self) -> Collection[str]:
-        columns = [column for column in self._index if isinstance(column, str)]
-        return [*columns, *(self.names[position] for position in self._ranges)]
-
-    def unit(self, position: int) -> str | None:
-        if position in self._ranges:
-            return None
-        written = (self._schema.field(position).metadata or {}).get(b"unit")
-        return None if written is None else str(written.decode("utf-8", "replace")).strip() or None
-
-    def has_stamps(self, position: int) -> bool:
-        if position in self._ranges:
-            return False
-        column = self._schema.field(position).type
-        types = self._arrow.types
-        return bool(types.is_timestamp(column) or types.is_duration(column))
+    def _declared_units(self) -> dict[int, str]:
+        units = {}
+        for position, field in enumerate(self._schema):
+            unit = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace").strip()
+            if unit:
+                units[position] = unit
+        return units
 
     def stamp_unit(self, clock: Header) -> str | None:
-        if not self.has_stamps(clock.position):
+        if clock.position not in self.stamps:
             return None
         return str(self._schema.field(clock.position).type.unit)
 
@@ -598,7 +576,7 @@ class _ParquetTable:
             return list(self._ranges[position])
         types = self._arrow.types
         column_type = self._schema.field(position).type
-        is_stamp = is_time and self.has_stamps(position)
+        is_stamp = is_time and position in self.stamps
         if not (types.is_integer(column_type) or types.is_floating(column_type) or is_stamp):
             raise UsageError(
                 f"{self.label}: column {self.names[position]!r}: expected numbers, got type "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import numpy as np
@@ -134,6 +135,44 @@ def test_a_frame_of_pandas_gives_its_index(tmp_path):
     assert read_field_data(tmp_path / "range.parquet").t.tolist() == [0.0, 0.01, 0.02, 0.03]
     with pytest.raises(UsageError, match=r"one column of times, got 'instant', 'date';.*by time"):
         read_field_data(tmp_path / "either.parquet")
+
+
+def test_an_index_is_known_by_all_of_its_name(tmp_path):
+    """With its unit, too."""
+    pandas = pytest.importorskip("pandas")
+    index = pandas.Index(RAMP * 1e3, name="instant [ms]")
+    pandas.DataFrame({"y": [1.0, 2.0, 3.0, 4.0]}, index=index).to_parquet(tmp_path / "a.parquet")
+    data = read_field_data(tmp_path / "a.parquet")
+    np.testing.assert_allclose(data.t, RAMP, rtol=1e-15)
+    assert not data.diagnostics
+
+
+def test_numbers_that_nobody_wrote_for_times_are_refused(tmp_path):
+    """Of an index with more rows than there can be, and of days with thousands of digits."""
+    pyarrow = pytest.importorskip("pyarrow")
+    entry = {"kind": "range", "name": "t", "start": 0, "stop": 2**70, "step": 1}
+    metadata = {"pandas": json.dumps({"index_columns": [entry]})}
+    schema = pyarrow.schema([("s", "double"), ("y", "double")], metadata=metadata)
+    data = read_field_data(parquet(tmp_path, {"s": RAMP, "y": RAMP}, schema))
+    assert data.t.tolist() == RAMP.tolist()
+    with pytest.raises(UsageError, match="expected a number or an empty cell, got text"):
+        read_field_data(written(tmp_path, f"t,y\n{'9' * 5000} days,1\n"))
+
+
+def test_a_table_of_many_columns_is_read_in_time_of_their_number(tmp_path):
+    """Elements of one vector, or signals of their own."""
+    for names in ([f"x[{i}]" for i in range(5_000)], [f"y{i}" for i in range(5_000)]):
+        text = ",".join(["t", *names]) + "\n" + ",".join(["0"] * 5_001) + "\n"
+        data = read_field_data(written(tmp_path, text))
+        assert sum(signal.values.shape[1] for signal in data.signals) == 5_000
+
+
+def test_columns_of_one_name_are_refused_where_all_are_read(tmp_path):
+    """With their units they are told apart."""
+    path = written(tmp_path, "t,y [mm],y [m]\n0,1,2\n")
+    with pytest.raises(UsageError, match="expected a unique column 'y', got 2"):
+        read_field_data(path)
+    assert read_field_data(path, columns={"y": "y [m]"})["y"].tolist() == [[2.0]]
 
 
 def test_a_log_written_as_a_table_is_read_as_it_was(tmp_path):
