@@ -458,7 +458,7 @@ class Builder:
         jumps = jump_problems(self.scenario, graph)
         if jumps:
             raise self.scenario.document.report(jumps)
-        self.built_warnings = list(zip(records.warned_by, records.warnings, strict=True))
+        self.built_warnings = list(records.warned)
         self._warn(graph)
         return Experiment(
             self.scenario,

@@ -407,13 +407,13 @@ class ScenarioBuildContext:
         """Return a component without inputs, beside that of the run."""
         if self._recording is not None and self._is_replayed(spec):
             return Replay(self._recording, name)
-        count = len(self.records.warnings)
+        count = len(self.records.warned)
         try:
             return spec.build(name, self)
         except CosimError as error:  # the problem of that component, which reports it itself
             raise DependsOnInvalid(str(error)) from error
         finally:
-            self.records.forget_warnings(count)  # it warns where it is built for the run
+            del self.records.warned[count:]  # it warns where it is built for the run
 
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""

@@ -70,9 +70,8 @@ class BuildRecords:
     current : str
         The component that is being built.
     metadata : dict of component name to plain values
-    warnings : list of (component, text)
-    warned_by : list of str
-        For each of them the component that was being built.
+    warned : list of (name, (component, text))
+        Warnings, with the component that was being built.
     reads : dict of component name to names of tables
         That were read to build the component, and its design rests on.
     looked_up : dict of component name to set of names of components
@@ -85,8 +84,7 @@ class BuildRecords:
     def __init__(self) -> None:
         self.current = ""
         self.metadata: dict[str, dict[str, Any]] = {}
-        self.warnings: list[tuple[str, str]] = []
-        self.warned_by: list[str] = []
+        self.warned: list[tuple[str, tuple[str, str]]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.looked_up: dict[str, set[str]] = {"": set()}
         self.attachments: dict[str, str] = {}
@@ -149,10 +147,9 @@ class BuildRecords:
 
     def warn(self, name: str, text: str) -> None:
         """Record a warning about a component."""
-        self.warnings.append((name, text))
-        self.warned_by.append(self.current)
+        self.warned.append((self.current, (name, text)))
 
-    def forget_warnings(self, count: int) -> None:
-        """Keep the first warnings only, so many."""
-        del self.warnings[count:]
-        del self.warned_by[count:]
+    @property
+    def warnings(self) -> list[tuple[str, str]]:
+        """The warnings, each of a component and its text."""
+        return [warning for _, warning in self.warned]

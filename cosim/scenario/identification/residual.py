@@ -6,7 +6,6 @@ it, and the color of its noise, are those of an identifier's verdict.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,27 +28,17 @@ _PLANT: Final = DisturbedPlant(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ResidualNoise:
-    """What a residual is.
+def residual_noise(t: Vector, residual: Vector) -> tuple[str, float, float]:
+    """Test samples of a residual, shape (N,), at ascending instants t [s].
 
-    Parameters
-    ----------
+    Returns
+    -------
     problem : str
         Why it is not what noise leaves; empty: it is.
     power : float
         The largest power of the noise at a frequency, over its mean; 1: it is white.
     freedom : float
         Degrees of freedom of that power.
-    """
-
-    problem: str
-    power: float
-    freedom: float
-
-
-def residual_noise(t: Vector, residual: Vector) -> ResidualNoise:
-    """Test samples of a residual, shape (N,), at ascending instants t [s].
 
     Raises
     ------
@@ -60,8 +49,5 @@ def residual_noise(t: Vector, residual: Vector) -> ResidualNoise:
     data = DataSet(t, residual[:, np.newaxis], np.zeros((samples, 0)), np.zeros((samples, 1)))
     found = assess(OutputErrorProblem([data], _PLANT, [Polynomial(0)]))
     problem = "" if found.consistency.passed else found.consistency.contradiction
-    return ResidualNoise(
-        problem=problem.replace(" in y[0]", ""),
-        power=largest_power(found.noise.a[0]),
-        freedom=found.noise.freedom,
-    )
+    power = largest_power(found.noise.a[0])
+    return problem.replace(" in y[0]", ""), power, found.noise.freedom

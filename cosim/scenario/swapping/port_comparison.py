@@ -73,21 +73,6 @@ class ComponentCapabilities:
         return pairs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Response:
-    """Outputs over inputs, all sinusoidal at one rate, or constant.
-
-    Parameters
-    ----------
-    values : array of complex, shape (n_y, n_u)
-    terms : Matrix, shape (n_y, n_u)
-        Absolute sums of the terms that each value is computed from: what rounding is relative to.
-    """
-
-    values: NDArray[np.complex128]
-    terms: Matrix
-
-
 @dataclass(frozen=True, slots=True)
 class LinearBehavior:
     """A component near its initial state.
@@ -119,21 +104,19 @@ class LinearBehavior:
         sizes = sizes[sizes > 0.0]
         return float(np.sqrt(2.0) * np.exp(np.log(sizes).mean())) if len(sizes) else 1.0
 
-    def response(self, rate: float) -> Response | None:
-        """Return D + C (j rate - A)^-1 B.
+    def response(self, rate: float) -> tuple[NDArray[np.complex128], Matrix] | None:
+        """Return D + C (j rate - A)^-1 B, shape (n_y, n_u), and the absolute sums of its terms.
 
-        None where ports are missing, or where the inverse, with A known up to its error, may be
-        singular.
+        Rounding is relative to these. None where ports are missing, or where the inverse, with A
+        known up to its error, may be singular.
         """
         A, B, C, D = (self.system.A, self.system.B, self.system.C, self.system.D)
-        if not self.has_ports:
-            return None
         dynamics = 1j * rate * np.eye(len(A)) - A
-        if is_singular(dynamics, error=self.system.error):
+        if not self.has_ports or is_singular(dynamics, error=self.system.error):
             return None
         states = np.linalg.solve(dynamics, B)
         values = np.asarray(D + C @ states, np.complex128)
-        return Response(values, np.abs(D) + np.abs(C) @ np.abs(states))
+        return values, np.abs(D) + np.abs(C) @ np.abs(states)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +221,7 @@ class ComparedPort:
         response = None if linear is None else linear.response(0.0)
         if response is None:
             return None
-        gain = response.values.real
+        gain = response[0].real
         interface = self.component.interface
         if self.causality == "output":
             columns = interface.output_columns()[self.signal.name]
@@ -262,12 +245,13 @@ class ComparedPort:
         interface = self.component.interface
         from_inputs = 1.0 / _factors(interface.inputs, units_of)
         factors = _factors(interface.outputs, units_of)[:, np.newaxis] * from_inputs
-        values = factors * response.values
-        terms = np.abs(factors) * response.terms
+        values = factors * response[0]
+        terms = np.abs(factors) * response[1]
         first = interface.output_columns()[self.signal.name].start
+        inputs = [name for signal in interface.inputs for name in signal.elements]
         entries = {}
-        for i, output in enumerate(_element_names([self.signal]), start=first):
-            for j, name in enumerate(_element_names(interface.inputs)):
+        for i, output in enumerate(self.signal.elements, start=first):
+            for j, name in enumerate(inputs):
                 entries[f"{name} -> {output}"] = Entry(complex(values[i, j]), float(terms[i, j]))
         return entries
 
@@ -283,16 +267,6 @@ class Entry(NamedTuple):
 
     value: complex
     terms: float
-
-
-def _element_names(signals: Sequence[Signal]) -> list[str]:
-    names: list[str] = []
-    for signal in signals:
-        if signal.size == 1:
-            names.append(signal.name)
-        else:
-            names += [f"{signal.name}[{i}]" for i in range(signal.size)]
-    return names
 
 
 def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
@@ -497,10 +471,8 @@ def _plain(entries: Mapping[str, Entry] | None) -> dict[str, Any] | None:
     """Return values for a row: numbers, or real and imaginary parts."""
     if entries is None:
         return None
-    plain: dict[str, Any] = {}
-    for name, (value, _) in entries.items():
-        plain[name] = value.real if value.imag == 0.0 else [value.real, value.imag]
-    return plain
+    values = {name: entry.value for name, entry in entries.items()}
+    return {n: v.real if v.imag == 0.0 else [v.real, v.imag] for n, v in values.items()}
 
 
 def _numbers(
@@ -508,10 +480,9 @@ def _numbers(
     before: Sequence[float] | None,
     after: Sequence[float] | None,
     converted: Sequence[float] | Vector | None,
-    error: float = SAME,
 ) -> Aspect:
     """Compare numbers; ``converted`` are those after in the unit of those before."""
-    verdict = _same_values(before, converted, error)
+    verdict = _same_values(before, converted)
     return Aspect(aspect, before, after, verdict, _ratio(before, converted))
 
 

@@ -93,15 +93,15 @@ def check_rows(t: Vector, residual: Vector, is_sample: Mask) -> ResidualCheck | 
     if samples < LEAST_ROWS:
         few = f"{samples} samples are too few to tell whether noise explains the residual"
         return ResidualCheck(rows, samples, 1.0, math.nan, few, samples, math.inf)
-    noise = residual_noise(t[is_sample], scaled)
+    problem, power, freedom = residual_noise(t[is_sample], scaled)
     return ResidualCheck(
         rows=rows,
         samples=samples,
         ratio=math.sqrt(float(np.mean(scaled**2)) / float(np.mean(whole**2))),
         neighbours=float(scaled[1:] @ scaled[:-1]) / max(float(scaled @ scaled), TINY),
-        problem=noise.problem,
-        independent=max(1, round(samples / noise.power)),
-        freedom=noise.freedom,
+        problem=problem,
+        independent=max(1, round(samples / power)),
+        freedom=freedom,
     )
 
 
