@@ -126,18 +126,21 @@ def noise_color(fitted: FittedModel, criterion: Criterion) -> NoiseColor:
 
 def _record(numbers: NDArray[np.integer], residual: Vector, columns: Matrix) -> ColoredRecord:
     """Return the values of an output by their numbers, and nothing in the places between."""
-    there = numbers >= 0
+    there = np.flatnonzero(numbers >= 0)
     places = numbers[there]
-    length = int(places[-1]) + 1
-    excess = max(length - MOST_SAMPLES, 0)
-    middle = slice(excess // 2, excess // 2 + MOST_SAMPLES)
+    if places[-1] >= MOST_SAMPLES:  # a pause must not be all of the middle
+        places = np.cumsum(np.minimum(np.diff(places, prepend=0), LONGEST_AR + 1))
+    length = min(int(places[-1]) + 1, MOST_SAMPLES)
+    places = places - (int(places[-1]) + 1 - length) // 2
+    is_kept = (places >= 0) & (places < length)
+    there, places = there[is_kept], places[is_kept]
     measured = np.zeros(length, np.bool_)
     measured[places] = True
     of_samples = np.zeros(length)
     of_samples[places] = residual[there]
     own = np.zeros((length, columns.shape[1]))
     own[places] = columns[there]
-    return ColoredRecord(of_samples[middle], own[middle], measured[middle])
+    return ColoredRecord(of_samples, own, measured)
 
 
 def correlation_length(a: Vector) -> float:
