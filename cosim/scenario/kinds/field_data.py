@@ -104,11 +104,12 @@ class FieldDataKind(PlantKind):
     def units_of(self, interface: Interface) -> Mapping[str, PortUnit]:
         """Return the units of the table by port, those of the samples too."""
         units = dict(self.units)
+        signals = interface.by_name
         for port, unit in self.units.items():
-            samples = samples_of(port)
-            if samples in interface.by_name:
-                places = interface.by_name[SAMPLE_TIMES].size
-                units.setdefault(samples, units_of_samples(unit, places))
+            samples = signals.get(samples_of(port))
+            if port in signals and samples is not None:
+                most = samples.size // signals[port].size
+                units.setdefault(samples.name, units_of_samples(unit, most))
         return units
 
     def decided(

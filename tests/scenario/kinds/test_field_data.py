@@ -473,3 +473,19 @@ def test_estimates_come_online_before_the_regression_has_values(experiment, tmp_
     first = int(np.isfinite(theta).all(axis=1).argmax())
     assert 0.0 < log.time("identifier.theta")[first] < 6.4  # T_id is 6.46 s at filter_rate 1e3
     assert (np.abs(theta[first:] - THETA) < 5.0 * error[first:]).all()
+
+
+def test_a_map_of_the_sample_times_is_no_map_of_samples(tmp_path):
+    """Units by port are those of the samples, whatever the times of these are called."""
+    rows = "".join(f"{k * STEP},{k}\n" for k in range(101))
+    (tmp_path / "a.csv").write_text(f"t,p [mm]\n{rows}")
+    (tmp_path / "a.toml").write_text(
+        'scenario = { name = "a", stop = 0.5, step = 1e-2 }\n[components]\n'
+        'u = { kind = "sine", amplitude = 2.0, rate = 3.0, unit = { y = "mm" } }\n'
+        'g = { kind = "gain", K = 1.0 }\n[connections]\n"g.u" = "u.y"\n'
+    )
+    swap = {"u": str(tmp_path / "a.csv")}
+    log = cosim.run(tmp_path / "a.toml", swap=swap, map={"u.y": "p"})
+    assert log.channels["u"].by_name["y_samples"].unit == "mm"
+    with pytest.raises(ScenarioError, match=r"map\['u\.when'\]: unknown port"):
+        cosim.run(tmp_path / "a.toml", swap=swap, map={"u.y": "p", "u.when": "sample_times"})

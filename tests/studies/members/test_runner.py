@@ -17,6 +17,7 @@ from cosim.studies.cluster.opening import TRIAL, open_trying_runner
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.members.logging_runner import open_logging_runner
 from cosim.studies.members.lone_runner import open_lone_runner
+from cosim.studies.members.measuring import MemberRecorder
 from cosim.studies.members.runner import open_runner
 from tests.fmi.compiled import write_archive
 from tests.fmi.small import xml
@@ -253,6 +254,15 @@ def test_the_warnings_of_a_member_are_those_of_its_run(rate, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_warning_at_every_step_hides_no_other():
+    """Each text counts once among those that are kept."""
+    measured = MemberRecorder(Digest())
+    for step in range(5000):
+        measured.message(step, "warning", "plant", "stiff")
+    measured.message(5000, "warning", "plant", "left its range")
+    assert measured.warnings == ["plant: left its range", "plant: stiff"]
+
+
 def test_the_warnings_of_an_fmu_are_those_of_each_member(tmp_path):
     """It steps by 0.01 s whatever it is asked for: what it does not do, each run finds out."""
     scenario = lagging(tmp_path, "{ inner = 0.01 }")
