@@ -9,23 +9,21 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeAlias, final
+from typing import Self, TypeAlias, final
 from weakref import finalize
 
 import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Stopped
-from cosim.core.recorded.signals import warning_texts
+from cosim.core.recorded.signals import RunMessage, warning_texts
 from cosim.core.recorders import close
+from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.states import SimulationState
 from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import CosimError, Interrupted, UsageError, warn
-
-if TYPE_CHECKING:
-    from cosim.scenario.recordings.message_recorder import MessageRecorder
 
 
 @dataclass(frozen=True)
@@ -35,15 +33,18 @@ class Opened:
     Parameters
     ----------
     simulation : Simulation
-    recorder : MessageRecorder
+    recorder : Recorder
         Entered; it ends the FMUs, and the log where there is one.
     log : callable
         Returns the path of the log; None: there is none.
+    warnings : callable
+        Returns the warnings so far.
     """
 
     simulation: Simulation
-    recorder: MessageRecorder
+    recorder: Recorder
     log: Callable[[], Path | None]
+    warnings: Callable[[], list[RunMessage]]
 
 
 Opener: TypeAlias = Callable[[ExitStack, bool], Opened]
@@ -93,7 +94,7 @@ class Session:
 
     def _warn(self) -> None:
         """Show the warnings that were not shown yet."""
-        texts = warning_texts(self._opened.recorder.warnings)
+        texts = warning_texts(self._opened.warnings())
         new = [text for text in texts if text not in self._shown]
         self._shown.update(new)
         warn(new)

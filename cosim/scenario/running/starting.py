@@ -46,7 +46,7 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
     if out is None:
         unlogged = MessageRecorder(Nothing(), replace(experiment, identified={}))
         simulation = _begun(experiment, identity, unlogged, is_logged=False)
-        return Opened(simulation, unlogged, lambda: None)
+        return Opened(simulation, unlogged, lambda: None, lambda: unlogged.warnings)
     if is_next:
         target = Target(out, numbered=True)
     elif Path(out).resolve() in experiment.files and not target.numbered:
@@ -57,7 +57,7 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
         entered.enter_context(recorder)
         simulation = _begun(experiment, identity, recorder)
         entered.pop_all()  # the session closes it
-    return Opened(simulation, recorder, lambda: log.path)
+    return Opened(simulation, recorder, lambda: log.path, lambda: recorder.warnings)
 
 
 def _begun(
