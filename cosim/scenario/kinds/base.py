@@ -316,6 +316,8 @@ class Kind(TomlTable):
         can go on from the state that this one has.
     tunable_elsewhere : str
         What else may be set in a run, in words.
+    unit_port : str
+        That ``unit`` is of, where it is one.
     """
 
     ports: ClassVar[str]
@@ -326,6 +328,7 @@ class Kind(TomlTable):
     continuous_inputs: ClassVar[Mapping[str, str]] = MappingProxyType({})
     tunable: ClassVar[tuple[str, ...]] = ()
     tunable_elsewhere: ClassVar[str] = ""
+    unit_port: ClassVar[str] = "y"
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
     _is_allowed: bool = PrivateAttr(False)
@@ -337,9 +340,9 @@ class Kind(TomlTable):
 
     @property
     def units(self) -> Mapping[str, PortUnit]:
-        """The units of the table by port; of ``y`` where there is one."""
+        """The units of the table by port; of ``unit_port`` where there is one."""
         if isinstance(self.unit, str):
-            return {"y": self.unit}
+            return {self.unit_port: self.unit}
         return self.unit or {}
 
     def units_of(self, interface: Interface) -> Mapping[str, PortUnit]:

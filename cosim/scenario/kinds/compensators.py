@@ -14,7 +14,6 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.compensator import Compensator, CompensatorOptions
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.scenario.document.schema import (
     Flag,
@@ -131,13 +130,7 @@ class CompensatorKind(Kind):
         True, description="feed the limited u back into the internal model (back-calculation)"
     )
     unit: PortUnits = Field(None, description=unit_of("u"))
-
-    @property
-    def units(self) -> dict[str, PortUnit]:
-        """The units of the table by port; of ``u`` where there is one."""
-        if isinstance(self.unit, str):
-            return {"u": self.unit}
-        return {**(self.unit or {})}
+    unit_port: ClassVar[str] = "u"
 
     def build(self, name: str, context: BuildContext) -> Component:
         gains = self.gains(name, context)

@@ -138,9 +138,7 @@ def record(
             file.name: file.data for file in attachments_of(experiment, embed=target.embed)
         }
         memory = Memory(metadata_of(experiment), attachments)
-        taking = chosen_of(experiment, memory)
-        taking = taking if beside is None else beside(taking)
-        taking = shown(experiment, target.live, taking)
+        taking = shown(experiment, target.live, beside, chosen_of(experiment, memory))
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
         return memory
@@ -152,9 +150,7 @@ def record(
     def began() -> None:
         announce_size(log, experiment.clock.steps, target.notice)
 
-    taking = chosen_of(experiment, log)
-    taking = taking if beside is None else beside(taking)
-    taking = shown(experiment, target.live, taking)
+    taking = shown(experiment, target.live, beside, chosen_of(experiment, log))
     try:
         run_into(taking, experiment, progress=progress, profile=profile, began=began, log=log)
         finish()
@@ -169,11 +165,12 @@ def record(
     return log.recorded()
 
 
-def shown(experiment: Experiment, live: LiveView | None, recorder: Recorder) -> Recorder:
-    """Return what shows a run and passes it on to its recorder."""
-    if live is None:
-        return recorder
-    return live.beside(recorder, _kinds(experiment))
+def shown(
+    experiment: Experiment, live: LiveView | None, beside: Beside | None, recorder: Recorder
+) -> Recorder:
+    """Return what shows a run and passes it on to what is beside its recorder, and to that."""
+    taking = recorder if beside is None else beside(recorder)
+    return taking if live is None else live.beside(taking, _kinds(experiment))
 
 
 def _kinds(experiment: Experiment) -> dict[str, str]:

@@ -249,8 +249,7 @@ def run(
                 certification.complete(resources)
 
         if recorder is not None:
-            taking = recorder if beside is None else beside(recorder)
-            taking = shown(experiment, live, taking)
+            taking = shown(experiment, live, beside, recorder)
             warnings = run_into(taking, experiment, progress=progress, profile=profile)
             finish()
             warn(warning_texts(warnings))
