@@ -143,8 +143,11 @@ void cosim_report_deaths(void)
     memset(&action, 0, sizeof action);
     action.sa_sigaction = on_signal;
     action.sa_flags = SA_ONSTACK | SA_SIGINFO;
-    for (int i = 0; i < FATAL; i++)
-        sigaction(fatal[i].number, &action, &before[i]);
+    for (int i = 0; i < FATAL; i++) {
+        sigaction(fatal[i].number, NULL, &before[i]);
+        if (fatal[i].number != SIGALRM || before[i].sa_handler == SIG_DFL) /* else it ends nothing */
+            sigaction(fatal[i].number, &action, NULL);
+    }
 #ifdef __GLIBC__
     on_exit(on_end, NULL);
 #else
