@@ -98,8 +98,13 @@ class BackgroundWriter:
         return row
 
     def _append_under_way(self, buffer: RowBuffer, rows: RowsUnderWay) -> None:
-        """Copy what is computed of the block under way, once there are rows before it."""
+        """Copy what is computed of the block under way, once there are rows before it.
+
+        Not into a buffer that was handed over meanwhile: later rows may be in the next one.
+        """
         with self._copying:
+            if self._filling is not buffer:
+                return
             found = rows()
             if found is not None and self._next > found[0].index:
                 self._append(buffer, *found, 1)
@@ -164,7 +169,7 @@ class BackgroundWriter:
             self._thread = thread
 
     def _hand_over(self, buffer: RowBuffer) -> None:
-        with uninterrupted():
+        with uninterrupted(), self._copying:
             self._full.put(buffer)
             # After that: the thread may take a buffer that is filled only where none waits.
             self._filling = None
@@ -200,10 +205,10 @@ class BackgroundWriter:
             self._free.put(buffer)
 
     def _write_filling(self) -> None:
-        buffer = self._filling
-        # Looked at after the buffer: one that was full before it has to be written first.
-        if buffer is None or not self._full.empty():
-            return
+        with self._copying:  # a buffer is handed over as a whole
+            buffer = self._filling
+            if buffer is None or not self._full.empty():
+                return  # what was full before it has to be written first
         rows = self._under_way
         if rows is not None:
             self._append_under_way(buffer, rows)

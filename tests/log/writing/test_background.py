@@ -34,3 +34,27 @@ def test_rows_of_a_block_under_way_are_written_once():
         rest = writer.close()
     add(rest)
     assert written == [(k, float(k)) for k in range(51)]
+
+
+def test_rows_are_in_order_however_a_buffer_is_handed_over():
+    """The run fills the next buffer while the thread looks at what is under way."""
+    written = []
+    count = 3000
+    values = np.arange(10.0 * count + 1).reshape(-1, 1)
+    under_way = [CLOCK.block_at(0, 0), values[:1]]
+    writer = BackgroundWriter(
+        lambda content: written.extend(content.rows.steps.tolist()),
+        capacity=7,
+        width=1,
+        interval=0.0,
+    )
+    writer.follow(lambda: tuple(under_way))
+    writer.write(*under_way, 0)
+    for number in range(count):
+        block = CLOCK.block_at(10 * number, 10)
+        under_way[:] = block, values[10 * number : 10 * number + 11]
+        writer.write(block, values[10 * number : 10 * number + 11], 1)
+    rest = writer.close()
+    if rest is not None:
+        written += rest.rows.steps.tolist()
+    assert written == list(range(10 * count + 1))
