@@ -8,7 +8,7 @@
  * of an FMU; SOURCE: the number of the lag that drives it, -1: none.
  *
  * A lag whose source comes later in a step (Gauss-Seidel) keeps its input from the start of the step;
- * any other is driven by linear interpolation, in co-simulation by the mean of both ends. All inputs
+ * any other is driven by linear interpolation, in co-simulation by the latest value. All inputs
  * and outputs of all steps are kept in memory that the loop touches first. Prints the
  * processor time [s] of the loop, and the samples: see drivers/protocol.py. */
 #if FMI == 2
@@ -251,13 +251,10 @@ static int step_co_simulation(Lag *lags, int n, double *before, double *row, dou
     for (int i = 0; i < n; ++i) {
         Lag *lag = &lags[i];
         const double u0 = before[COLUMNS * i];
-        double u = u0;
         row[COLUMNS * i] = u0;
-        if (lag->source >= 0 && !lag->held) {
+        if (lag->source >= 0 && !lag->held)
             row[COLUMNS * i] = row[COLUMNS * lag->source + 1];
-            u = u0 + 0.5 * (row[COLUMNS * i] - u0);
-        }
-        if (set(lag, u) || do_step(lag, t, h) || get(lag, &row[COLUMNS * i + 1]))
+        if (set(lag, row[COLUMNS * i]) || do_step(lag, t, h) || get(lag, &row[COLUMNS * i + 1]))
             return 1;
     }
     return 0;

@@ -72,7 +72,8 @@ def run(client, place, *, count=6, files=None, **options):
 
 
 def test_an_outcome_comes_back_with_all_that_it_has():
-    values = (3, "failed", "it is lost", 5, {"y": 1.0}, 0.5, "{}", "a worker", {"log": True})
+    start = (3, "failed", "it is lost", 5, {"y": 1.0}, 0.5, "{}", "a worker")
+    values = (*start, ["it is late"], {"log": True})
     outcome = MemberOutcome(*values)
     assert values == astuple(outcome) == worker_functions.plain_outcome(outcome)
 
