@@ -145,7 +145,7 @@ void cosim_report_deaths(void)
     action.sa_flags = SA_ONSTACK | SA_SIGINFO;
     for (int i = 0; i < FATAL; i++) {
         sigaction(fatal[i].number, NULL, &before[i]);
-        if (fatal[i].number != SIGALRM || before[i].sa_handler == SIG_DFL) /* else it ends nothing */
+        if (fatal[i].number != SIGALRM || before[i].sa_handler == SIG_DFL) /* else: not fatal */
             sigaction(fatal[i].number, &action, NULL);
     }
 #ifdef __GLIBC__
