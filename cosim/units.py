@@ -277,6 +277,11 @@ def units_text(units: Sequence[Unit]) -> str:
     return ", ".join(names[:1] if len(set(units)) == 1 else names)
 
 
+def with_unit(name: str, unit: str | None) -> str:
+    """Return a name with its unit: ``y [mm]``."""
+    return name if unit is None else f"{name} [{unit}]"
+
+
 def comparable(first: Unit, second: Unit) -> bool:
     """Return whether it can be said if values in both units mean the same.
 

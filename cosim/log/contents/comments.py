@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cosim.core.signals import Signal
 from cosim.log.contents.layout import Part
+from cosim.units import with_unit
 
 
 def part_comment(part: Part) -> str:
@@ -30,8 +31,7 @@ def _signal_comments(signal: Signal, role: str) -> list[str]:
     kind = role if signal.type == "real" else f"{role}, {signal.type}"
     comments = []
     for name, unit in zip(signal.elements, signal.measures, strict=True):
-        bracketed_unit = "" if unit.name is None else f" [{unit.name}]"
-        comments.append(f"{name}{bracketed_unit}, {kind}")
+        comments.append(f"{with_unit(name, unit.name)}, {kind}")
     if signal.description:
         comments[0] += f": {signal.description}"
     return comments

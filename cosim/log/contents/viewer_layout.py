@@ -15,6 +15,7 @@ from typing import Any, Final
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel, Signal
 from cosim.log.contents.message_paths import message_paths
+from cosim.units import with_unit
 
 LAYOUT_FILE: Final = "viewer-layout.json"
 MOST_PANELS: Final = 12
@@ -151,8 +152,7 @@ def _labels(port: RecordedPort) -> list[str]:
     elements = port.signal.elements[port.columns.start - first : port.columns.stop - first]
     labels = []
     for element, unit in zip(elements, port.measures, strict=True):
-        bracketed_unit = "" if unit.name is None else f" [{unit.name}]"
-        labels.append(f"{name}.{element}{bracketed_unit}")
+        labels.append(with_unit(f"{name}.{element}", unit.name))
     return labels
 
 

@@ -23,6 +23,7 @@ from cosim.core.recorded.joined_rows import JoinedRows
 from cosim.core.recorded.selection import SelectedColumn
 from cosim.errors import UsageError, nearest
 from cosim.instants import NANOSECONDS
+from cosim.units import with_unit
 
 _MOST_ROWS: Final = 4096  # that are text at a time
 
@@ -47,8 +48,7 @@ def csv_text(table: TextSource) -> Iterator[str]:
     """Yield a table as CSV, a few rows at a time."""
     header = [f"{TIME} [s]"]
     for column in table.columns:
-        unit = "" if column.unit is None else f" [{column.unit}]"
-        header.append(f"{column.name}{unit}")
+        header.append(with_unit(column.name, column.unit))
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(header)
     yield line.getvalue()

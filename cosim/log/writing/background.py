@@ -171,7 +171,6 @@ class BackgroundWriter:
     def _hand_over(self, buffer: RowBuffer) -> None:
         with uninterrupted(), self._copying:
             self._full.put(buffer)
-            # After that: the thread may take a buffer that is filled only where none waits.
             self._filling = None
 
     def _fill_next(self) -> None:
