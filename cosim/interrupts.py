@@ -48,9 +48,9 @@ def uninterrupted() -> Iterator[None]:
             handlers[number](number, frame)
 
 
-def is_deferred() -> bool:
-    """Return whether Ctrl-C has to wait for the end of such a block; any thread may ask."""
-    return isinstance(signal.getsignal(signal.SIGINT), _Deferred)
+def is_deferred(number: int) -> bool:
+    """Return whether a signal has to wait for the end of such a block; any thread may ask."""
+    return isinstance(signal.getsignal(number), _Deferred)
 
 
 @final

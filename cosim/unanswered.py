@@ -1,14 +1,15 @@
-"""Ctrl-C while the main thread is in a call of C that does not return: it ends the process.
+"""A signal while the main thread is in a call of C that does not return: it ends the process.
 
 Python runs its handlers in the main thread, between two instructions, so that Ctrl-C waits as long
-as an FMU hangs. A thread of the command line hears of it at once, and asks whether the main thread
-still runs Python. Where it does, all is left to its handlers. Where it does not, that is said, with
-the FMU that is called, and if it still does not some seconds later, or when Ctrl-C comes again, the
+as an FMU hangs, and so does a request to terminate, as timeout(1), systemd and batch systems send
+it. A thread of the command line hears of it at once, and asks whether the main thread still runs
+Python. Where it does, all is left to its handlers. Where it does not, that is said, with the FMU
+that is called, and if it still does not some seconds later, or when a signal comes again, the
 process ends.
 
 Only the command line does so: the process is its own. One that uses the package may hold more than
-a run, such as the session of a notebook. Only Ctrl-C does: a closed terminal may send its signal
-twice, and who requests to terminate can kill.
+a run, such as the session of a notebook. A closed terminal may send its signal twice at once, which
+is one: it never ends a process before those seconds are over.
 """
 
 from __future__ import annotations
@@ -24,12 +25,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
 
-from cosim.interrupts import INTERRUPTED, REASONS, is_deferred
+from cosim.interrupts import REASONS, SIGNALS, is_deferred
 
 PATIENCE: Final = 1.0  # s in which the main thread is to run an instruction of Python
 GRACE: Final = 4.0  # s more, once that is said
 _LOOK: Final = 0.05  # s between two looks at whether it does
 _CALLS: Final = "cosim.native.fmi.process"  # imported where FMUs are called
+_ENDS_AT_ONCE: Final = {signal.SIGINT, signal.SIGTERM}  # when it comes again
 _ALL: Final = 4096  # bytes, more than there can be
 _BELOW_PROGRESS: Final = "\x1b[?25h\n"  # and with a cursor, which that hides
 _questions: list[Any] = []  # kept, as the main thread may come to them late
@@ -37,7 +39,7 @@ _questions: list[Any] = []  # kept, as the main thread may come to them late
 
 @contextmanager
 def ended_if_unanswered() -> Iterator[None]:
-    """End the process at a second Ctrl-C that the main thread cannot answer.
+    """End the process after a signal that the main thread cannot answer.
 
     Elsewhere than in the main thread, and where another hears of the signals already, such as an
     event loop, nothing is changed.
@@ -72,24 +74,22 @@ def _may_listen() -> bool:
 def _listen(reader: int, ended: threading.Event) -> None:
     """Read the numbers of the signals that come, and act where the main thread does not."""
     while numbers := os.read(reader, _ALL):
-        if signal.SIGINT not in numbers:
+        number = next((number for number in numbers if number in SIGNALS), None)
+        if number is None:
             continue
         answered = _ask_main_thread()
-        if ended.is_set() or answered.wait(PATIENCE) or is_deferred():
+        if ended.is_set() or answered.wait(PATIENCE) or is_deferred(number):
             continue
         _is_repeated(reader)  # taken before it is said what a second one does
         _write(
-            f"{REASONS[signal.SIGINT]}: {_current_call()} does not return: ended in {GRACE:g} s "
-            "if it still does not, at once with Ctrl-C again, without a complete log"
+            f"{REASONS[number]}: {_current_call()} does not return: ended in {GRACE:g} s if it "
+            "still does not, at once with Ctrl-C again, without a complete log"
         )
         end = time.monotonic() + GRACE
-        while not (ended.is_set() or answered.wait(_LOOK) or is_deferred()):
+        while not (ended.is_set() or answered.wait(_LOOK) or is_deferred(number)):
             if time.monotonic() > end or _is_repeated(reader):
-                _write(
-                    f"{REASONS[signal.SIGINT]}: ended; a log with rows was not closed: "
-                    "'cosim info' shows up to where it is complete"
-                )
-                os._exit(INTERRUPTED)
+                _write(f"{REASONS[number]}: ended{_log_left()}")
+                os._exit(128 + number)
 
 
 def limit_calls(limit: float) -> None:
@@ -109,9 +109,9 @@ def _watch(limit: float) -> None:
 
 
 def _is_repeated(reader: int) -> bool:
-    """Return whether Ctrl-C has come again."""
+    """Return whether Ctrl-C or a request to terminate has come again."""
     is_ready = bool(select.select([reader], [], [], 0.0)[0])
-    return is_ready and signal.SIGINT in os.read(reader, _ALL)
+    return is_ready and not _ENDS_AT_ONCE.isdisjoint(os.read(reader, _ALL))
 
 
 def _current_call() -> str:
@@ -119,6 +119,13 @@ def _current_call() -> str:
     calls = sys.modules.get(_CALLS)
     called: str = calls.running_text() if calls is not None else ""
     return f"a call of {called}," if called else "the current call (of an FMU, say)"
+
+
+def _log_left() -> str:
+    """Return what is left of the log of the run, if it has rows."""
+    calls = sys.modules.get(_CALLS)
+    path = calls.reported_log if calls is not None else None
+    return f"; {path} was not closed: 'cosim info' shows up to where it is complete" if path else ""
 
 
 def _ask_main_thread() -> threading.Event:

@@ -1,4 +1,4 @@
-"""Ctrl-C ends the command line also where the main thread is in a call that does not return."""
+"""Signals end the command line also where the main thread is in a call that does not return."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import pytest
 
 import cosim
 from cosim import unanswered
-from cosim.interrupts import uninterrupted
+from cosim.interrupts import REASONS, uninterrupted
 from cosim.unanswered import ended_if_unanswered
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
@@ -40,35 +40,40 @@ def open_files():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("again", [True, False])
-def test_ctrl_c_ends_a_step_that_does_not_return(tmp_path, again):
-    """After some seconds, or at once where it comes again.
+@pytest.mark.parametrize(
+    ("number", "again", "steps"),
+    [(signal.SIGINT, True, 20000), (signal.SIGTERM, False, 20000), (signal.SIGTERM, True, 0)],
+)
+def test_a_signal_ends_a_step_that_does_not_return(tmp_path, number, again, steps):
+    """After some seconds, or at once where it comes again: Ctrl-C, or what timeout(1) sends.
 
     The log is left as it was written: with all that was computed before, after the flush interval.
+    Where that was nothing there is none, and none is spoken of.
     """
-    defines = ("ROGUE=HANGS_LATER", "AT=20000")
+    defines = ("ROGUE=HANGS_LATER", f"AT={steps}")
     compile_fmu(tmp_path / "hangs.fmu", STATELESS, "rogue2.c", defines=defines)
     (tmp_path / "x.toml").write_text(SCENARIO)
     command = [sys.executable, "-m", "cosim", "run", "x.toml", "--out", "x.mcap", "--flush", "0.1"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stderr.readline() == "hangs\n"
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
             said = process.stderr.readline()
-            assert "a call of plant, at t = 20 s, does not return" in said
+            assert f"a call of plant, at t = {steps // 1000} s, does not return" in said
             assert process.poll() is None
             if again:
-                process.send_signal(signal.SIGINT)
+                process.send_signal(number)
             _, messages = process.communicate(timeout=60)
         finally:
             process.kill()
-    assert process.returncode == 130
-    assert messages == (
-        "cosim: interrupted by the user: ended; a log with rows was not closed: "
-        "'cosim info' shows up to where it is complete\n"
-    )
-    log = cosim.open_log(tmp_path / "x.mcap")
-    assert (log.status, log.steps) == ("unfinished", 20000)
+    assert process.returncode == 128 + number
+    assert messages.startswith(f"cosim: {REASONS[number]}: ended")
+    assert ("x.mcap" in messages) == (steps > 0)
+    if steps:
+        log = cosim.open_log(tmp_path / "x.mcap")
+        assert (log.status, log.steps) == ("unfinished", steps)
+    else:
+        assert not (tmp_path / "x.mcap").exists()
 
 
 def test_signals_that_python_answers_are_left_to_its_handlers(capfd):

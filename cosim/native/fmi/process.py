@@ -30,6 +30,7 @@ declare(
     }
 )
 
+reported_log: Path | None = None
 process_size: Final = library.cosim_process_size
 report_deaths: Final = library.cosim_report_deaths
 process_save: Final = library.cosim_process_save
@@ -56,7 +57,9 @@ def running_text() -> str:
 
 
 def report_log(path: Path | None) -> None:
-    """Let a process that dies in an FMU say where the log of its run is; None: there is none."""
+    """Let a process that ends in an FMU say where the log of its run is; None: there is none."""
+    global reported_log
+    reported_log = path
     library.cosim_report_log(None if path is None else os.fsencode(path))
 
 
