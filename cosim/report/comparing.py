@@ -391,10 +391,10 @@ def _port_names(component: str, path: str, maps: Mapping[str, PortNames]) -> lis
 def _sample_names(path: Path, maps: Mapping[str, PortNames]) -> list[str]:
     from cosim.log.foreign.field_path import topic_of
     from cosim.log.foreign.topics import read_channels
-    from cosim.scenario.data_files.field_file import read_field_data
+    from cosim.scenario.data_files.field_file import field_data
 
     if file_type(path) != "log":
-        return [signal.name for signal in read_field_data(path).signals]
+        return [signal.name for signal in field_data(path).signals]
     topics = [channel.topic for channel in read_channels(path)]
     names = chain.from_iterable(port_names(listed) for listed in maps.values())
     return [name for name in names if topic_of(name, topics) is not None]

@@ -23,7 +23,7 @@ from cosim.report.summary import summarize
 from cosim.report.tables.certificate import notes, search_rows, share_text
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.building.coupling_check import described_gains, gain_values
-from cosim.scenario.data_files.field_file import read_field_data
+from cosim.scenario.data_files.field_file import field_data
 from cosim.scenario.document.action_tables import effect_of, signals_of
 from cosim.scenario.document.document import find
 from cosim.scenario.document.schema import ActionTable
@@ -245,7 +245,7 @@ def describe_samples(source: str) -> Section:
     UsageError
         If it is no such table; see :func:`cosim.scenario.data_files.field_file.read_field_data`.
     """
-    data = read_field_data(source)
+    data = field_data(source)
     distances = np.diff(data.t)
     about: Section = {
         "samples": len(data.t),

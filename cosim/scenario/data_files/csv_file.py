@@ -28,7 +28,8 @@ SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "bars"}
 _HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
 NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
 _TIMES: Final = re.compile(
-    r"(t|(?i:times?|time_?stamps?|date|date_?time|(elapsed|simulation|log)_?time))(_(?P<unit>[mun]?s|min|h))?"
+    r"(t|(?P<date>(?i:date|date_?time))|(?i:times?|time_?stamps?|(elapsed|simulation|log)_?time))"
+    r"(_(?P<unit>[mun]?s|min|h))?"
 )
 
 
@@ -62,6 +63,18 @@ class Header:
         Its ``unit`` is that at the end.
         """
         return _TIMES.fullmatch(re.sub("[ -]", "_", self.name))
+
+    @property
+    def time_unit(self) -> str | None:
+        """The unit in which it has times, as it is written; None: it does not say."""
+        if self.unit is not None:
+            return self.unit if seconds_in(self.unit) is not None else None
+        return self.times and self.times["unit"]
+
+    @property
+    def has_dates(self) -> bool:
+        """Whether its name says dates, so that numbers such as 20240301 are no seconds."""
+        return self.times is not None and bool(self.times["date"]) and self.time_unit is None
 
 
 def find_headers(label: str, headers: Iterable[Header], names: Iterable[str]) -> list[Header]:
@@ -120,17 +133,28 @@ def second_of(
     UsageError
         If it is no unit of time.
     """
-    own = clock.unit or (clock.times and clock.times["unit"])
-    name = unit or own or "s"
-    meaning = base_unit(name)
-    second = base_unit("s")
-    assert second is not None
-    if meaning is None or meaning.exponents != second.exponents:
+    if unit is None and clock.has_dates:
+        raise UsageError(
+            f"{label}: column {clock.name!r}: expected dates, such as 2024-03-01 12:00, or times "
+            f"with a unit, got neither; {way_out}"
+        )
+    name = unit or clock.unit or clock.time_unit or "s"
+    seconds = seconds_in(name)
+    if seconds is None:
         raise UsageError(
             f"{label}: column {clock.name!r}: expected times in a unit of time, such as ms, "
             f"got {name!r}; {way_out}"
         )
-    return Decimal(repr(meaning.factor))
+    return Decimal(repr(seconds))
+
+
+def seconds_in(unit: str) -> float | None:
+    """Return a unit of time in s; None: it is none."""
+    meaning = base_unit(unit)
+    second = base_unit("s")
+    assert second is not None
+    is_time = meaning is not None and meaning.exponents == second.exponents
+    return meaning.factor if meaning is not None and is_time else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 The first line of a CSV file, or the names of the columns of a Parquet file, say what the columns
 are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``, ``x_a[1]``; a field of a Parquet file may
-have its unit in its metadata, too. The times are the index that pandas wrote, else the column of a
-name such as ``t``, ``time`` or ``Timestamp``, or of time stamps, else the first one, which is said.
+have its unit in its metadata, too. The times are the index that pandas wrote, where its name or
+type is that of times; else the column of a name such as ``t``, ``time`` or ``Timestamp``, else the
+one in a unit of time, else the one of time stamps; else the index or the first one, which is said.
 Times are numbers, dates (ISO 8601) or durations as pandas writes them (``0 days 00:00:00.02``). An
 empty cell and NaN say that nothing was measured; all else that is no finite number is refused, and
 so are times that do not ascend. The offset of the times is subtracted before they are rounded: a
@@ -33,7 +34,7 @@ import numpy as np
 
 from cosim.arrays import NAN
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
-from cosim.errors import UsageError
+from cosim.errors import UsageError, warn
 from cosim.files import read_bounded
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.csv_file import (
@@ -58,7 +59,6 @@ TimeOffset: TypeAlias = float | Literal["first"]
 
 PARQUET: Final = ".parquet"
 _SEPARATORS: Final = ("\t", ";", "|", ",")
-_UNNAMED: Final = re.compile(r"__index_level_\d+__")  # as pandas names an index without a name
 _BYTES: Final = 8  # of a number
 
 
@@ -79,8 +79,9 @@ def read_field_data(
     path : str or Path
         Of a file whose name ends in .parquet or .mcap, or of a CSV file.
     time : str, optional
-        Name of the column of the times; by default the index that pandas wrote, the column that is
-        named as times are (``t``, ``time``, ``timestamp``, ``date``, ...), or the first. Of an MCAP
+        Name of the column of the times; by default the index that pandas wrote, if it is of times,
+        the column that is named as times are (``t``, ``time``, ``timestamp``, ``date``, ...), has a
+        unit of time or has dates, or else the first, with a :class:`cosim.CosimWarning`. Of an MCAP
         "log_time", which is the default, "publish_time", or a field of the messages, such as
         "header.stamp".
     time_unit : str, optional
@@ -103,6 +104,30 @@ def read_field_data(
     UsageError
         If the file cannot be read, is no such table, or has times that do not ascend.
     """
+    data = field_data(
+        path,
+        time=time,
+        time_unit=time_unit,
+        offset=offset,
+        columns=columns,
+        separator=separator,
+        decimal=decimal,
+    )
+    warn(data.diagnostics)
+    return data
+
+
+def field_data(
+    path: str | Path,
+    *,
+    time: str | None = None,
+    time_unit: str | None = None,
+    offset: TimeOffset | None = None,
+    columns: Mapping[str, str | Sequence[str]] | None = None,
+    separator: str | None = None,
+    decimal: str = ".",
+) -> FieldData:
+    """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics."""
     path = Path(path)
     if isinstance(offset, int | float) and not math.isfinite(offset):
         raise UsageError(f'offset: expected a finite number or "first", got {offset}')
@@ -131,7 +156,7 @@ def read_field_data(
     for name, parts in chosen.items():
         stacked = np.array([values[part.position] for part in parts]).T
         signals.append(FieldSignal(name, unit_of(table.label, name, parts), stacked))
-    notes = () if time is not None else headers.notes(clock)
+    notes = () if time is not None else headers.notes(clock, time_unit or "s")
     return FieldData(table.label, np.array(stamps.t), tuple(signals), notes)
 
 
@@ -181,7 +206,7 @@ class _Headers:
             header = Header.parse(text, position)
             if header.text:
                 self.all.append(self._with_unit(header, table.units.get(position)))
-            elif position == 0:  # pandas writes an index without a name so
+            elif position in table.index:
                 self._unnamed.append(header)
         if len(self._unnamed + self.all) < 2:
             raise UsageError(
@@ -217,25 +242,35 @@ class _Headers:
             raise UsageError(
                 f"{self._label}: expected one column of times, got {names}; select one by time"
             )
-        return [*candidates, *self._unnamed, *self.all][0]
+        return [*candidates, *self._unnamed, *self._of(self._table.index), *self.all][0]
+
+    def _of(self, positions: Collection[int]) -> list[Header]:
+        return [header for header in (*self._unnamed, *self.all) if header.position in positions]
 
     def _candidates(self) -> list[Header]:
-        named = [header for header in self.all if header.times is not None]
-        stamps = [header for header in self.all if header.position in self._table.stamps]
-        index = [header for header in self.all if header.position in self._table.index]
-        of_times = [header for header in index if header in named or header in stamps]
-        with_names = [header for header in index if not _UNNAMED.fullmatch(header.name)]
-        if of_times or not with_names:
-            return of_times or named or stamps or index
-        return [*with_names, *(named or stamps)]
+        """Return the columns that say of themselves that they have times, in the first way."""
+        stamps = self._of(self._table.stamps)
+        timed = [header for header in self.all if header.time_unit is not None]
+        named = []
+        for header in self.all:
+            is_number = header.has_dates and header.position in self._table.numbers
+            if header.times is not None and not is_number:
+                named.append(header)
+        of_times = {header.position for header in (*named, *timed, *stamps)}
+        index = [header for header in self._of(self._table.index) if header.position in of_times]
+        return index or named or timed or stamps
 
-    def notes(self, clock: Header) -> tuple[str, ...]:
+    def notes(self, clock: Header, unit: str) -> tuple[str, ...]:
         """Return what is to be known where nothing says which column has the times."""
-        if self._candidates() or self._table.stamp_unit(clock) is not None:
+        if self._candidates():
             return ()
+        is_index = clock.position in self._table.index
+        where = "the index that pandas wrote" if is_index else "the first column"
+        name = f", {clock.name!r}" if clock.name else ""
         return (
-            f"{self._label}: the times are those of the first column, {clock.name!r}, as no column "
-            "is named t, time or the like; time selects another",
+            f"{self._label}: the times are those of {where}{name}, in {unit}, as no column says "
+            "that it has times, by a name such as t or time, a unit of time or dates; time selects "
+            "another",
         )
 
     def signals(
@@ -348,6 +383,7 @@ class _FieldTable(Protocol):
     units: Mapping[int, str]
     index: Collection[int]
     stamps: Collection[int]
+    numbers: Collection[int]
 
     def stamp_unit(self, clock: Header) -> str | None:
         """Return the unit of dates or durations; None: the times are numbers."""
@@ -362,8 +398,6 @@ class _CsvTable:
     """A CSV file."""
 
     units: Mapping[int, str] = MappingProxyType({})
-    index: Collection[int] = ()
-    stamps: Collection[int] = ()
 
     def __init__(self, path: Path, separator: str | None, decimal: str) -> None:
         self.label = f"file {str(path)!r}"
@@ -377,13 +411,23 @@ class _CsvTable:
                 f"got {self._separator!r}"
             )
         self._decimal = decimal
-        first = next(self._rows(), ("", []))
-        self.names: Sequence[str] = first[1]
+        rows = self._rows()
+        _, self.names = next(rows, ("", []))
         self.hint = f" (separated by {self._separator!r})" if any(self.names) else ""
         if len(self.names) > MOST_COLUMNS:
             raise UsageError(
                 f"{self.label}: expected at most {MOST_COLUMNS} columns, got {len(self.names)}"
             )
+        # pandas writes an index without a name so
+        self.index: Collection[int] = [0] if self.names and not self.names[0].strip() else []
+        _, cells = next(rows, ("", []))
+        self.stamps: Collection[int] = set()
+        self.numbers: Collection[int] = set()
+        for position, cell in enumerate(cells):
+            if is_number(cell.strip().replace(",", ".")):
+                self.numbers.add(position)
+            elif _nanoseconds(cell.strip()) is not None:
+                self.stamps.add(position)
 
     def _likely_separator(self) -> str:
         """Return the separator in the first line that says something, outside of quotes."""
@@ -411,12 +455,7 @@ class _CsvTable:
                 yield f"line {number}", cells
 
     def stamp_unit(self, clock: Header) -> str | None:
-        rows = self._rows()
-        next(rows)
-        _, cells = next(rows, ("", []))
-        if clock.position >= len(cells):
-            return None  # read says so
-        return None if _nanoseconds(cells[clock.position].strip()) is None else "ns"
+        return "ns" if clock.position in self.stamps else None
 
     def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
         has_stamps = self.stamp_unit(clock) is not None
@@ -503,11 +542,13 @@ class _ParquetTable:
             rows = self._file.metadata.num_rows
         self.units: Mapping[int, str] = self._declared_units()
         types = pyarrow.types
-        self.stamps: Collection[int] = [
-            position
-            for position, column in enumerate(self._schema.types)
-            if types.is_timestamp(column) or types.is_duration(column)
-        ]
+        self.stamps: Collection[int] = set()
+        self.numbers: Collection[int] = set()
+        for position, column in enumerate(self._schema.types):
+            if types.is_timestamp(column) or types.is_duration(column):
+                self.stamps.add(position)
+            elif types.is_integer(column) or types.is_floating(column):
+                self.numbers.add(position)
         entries = self._pandas_index()
         index = [position for position, name in enumerate(self.names) if name in entries]
         # pandas keeps an index of evenly spaced integers, row numbers or others, only there
@@ -516,7 +557,8 @@ class _ParquetTable:
             if isinstance(entry, dict) and isinstance(entry.get("name"), str):
                 with suppress(KeyError, TypeError, ValueError, OverflowError):  # of another tool
                     numbers = range(entry["start"], entry["stop"], entry["step"])
-                    named = Header.parse(entry["name"], 0).times is not None
+                    header = Header.parse(entry["name"], 0)
+                    named = header.times is not None or header.time_unit is not None
                     if len(numbers) == rows and (named or numbers.step > 1):
                         self._ranges[len(self.names)] = numbers
                         self.names = [*self.names, entry["name"]]
@@ -574,13 +616,11 @@ class _ParquetTable:
         """Return the numbers of a column, None where there is none."""
         if position in self._ranges:
             return list(self._ranges[position])
-        types = self._arrow.types
-        column_type = self._schema.field(position).type
         is_stamp = is_time and position in self.stamps
-        if not (types.is_integer(column_type) or types.is_floating(column_type) or is_stamp):
+        if not is_stamp and position not in self.numbers:
             raise UsageError(
                 f"{self.label}: column {self.names[position]!r}: expected numbers, got type "
-                f"{column_type}"
+                f"{self._schema.field(position).type}"
             )
         with self._only_parquet():
             column = self._file.read(columns=[self.names[position]]).column(0)

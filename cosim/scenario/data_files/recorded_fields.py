@@ -17,7 +17,7 @@ import numpy as np
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal
 from cosim.errors import UsageError, option
-from cosim.units import base_unit
+from cosim.scenario.data_files.csv_file import seconds_in
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
@@ -126,11 +126,9 @@ def recorded_data(
 
 def _unit_ns(label: str, name: str | None) -> int:
     """Return a unit of time in ns."""
-    meaning = base_unit(name or "s")
-    second = base_unit("s")
-    assert second is not None
-    if meaning is not None and meaning.exponents == second.exponents:
-        unit = Decimal(repr(meaning.factor)) / NANOSECOND
+    seconds = seconds_in(name or "s")
+    if seconds is not None:
+        unit = Decimal(repr(seconds)) / NANOSECOND
         if unit >= 1 and unit == unit.to_integral_value():
             return int(unit)
     raise UsageError(

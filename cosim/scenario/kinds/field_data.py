@@ -29,7 +29,7 @@ from cosim.core.signals import Interface, PortUnit, Signal, samples_of
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY
-from cosim.scenario.data_files.field_file import listed_columns, read_field_data
+from cosim.scenario.data_files.field_file import field_data, listed_columns
 from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
@@ -51,8 +51,9 @@ class FieldDataKind(PlantKind):
     )
     time: str | None = Field(
         None,
-        description="column of the times; default: the index that pandas wrote, the column named "
-        'as times are, such as "t", "Time [s]" or "timestamp", or the first; MCAP: "log_time" '
+        description="column of the times; default: the index of times that pandas wrote, the "
+        'column named as times are, such as "t", "Time [s]" or "timestamp", the one with a unit of '
+        'time, the one of dates, or the first, with a warning; MCAP: "log_time" '
         '(default), "publish_time", or a field such as "header.stamp"',
     )
     time_unit: UnitName | None = Field(
@@ -212,7 +213,7 @@ class FieldDataKind(PlantKind):
     def _read_file(self, name: str, context: BuildContext) -> FieldData:
         if self._is_mcap:
             return self._read_mcap(name, context)
-        return read_field_data(
+        return field_data(
             context.file(self.path),
             time=self.time,
             time_unit=self.time_unit,

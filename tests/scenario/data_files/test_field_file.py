@@ -69,48 +69,73 @@ BY_NAME = [
     "T,time_ms\n1,0\n2,500\n3,1000\n4,1500\n",
     "y,Time Stamp\n1,2024-01-01\n2,2024-01-01 00:00:00.5\n"
     "3,2024-01-01T00:00:01.000000000Z\n4,2024-01-01 01:00:01.5+01:00\n",
+    "ramp,y,zeit [s]\n0,1,0\n3,2,0.5\n6,3,1\n9,4,1.5\n",
+    "ramp,y,when\n0,1,00:00:00\n3,2,00:00:00.5\n6,3,00:00:01\n9,4,00:00:01.5\n",
+    "t,delay [ms],y\n0,1,1\n0.5,2,2\n1,3,3\n1.5,4,4\n",
     ",y\n0 days 00:00:00,1\n0 days 00:00:00.500000,2\n0 days 00:00:01,3\n0 days 00:00:01.5,4\n",
 ]
 
 
-def test_the_times_are_in_the_column_that_is_named_so(tmp_path):
-    """Wherever it stands; T is a temperature."""
+def test_the_times_are_in_the_column_that_says_so(tmp_path):
+    """Wherever it stands: by its name, else its unit, else its dates; T is a temperature."""
     for text in BY_NAME:
         offset = "first" if "2024" in text else None
         data = read_field_data(written(tmp_path, text), offset=offset)
         assert data.t.tolist() == RAMP.tolist(), text
-        assert data.signals[0].values[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
+        name = "T" if text.startswith("T,") else "position" if "position" in text else "y"
+        assert data[name][:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
         assert data.diagnostics == ()
 
 
-def test_the_first_column_is_that_of_the_times_if_no_name_says_so(tmp_path):
-    """And this is said, unless it was selected."""
-    path = written(tmp_path, "when,y\n0,1\n1,2\n")
-    (note,) = read_field_data(path).diagnostics
-    assert "first column, 'when'" in note
-    assert "time selects another" in note
-    assert describe_samples(str(path))["samples"]["note"] == note
-    assert read_field_data(path, time="when").diagnostics == ()
+def test_the_first_column_is_that_of_the_times_if_no_column_says_so(tmp_path):
+    """And this is said, once, unless it was selected; an index without a name stands first, too."""
+    for name in ("when", "Temps (s) ?", ""):
+        path = written(tmp_path, f"{name},y\n0,1\n1,2\n")
+        with pytest.warns(cosim.CosimWarning) as warned:
+            data = cosim.read_field_data(path)
+        (note,) = data.diagnostics
+        assert [str(warning.message) for warning in warned] == [note]
+        assert repr(name) in note if name else "the index that pandas wrote, in s" in note
+        assert "time selects another" in note
+        assert describe_samples(str(path))["samples"]["note"] == note
+    assert read_field_data(written(tmp_path, "when,y\n0,1\n"), time="when").diagnostics == ()
 
 
-def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path):
-    path = written(tmp_path, "timestamp,time,y\n0,5,1\n1,6,2\n")
-    with pytest.raises(UsageError, match=r"one column of times, got 'timestamp', 'time';.*by time"):
+def test_numbers_for_dates_are_no_seconds(tmp_path):
+    """As 20240301: they are times only where a unit says which."""
+    text = "Zeit,Date,y\n0,20240301,1\n0.5,20240302,2\n"
+    path = written(tmp_path, text)
+    data = read_field_data(path)
+    assert data.t.tolist() == [0.0, 0.5]
+    assert "'Zeit'" in data.diagnostics[0]
+    assert read_field_data(path, time="Date", time_unit="d", offset="first").t[1] == 86400.0
+    for refused, options in ((path, {"time": "Date"}), ("Date,y\n20240301,1\n", {})):
+        file = written(tmp_path, refused, "d.csv") if isinstance(refused, str) else refused
+        with pytest.raises(UsageError, match=r"'Date': expected dates.*time_unit"):
+            read_field_data(file, **options)
+
+
+@pytest.mark.parametrize(("one", "other"), [("timestamp", "time"), ("Zeit (s)", "Dauer [s]")])
+def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path, one, other):
+    path = written(tmp_path, f"{one},{other},y\n0,5,1\n1,6,2\n")
+    with pytest.raises(UsageError, match=rf"of times, got '{one[:4]}.*', '{other[:4]}.*by time"):
         read_field_data(path)
-    assert read_field_data(path, time="time").t.tolist() == [5.0, 6.0]
+    assert read_field_data(path, time=other).t.tolist() == [5.0, 6.0]
 
 
 def test_a_frame_of_pandas_gives_its_index(tmp_path):
-    """Of times, whatever is named like a time beside it; of numbers only where nothing else is.
+    """Of times, whatever is named like a time beside it; of others only where nothing else is.
 
-    An index that has a name, but not that of a time, is refused beside a column that has one.
-    Evenly spaced integers are in no column of the file.
+    Then it is said. Evenly spaced integers are in no column of the file.
     """
     pandas = pytest.importorskip("pandas")
     values = {"y": [1.0, 2.0, 3.0, 4.0], "date": [7.0, 7.0, 8.0, 8.0]}
     frame = pandas.DataFrame(values, index=pandas.Index(RAMP, name="instant"))
     frame[["y"]].to_parquet(tmp_path / "named.parquet")
-    frame.to_parquet(tmp_path / "either.parquet")
+    frame.to_parquet(tmp_path / "dates.parquet")
+    frame.assign(t=RAMP).set_index(pandas.Index([0, 1, 2, 4], name="sample")).to_parquet(
+        tmp_path / "samples.parquet"
+    )
     steps = pandas.Index([0, 10, 20, 30], name="time_ms")
     frame.set_index(steps).to_parquet(tmp_path / "range.parquet")
     numbered = pandas.DataFrame({"y": values["y"], "t": RAMP}).rename_axis("row")
@@ -128,13 +153,15 @@ def test_a_frame_of_pandas_gives_its_index(tmp_path):
         "unnamed.parquet",
         "both.parquet",
         "rows.parquet",
+        "samples.parquet",
+        "dates.parquet",
     ):
         data = read_field_data(tmp_path / name)
         assert data.t.tolist() == RAMP.tolist(), name
         assert data["y"][:, 0].tolist() == values["y"]
+        is_said = name in ("named.parquet", "unnamed.parquet", "dates.parquet")
+        assert any("index that pandas wrote" in text for text in data.diagnostics) == is_said, name
     assert read_field_data(tmp_path / "range.parquet").t.tolist() == [0.0, 0.01, 0.02, 0.03]
-    with pytest.raises(UsageError, match=r"one column of times, got 'instant', 'date';.*by time"):
-        read_field_data(tmp_path / "either.parquet")
 
 
 def test_an_index_is_known_by_all_of_its_name(tmp_path):
