@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import mapping_argument, texts_argument, truth_argument, whole_argument
 from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, warn
+from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
@@ -27,6 +28,8 @@ from cosim.scenario.recordings.window import ReplayWindow, window_of
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
+
+_RECORDED: Final = "as recorded"
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,8 +194,21 @@ def prepared_replay(
         uncomputed=dict(uncomputed),
     )
     gains = () if request.changes or swaps.paths else recorded_loop_gains(source)
-    experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
+    warnings = (*experiment.warnings, *_recorded_warnings(experiment, source))
+    experiment = replace(experiment, origin=origin, designs=designs, gains=gains, warnings=warnings)
     return with_setting_designs(experiment, source, designs)
+
+
+def _recorded_warnings(experiment: Experiment, source: Log) -> Iterator[tuple[str, str]]:
+    """Yield what the run warned of that is not found again: of what is copied, and of the whole."""
+    again = experiment.graph.components.keys() - set(experiment.recorded)
+    for time_ns, _, name, text in source.warnings:
+        is_left = name in again or name in experiment.absent or name == "run"
+        if is_left or (name, text) in experiment.warnings:
+            continue
+        if not text.startswith(_RECORDED):
+            text = f"{_RECORDED} at t = {time_ns / NANOSECONDS} s: {text}"
+        yield name, text
 
 
 def record_replay(

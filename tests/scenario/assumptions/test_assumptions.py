@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 import cosim
 from cosim.errors import UsageError
+from cosim.report.verification import verify
 from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START, STEP
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
 from cosim.scenario.assumptions.report import FILTER, RESOLUTION, check_assumptions
@@ -397,6 +398,21 @@ def test_a_step_is_fulfilled_where_results_are_within_one_percent(motor, step, e
     assert row.values["fastest_rate"] == pytest.approx(2400.0, rel=0.01)
     texts = [text for name, text in recorded_warnings(log) if name == "scenario.step"]
     assert texts == ([] if is_resolved else [f"{row.evidence}; {row.cure}"])
+
+
+def test_a_replay_keeps_the_warnings_of_what_it_takes_over(motor, tmp_path):
+    """As recorded, once, also where it is replayed again; and verification agrees."""
+    log = cosim.run(motor, out=tmp_path / "a.mcap")
+    (recorded,) = log.warnings
+    with pytest.warns(cosim.CosimWarning, match=r"scenario.step: as recorded at t = 0.0 s: the fas"):
+        replay = cosim.replay(log, out=tmp_path / "b.mcap")
+    (kept,) = replay.warnings
+    assert kept.source == recorded.source
+    assert kept.text == f"as recorded at t = 0.0 s: {recorded.text}"
+    again = cosim.replay(replay)
+    assert again.warnings == replay.warnings
+    assert verify(log, replay).passed
+    assert verify(replay, again).passed
 
 
 def test_the_cure_of_a_step_is_one_that_resolves_the_model(motor):
