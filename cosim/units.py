@@ -11,7 +11,9 @@ and copies the bits where both units are the same. The meaning of a unit is its 
 there is one, else that of its name: ``m/s2``, ``kN.m``, ``kg.m2/s^2``, ``degC``. A ``/`` divides by
 the one factor after it, or by those in parentheses, as in ``W/(m2.K)``. A temperature in degC or
 degF has an offset; in a product, such as W/degC, it is a difference and has none. A unit whose name
-says nothing is not known: nothing is compared with it, and nothing converted.
+says nothing is not known: nothing is compared with it, and nothing converted. Nor is dB, which is
+no multiple of a number, and what is another quantity elsewhere, such as gal, kt (knot, kilotonne)
+and psig (above the pressure of the day).
 """
 
 from __future__ import annotations
@@ -46,6 +48,8 @@ _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "h": (Fraction(3600), {"s": 1}),
     "deg": (Fraction(1, 180), {"rad": 1}),  # times pi
     "rev": (Fraction(2), {"rad": 1}),  # times pi
+    "turn": (Fraction(2), {"rad": 1}),  # times pi
+    "gon": (Fraction(1, 200), {"rad": 1}),  # times pi
     "rpm": (Fraction(2, 60), {"rad": 1, "s": -1}),  # times pi
     "Hz": (_ONE, {"s": -1}),
     "N": (_ONE, {"kg": 1, "m": 1, "s": -2}),
@@ -65,21 +69,38 @@ _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "T": (_ONE, {"kg": 1, "s": -2, "A": -1}),
     "degC": (_ONE, {"K": 1}),
     "degF": (Fraction(5, 9), {"K": 1}),
+    "degR": (Fraction(5, 9), {"K": 1}),
     "d": (Fraction(86_400), {"s": 1}),
+    "week": (Fraction(604_800), {"s": 1}),
     "in": (_INCH, {"m": 1}),
     "ft": (12 * _INCH, {"m": 1}),
     "yd": (36 * _INCH, {"m": 1}),
     "mi": (63_360 * _INCH, {"m": 1}),
     "nmi": (Fraction(1852), {"m": 1}),
     "kn": (Fraction(1852, 3600), {"m": 1, "s": -1}),
+    "lpm": (Fraction(1, 60_000), {"m": 3, "s": -1}),
+    "gpm": (231 * _INCH**3 / 60, {"m": 3, "s": -1}),  # of the United States
+    "cfm": ((12 * _INCH) ** 3 / 60, {"m": 3, "s": -1}),
+    "cc": (Fraction(1, 10**6), {"m": 3}),
     "lb": (_POUND, {"kg": 1}),
+    "oz": (_POUND / 16, {"kg": 1}),
+    "slug": (_POUND * _GRAVITY / (12 * _INCH), {"kg": 1}),
     "kgf": (_GRAVITY, {"kg": 1, "m": 1, "s": -2}),
     "lbf": (_POUND * _GRAVITY, {"kg": 1, "m": 1, "s": -2}),
+    "kip": (1000 * _POUND * _GRAVITY, {"kg": 1, "m": 1, "s": -2}),
+    "dyn": (Fraction(1, 10**5), {"kg": 1, "m": 1, "s": -2}),
     "psi": (_POUND * _GRAVITY / _INCH**2, {"kg": 1, "m": -1, "s": -2}),
+    "ksi": (1000 * _POUND * _GRAVITY / _INCH**2, {"kg": 1, "m": -1, "s": -2}),
     "atm": (Fraction(101_325), {"kg": 1, "m": -1, "s": -2}),
     "Torr": (Fraction(101_325, 760), {"kg": 1, "m": -1, "s": -2}),
     "mmHg": (_MERCURY / 1000, {"kg": 1, "m": -1, "s": -2}),
+    "cmHg": (_MERCURY / 100, {"kg": 1, "m": -1, "s": -2}),
     "inHg": (_MERCURY * _INCH, {"kg": 1, "m": -1, "s": -2}),
+    "mmH2O": (_GRAVITY, {"kg": 1, "m": -1, "s": -2}),
+    "cmH2O": (10 * _GRAVITY, {"kg": 1, "m": -1, "s": -2}),
+    "inH2O": (1000 * _INCH * _GRAVITY, {"kg": 1, "m": -1, "s": -2}),
+    "erg": (Fraction(1, 10**7), {"kg": 1, "m": 2, "s": -2}),
+    "eV": (Fraction("1.602176634e-19"), {"kg": 1, "m": 2, "s": -2}),
     "cal": (Fraction("4.184"), {"kg": 1, "m": 2, "s": -2}),
     "BTU": (Fraction("1055.05585262"), {"kg": 1, "m": 2, "s": -2}),
     "hp": (550 * 12 * _INCH * _POUND * _GRAVITY, {"kg": 1, "m": 2, "s": -3}),
@@ -91,23 +112,28 @@ _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "As": (_ONE, {"A": 1, "s": 1}),
     "Ws": (_ONE, {"kg": 1, "m": 2, "s": -2}),
     "Nms": (_ONE, {"kg": 1, "m": 2, "s": -1}),
-    "cP": (Fraction(1, 1000), {"kg": 1, "m": -1, "s": -1}),
-    "cSt": (Fraction(1, 10**6), {"m": 2, "s": -1}),
+    "P": (Fraction(1, 10), {"kg": 1, "m": -1, "s": -1}),
+    "St": (Fraction(1, 10**4), {"m": 2, "s": -1}),
+    "lm": (_ONE, {"cd": 1}),
+    "lx": (_ONE, {"cd": 1, "m": -2}),
     "ppm": (Fraction(1, 10**6), {}),
     "ppb": (Fraction(1, 10**9), {}),
 }
-_TIMES_PI: Final = ("deg", "rev", "rpm")
+_TIMES_PI: Final = ("deg", "rev", "turn", "gon", "rpm")
 # other spellings of a symbol, which take its prefixes
 _SPELLINGS: Final[Mapping[str, str]] = {
     "ohm": "Ohm", "ohms": "Ohm", "sec": "s", "second": "s", "seconds": "s", "minute": "min",
     "minutes": "min", "hr": "h", "hour": "h", "hours": "h", "day": "d", "days": "d", "r": "rev",
-    "meter": "m", "metre": "m", "inch": "in", "knot": "kn", "liter": "l", "litre": "l",
-    "lbm": "lb", "kp": "kgf", "Btu": "BTU", "VAr": "var", "degree": "deg", "degrees": "deg",
-    "radian": "rad", "radians": "rad",
+    "meter": "m", "metre": "m", "inch": "in", "inches": "in", "foot": "ft", "feet": "ft",
+    "knot": "kn", "knots": "kn", "kts": "kn", "liter": "l", "litre": "l", "lbm": "lb",
+    "kp": "kgf", "Btu": "BTU", "VAr": "var", "degree": "deg", "degrees": "deg", "radian": "rad",
+    "radians": "rad", "RPM": "rpm", "torr": "Torr", "psia": "psi", "percent": "%", "pct": "%",
+    "Kelvin": "K", "kelvin": "K", "degK": "K",
 }  # fmt: skip
 _WORDS: Final[Mapping[str, str]] = {
     "mph": "mi/h", "kph": "km/h", "kmh": "km/h", "rps": "rev/s", "U/min": "rev/min",
-    "Celsius": "degC", "Fahrenheit": "degF",
+    "Celsius": "degC", "celsius": "degC", "deg_C": "degC", "Fahrenheit": "degF",
+    "fahrenheit": "degF", "deg_F": "degF", "-": "1",
 }  # fmt: skip
 _SIGNS: Final = str.maketrans(
     {
@@ -153,6 +179,7 @@ _PREFIXED: Final[Mapping[str, str]] = {
     "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum", "H": "num", "Wb": "m", "T": "num",
     "l": "umcd", "L": "umcd", "Nm": "mkM", "Wh": "kMG", "Ah": "mk", "VA": "kM", "var": "kM",
     "cal": "k", "lbf": "k", "As": "m", "Vs": "m", "Ws": "k",
+    "P": "cm", "St": "c", "eV": "kM", "psi": "k", "Torr": "mu", "lm": "k", "lx": "k",
 }  # fmt: skip
 _JOINED: Final = re.compile("(Nms?|Vs|As|Ws|VA)$")  # nobody knows what Nm2 is a square of
 _DENOMINATOR: Final = re.compile(r"/\(([^()/]+)\)")  # in W/(m2.K)
@@ -358,7 +385,7 @@ class _Symbol:
 
 def _parse_factor(part: str) -> tuple[_Symbol, int] | None:
     """Read one factor of a unit, like ``mm``, ``s2`` or ``s^-1``: its symbol and its exponent."""
-    match = re.fullmatch(r"([A-Za-z\u00b5\u03bc]+|1|%)\^?(-?\d)?", part.strip())
+    match = re.fullmatch(r"([A-Za-z\u00b5\u03bc]+|[a-z]+H2O|1|%)\^?(-?\d)?", part.strip())
     symbol = _parse_symbol(match[1]) if match else None
     if match is None or symbol is None or (match[2] and _JOINED.search(match[1])):
         return None

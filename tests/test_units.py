@@ -54,6 +54,17 @@ IN_USE = {  # as FMUs, measuring systems and spreadsheets write them
     "kgm": (1.0, "kg.m"), "kgm2": (1.0, "kg.m2"), "dm": (0.1, "m"), "cl": (1e-5, "m3"),
     "\N{DEGREE SIGN}": (si.degree, "rad"), "\N{DEGREE SIGN}/s": (si.degree, "rad/s"),
     "W/\N{DEGREE SIGN}C": (1.0, "W/K"), "in2": (si.inch**2, "m2"), "psi/s": (si.psi, "Pa/s"),
+    "RPM": (2.0 * si.pi / 60.0, "rad/s"), "torr": (si.torr, "Pa"), "mTorr": (si.torr / 1e3, "Pa"),
+    "psia": (si.psi, "Pa"), "ksi": (1e3 * si.psi, "Pa"), "kpsi": (1e3 * si.psi, "Pa"),
+    "cmH2O": (98.0665, "Pa"), "mmH2O": (9.80665, "Pa"), "inH2O": (249.08891, "Pa"),
+    "cmHg": (1333.22387415, "Pa"), "lpm": (1e-3 / 60.0, "m3/s"), "gpm": (si.gallon / 60.0, "m3/s"),
+    "cfm": (si.foot**3 / 60.0, "m3/s"), "cc": (1e-6, "m3"), "oz": (si.oz, "kg"),
+    "slug": (si.slug, "kg"), "kip": (1e3 * si.lbf, "N"), "foot": (si.foot, "m"),
+    "feet": (si.foot, "m"), "knots": (si.knot, "m/s"), "lm": (1.0, "cd"), "klx": (1e3, "cd/m2"),
+    "percent": (0.01, "1"), "-": (1.0, "1"), "P": (0.1, "Pa.s"), "St": (1e-4, "m2/s"),
+    "eV": (si.eV, "J"), "erg": (si.erg, "J"), "dyn": (si.dyn, "N"), "week": (si.week, "s"),
+    "turn": (2.0 * si.pi, "rad"), "gon": (si.pi / 200.0, "rad"), "degR": (5.0 / 9.0, "K"),
+    "Kelvin": (1.0, "K"),
 }  # fmt: skip
 
 
@@ -101,7 +112,11 @@ def test_an_ambiguous_unit_is_not_read():
         "kkg",
         "mmin",
         "kt",
-        "dB",
+        "dB",  # no multiple of a number
+        "gal",  # of two sizes
+        "psig",  # above the pressure of the day
+        "mH2O",
+        "m-",
         "Nm2",
         "m%",
         "m99",

@@ -220,17 +220,28 @@ def test_units_that_cannot_be_converted_are_refused(units):
         cosim.run(units)
 
 
-def test_an_unknown_unit_is_refused_where_it_is_written(units):
-    """In a table, by port, and in a connection."""
+def test_an_unknown_unit_is_refused_where_it_meets_another(units):
+    """One that a component's table declares too, unless a connection takes its values as they are.
+
+    What a connection names has to be known: it is converted.
+    """
     units.write_text(UNITS.format(readout="degF"))
     scaled = {"from": "sensor.y", "gain": 2.0, "unit": "NM"}
     cases = [
-        ({"sensor.unit": "parsec"}, r"set\['sensor\.unit'\]: .*'parsec'"),
-        ({"room.unit": "degK"}, r"set\['room\.unit'\]: .*'degK'"),
-        ({"sensor.unit": {"u": "degF", "y": "furlong"}}, r"sensor\.unit\.y: .*'furlong'"),
-        ({"connections.readout.u": scaled}, r"connections\.readout\.u.*: .*'NM'"),
+        ({"sensor.unit": "parsec"}, r"sensor\.y -> readout\.u: 'parsec' is not known.*\"as is\""),
+        (
+            {"sensor.unit": {"u": "degF", "y": "furlong"}},
+            r"readout\.u: 'furlong' is not known.*'degF'.*\"as is\"",
+        ),
+        ({"connections.readout.u": scaled}, r"readout\.u.*: .*'NM'"),
     ]
     check_refused(cases, lambda changes: cosim.run(units, set=changes), ScenarioError)
+    as_is = {"from": "sensor.y", "unit": "as is"}
+    changes = {"sensor.unit": {"y": "furlong"}, "connections.readout.u": as_is}
+    log = cosim.run(units, set=changes)
+    assert (log["readout.u"] == log["sensor.y"]).all()
+    sensor = next(channel for channel in log.channels.values() if channel.name == "sensor")
+    assert sensor.interface.by_name["y"].unit == "furlong"
 
 
 def test_a_unit_of_an_fmu_that_is_not_known_drives_another_one_as_it_is_if_that_is_said(tmp_path):
