@@ -435,7 +435,9 @@ class Builder:
         """Return the problems of the graph as a whole, where all that it is made of is right."""
         keys = [key for key, _ in self.problems]
         is_known = ("scenario", "substeps") in keys  # the graph would say the same of them
-        if self._invalid or is_known or any(key[:1] == ("connections",) for key in keys):
+        is_unread = ("components",) in self.scenario.invalid
+        is_unknown = is_unread or any(key[:1] == ("connections",) for key in keys)
+        if self._invalid or is_known or is_unknown:
             return []
         try:
             graph = self._graph()

@@ -4,12 +4,14 @@ The error has the place, what was expected, what was found, and the nearest name
 """
 
 import re
+from pathlib import Path
 
 import pytest
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.scenario.document.document import find
+from cosim.scenario.document.schema import File
 from tests.scenario.refusals import check_refused
 
 TEXT = find("academic").text
@@ -540,3 +542,24 @@ def test_an_alpha_that_is_not_finite_is_refused_before_the_run():
         cosim.run("academic-noisy", set=changes)
 
     check_refused(NOT_FINITE, run)
+
+
+@pytest.mark.parametrize("components", ["components = 1000", "[componants]"])
+def test_nothing_follows_from_a_table_that_cannot_be_read(tmp_path, components):
+    """As that there is no component in it."""
+    path = tmp_path / "mine.toml"
+    table = '[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n'
+    is_table = components.startswith("[")
+    path.write_text(f"{table}{components}\n" if is_table else f"{components}\n{table}")
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(path)
+    (line,) = str(caught.value).splitlines()
+    assert "mine.toml:5: componants" in line if is_table else "mine.toml:1: components" in line
+
+
+def test_the_page_lists_every_table_of_a_scenario():
+    """And none that is a table of another file."""
+    page = (Path(__file__).parents[3] / ".readme" / "scenario.md").read_text()
+    rows = [line for line in page.splitlines() if line.startswith("| `[")]
+    listed = {name for row in rows for name in re.findall(r"\[(\w+)[\].]", row.split("|")[1])}
+    assert listed == File.model_fields.keys()
