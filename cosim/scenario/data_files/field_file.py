@@ -412,7 +412,7 @@ class _CsvTable:
             )
         self._decimal = decimal
         rows = self._rows()
-        _, self.names = next(rows, ("", []))
+        self.names: Sequence[str] = next(rows, ("", []))[1]
         self.hint = f" (separated by {self._separator!r})" if any(self.names) else ""
         if len(self.names) > MOST_COLUMNS:
             raise UsageError(

@@ -61,7 +61,14 @@ def _known_unit(name: str) -> str:
     return name
 
 
+def _any_unit(name: str) -> str:
+    if not name.strip():
+        raise ValueError(f"expected a unit, such as mm, or none, got {name!r}")
+    return name
+
+
 UnitName = Annotated[str, AfterValidator(_known_unit)]
+AnyUnit = Annotated[str, AfterValidator(_any_unit)]  # also one that is not known
 
 MOST_NAME_BYTES = 100  # in UTF-8: file names with it have at most 255
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, TypeVar
 
 from pydantic import Field, PrivateAttr
 
@@ -19,7 +19,7 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit, Signal
-from cosim.scenario.document.schema import Number, TomlTable
+from cosim.scenario.document.schema import AnyUnit, Number, TomlTable
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.theory.plants.descriptor import DescriptorSystem
@@ -284,8 +284,7 @@ class Wiring(Protocol):
         ...
 
 
-_Unit: TypeAlias = Annotated[str, Field(min_length=1)]  # one that is not known, too
-PortUnits: TypeAlias = _Unit | dict[str, _Unit | list[_Unit]] | None
+PortUnits: TypeAlias = AnyUnit | dict[str, AnyUnit | list[AnyUnit]] | None
 
 
 def unit_of(ports: str) -> str:
