@@ -404,7 +404,7 @@ def test_a_replay_keeps_the_warnings_of_what_it_takes_over(motor, tmp_path):
     """As recorded, once, also where it is replayed again; and verification agrees."""
     log = cosim.run(motor, out=tmp_path / "a.mcap")
     (recorded,) = log.warnings
-    with pytest.warns(cosim.CosimWarning, match=r"scenario.step: as recorded at t = 0.0 s: the fas"):
+    with pytest.warns(cosim.CosimWarning, match=r"scenario.step: as recorded at t = 0.0 s: the"):
         replay = cosim.replay(log, out=tmp_path / "b.mcap")
     (kept,) = replay.warnings
     assert kept.source == recorded.source
