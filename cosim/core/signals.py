@@ -287,7 +287,8 @@ class Interface:
         (:class:`cosim.core.contracts.PreparableSubsteps`).
     continuous : bool
         Whether its continuous outputs are so by construction, as those of an integrated system: no
-        jump hides between two communication points, so that the mean of both is one of the signal.
+        jump hides between two communication points, so that the mean of both is one of the signal,
+        unless it feeds through.
     one_value : tuple of input names
         Continuous inputs that have one value over a whole step: the component has ``take_wiring``
         (:class:`cosim.core.contracts.Wired`).

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.blocks.source import Expression
+from cosim.blocks.arithmetic import switch
+from cosim.blocks.source import Expression, step
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
@@ -21,7 +22,7 @@ from cosim.errors import UsageError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.report.verification import verify
-from tests.core.parts import InPython, integrator, times
+from tests.core.parts import InPython, integrator, through, times
 from tests.fmi import small
 from tests.fmi.small import USED
 
@@ -99,6 +100,37 @@ def test_what_is_continuous_by_construction_is_used_by_its_mean(opened):
     assert graph.mean_inputs == {"b": ["u"]}
 
 
+@pytest.mark.parametrize("native", [True, False])
+def test_a_jump_that_feeds_through_what_integrates_is_used_as_it_was_sent(opened, native):
+    """y = x + u / 2 jumps by 2 where u jumps from 1 to 5: b uses no value between."""
+    parts = {"a": opened(**JUMP), "part": through(0.5), "b": opened(**USED)}
+    log = recorded(parts, {"part.u": "a.y", "b.u": "part.y"}, native=native)
+    assert log["b.u"] - log["part.x"] == pytest.approx(0.5 * log["a.y"])
+    assert log["b.y"].tolist() == log["b.u"].tolist()
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_switch_is_used_as_it_was_sent(opened, native):
+    """Between two steps t passes 0.45, and y jumps from 1 to 5: never 3."""
+    parts = {
+        "t": Expression(["t"]),
+        "numbers": Expression(["1", "5"]),
+        "part": switch(threshold=0.45),
+        "b": opened(**USED),
+    }
+    driving = {"part.u1": "numbers.y[1]", "part.u2": "numbers.y[0]", "part.control": "t.y"}
+    log = recorded(parts, driving | {"b.u": "part.y"}, native=native)
+    assert log["b.y"].tolist() == log["b.u"].tolist() == [1.0] * 5 + [5.0] * 6
+
+
+def test_a_discrete_signal_that_feeds_through_is_used_by_its_mean_up_to_the_jump(opened):
+    """Its value before the jump is known: no mean of both sides of it is used."""
+    parts = {"a": step(time=0.5), "part": through(1.0), "b": opened(**USED)}
+    log = recorded(parts, {"part.u": "a.y", "b.u": "part.y"})
+    u, before = log["b.u"], log["part.x"] + np.array([0.0] * 6 + [1.0] * 5)
+    assert log["b.y"][1:] == pytest.approx(0.5 * (u[:-1] + before[1:]), abs=1e-15)
+
+
 @pytest.mark.parametrize("between", ["a static part", "a component in Python"])
 def test_what_passes_a_jump_on_is_not_continuous_either(opened, between):
     """A gain behind the FMU, or an integrator that a user wrote, of which nothing is known."""
@@ -170,6 +202,28 @@ def test_a_recording_of_an_fmu_is_no_more_continuous_than_the_fmu(fmu, tmp_path)
     log = ran(fmu, tmp_path)
     again = cosim.run(tmp_path / "jump.toml", swap={"a": str(tmp_path / "jump.mcap")})
     assert again["b.y"].tobytes() == log["b.y"].tobytes()
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        'kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[0.0]], D = [[1.0]]',
+        'kind = "sensor", resolution = 0.5',
+    ],
+    ids=["feeds through", "jumps"],
+)
+def test_a_recording_passes_on_what_was_recorded(fmu, tmp_path, part):
+    """A controller behind a jump, and a sensor that rounds: in the run, and taken from its log."""
+    small.able(fmu, tmp_path / "a.fmu", **JUMP)
+    small.able(fmu, tmp_path / "b.fmu", **USED)
+    path = tmp_path / "jump.toml"
+    text = SCENARIO.format(setting="", key="").replace("[connections]", f"m = {{ {part} }}\n$&")
+    text = text.replace("$&", '[connections]\n"m.u" = "a.y"').replace('"b.u" = "a', '"b.u" = "m')
+    path.write_text(text, encoding="utf-8")
+    log = cosim.run(path, out=tmp_path / "jump.mcap")
+    again = cosim.run(path, swap={"m": str(tmp_path / "jump.mcap")})
+    assert again["b.y"].tobytes() == log["b.y"].tobytes() == log["b.u"].tobytes()
+    assert verify(log, cosim.replay(log, rerun=True, allow_code=True)).passed
 
 
 def test_a_zero_order_hold_needs_a_period(fmu, tmp_path):

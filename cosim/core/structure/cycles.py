@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from graphlib import CycleError, TopologicalSorter
 from heapq import heapify, heappop, heappush
 from typing import TypeVar
@@ -13,6 +13,20 @@ from typing import TypeVar
 from cosim.core.port import Port
 
 Node = TypeVar("Node", str, Port)
+
+
+def reached_from(
+    nodes: Iterable[Node], followers: Mapping[Node, Iterable[Node]]
+) -> dict[Node, None]:
+    """Return nodes and those that they reach by their followers."""
+    found = dict.fromkeys(nodes)
+    waiting = list(found)
+    for node in waiting:  # grows on the way
+        for other in followers.get(node, ()):
+            if other not in found:
+                found[other] = None
+                waiting.append(other)
+    return found
 
 
 def find_cycle(dependencies: Mapping[Node, Collection[Node]]) -> list[Node]:

@@ -16,6 +16,7 @@ from typing import final
 
 from cosim.core.port import Port
 from cosim.core.signals import Channel
+from cosim.core.structure.cycles import reached_from
 from cosim.core.structure.feedthrough import Sources
 from cosim.core.structure.variability import BECOMES_A_RAMP, Variabilities
 
@@ -114,7 +115,7 @@ class JumpingOutputs:
                     or signal.name in channel.interface.left_limits
                 ):
                     jumping[port] = None
-        return _reached(jumping, followers)
+        return reached_from(jumping, followers)
 
     def _needed(self) -> tuple[Port, ...]:
         """Return those that are followed, or that what is followed depends on."""
@@ -122,17 +123,5 @@ class JumpingOutputs:
         behind: dict[Port, list[Port]] = {}
         for output in jumping:
             behind[output] = [port for port in self._fed_to[output] if port in jumping]
-        needed = _reached([port for port in self._followed if port in jumping], behind)
+        needed = reached_from([port for port in self._followed if port in jumping], behind)
         return tuple(port for port in jumping if port in needed)
-
-
-def _reached(ports: Iterable[Port], next_ports: Mapping[Port, Iterable[Port]]) -> dict[Port, None]:
-    """Return ports and those that they reach."""
-    reached = dict.fromkeys(ports)
-    waiting = list(reached)
-    for port in waiting:  # grows on the way
-        for other in next_ports.get(port, ()):
-            if other not in reached:
-                reached[other] = None
-                waiting.append(other)
-    return reached

@@ -21,7 +21,7 @@ from cosim.arrays import Mask
 from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
-from cosim.core.structure.cycles import strongly_connected
+from cosim.core.structure.cycles import reached_from, strongly_connected
 from cosim.core.structure.feedthrough import Edge, Sources
 from cosim.core.structure.ports import Ports
 
@@ -151,9 +151,9 @@ class Variabilities:
     def latest(self, channel: Channel, held: Mask) -> Mask:
         """Return which input elements, where they have one value over a step, have that at its end.
 
-        What drives them is not continuous by construction, so that the mean may be no value of it:
-        a co-simulation FMU, a component in Python, a static part behind one. Those of ``held``,
-        shape (n_u,), do not move.
+        What drives them may jump inside of a step, so that the mean may be no value of it: a
+        co-simulation FMU, a component in Python, a switch, what follows one of these directly.
+        Those of ``held``, shape (n_u,), do not move.
         """
         stepped = frozenset[Port]() if channel.name in self._means else self._stepped
         mask = self.driven_by(channel, stepped) & ~held
@@ -325,11 +325,12 @@ class Variabilities:
                 variabilities[port] = signal.variability
                 if signal.variability == "inherited":
                     inheriting.setdefault(channel.name, []).append(port)
-        followed: dict[str, dict[Port, None]] = {}
+        followers: dict[Port, list[Port]] = {}
         drivers: dict[str, list[str]] = {}
-        for name in inheriting:
+        for name, outputs in inheriting.items():
             ports = dict.fromkeys(chain.from_iterable(self._sources[name].values()))
-            followed[name] = ports
+            for port in ports:
+                followers.setdefault(port, []).extend(outputs)
             drivers[name] = [port.component for port in _with(variabilities, "inherited", ports)]
         discrete = _with(variabilities, "discrete", variabilities)
         continuous = _with(variabilities, "continuous", variabilities)
@@ -337,15 +338,44 @@ class Variabilities:
             discrete += inheriting[name]
         inherited = _with(variabilities, "inherited", variabilities)
         discrete += [port for port in inherited if self._starts_apart(port)]
-        for port in _reached(discrete, followed, inheriting):
+        for port in reached_from(discrete, followers):
             variabilities[port] = "discrete"
-        channels = self._channels
-        jumping = [p for p in continuous if not channels[p.component].interface.continuous]
-        self._stepped = frozenset(_reached(discrete + jumping, followed, inheriting))
         # Last, as one continuous signal is enough.
-        for port in _reached(continuous, followed, inheriting):
+        for port in reached_from(continuous, followers):
             variabilities[port] = "continuous"
+        self._stepped = self._stepped_outputs(discrete, followers, variabilities)
         return variabilities
+
+    def _stepped_outputs(
+        self,
+        discrete: list[Port],
+        followers: Mapping[Port, list[Port]],
+        variabilities: Mapping[Port, Variability],
+    ) -> frozenset[Port]:
+        """Return the outputs that are discrete, or may jump where nobody knows of it.
+
+        What integrates passes on what feeds through; of discrete signals that is known, by left
+        limits.
+        """
+        stepped = list(discrete)
+        fed = {port: list(outputs) for port, outputs in followers.items()}
+        for channel in self._channels.values():
+            interface = channel.interface
+            for signal in interface.outputs:
+                port = Port(channel.name, signal.name)
+                if signal.name in interface.jumping:
+                    stepped.append(port)
+                if signal.variability != "continuous":
+                    continue
+                if not interface.continuous:
+                    stepped.append(port)
+                    continue
+                inputs = self._sources[channel.name]
+                for name in interface.feeds(signal.name):
+                    for source in inputs.get(name, ()):
+                        if variabilities[source] != "discrete":
+                            fed.setdefault(source, []).append(port)
+        return frozenset(reached_from(stepped, fed))
 
 
 def _with(
@@ -360,32 +390,3 @@ def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:
     group_of = strongly_connected(drivers)
     sizes = Counter(group_of.values())
     return [name for name in drivers if sizes[group_of[name]] > 1 or name in drivers[name]]
-
-
-def _reached(
-    ports: Iterable[Port],
-    followed: Mapping[str, Iterable[Port]],
-    inheriting: Mapping[str, list[Port]],
-) -> list[Port]:
-    """Return ports and the outputs that inherit from them, also through others.
-
-    Parameters
-    ----------
-    ports : iterable of Port
-    followed : mapping of component name to iterable of Port
-        What drives each component that inherits.
-    inheriting : mapping of component name to list of Port
-        Its outputs that inherit.
-    """
-    followers: dict[Port, list[str]] = {}
-    for name, sources in followed.items():
-        for port in sources:
-            followers.setdefault(port, []).append(name)
-    reached = list(ports)
-    visited: set[str] = set()
-    for port in reached:  # grows on the way
-        for name in followers.get(port, ()):
-            if name not in visited:
-                visited.add(name)
-                reached += inheriting[name]
-    return reached

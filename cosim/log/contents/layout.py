@@ -109,6 +109,8 @@ class Part:
             items["cosim.lagging"] = compact(list(channel.interface.lagging))
         if channel.interface.left_limits:
             items["cosim.left_limits"] = compact(list(channel.interface.left_limits))
+        if channel.interface.jumping:
+            items["cosim.jumping"] = compact(list(channel.interface.jumping))
         if channel.interface.continuous:
             items["cosim.continuous"] = compact(True)
         descriptions = {s.name: s.description for s in channel.signals if s.description}
@@ -158,12 +160,14 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     delayed = read_json(items.get("cosim.delayed", "[]"))
     lagging = read_json(items.get("cosim.lagging", "[]"))
     left_limits = read_json(items.get("cosim.left_limits", "[]"))
+    jumping = read_json(items.get("cosim.jumping", "[]"))
     continuous = read_json(items.get("cosim.continuous", "false"))
     interface = replace(
         _read_interface(signals, initial, descriptions),
         delayed=tuple(delayed),
         lagging=tuple(lagging),
         left_limits=tuple(left_limits),
+        jumping=tuple(jumping),
         continuous=bool(continuous),
     )
     first_column = read_number(items["cosim.start"])
@@ -195,11 +199,11 @@ def signals_json(interface: Interface) -> str:
     unknown. A field that is not ``_ALWAYS_WRITTEN`` is left out where it has its default, so that
     one added later changes no hash of signals that do without it. What outputs depend on at
     initialization, and which inputs are delayed, only orders calls, which outputs lag
-    only says what the order of the error is, which have left limits what a jump is, whether they
-    are continuous by construction what FMUs get of them, and a description only what people read:
-    that stands apart, in ``cosim.initial``, ``cosim.delayed``, ``cosim.lagging``,
-    ``cosim.left_limits``, ``cosim.continuous`` and ``cosim.descriptions``, and changes no hash; so
-    do nominal values, which are not written at all.
+    only says what the order of the error is, which have left limits what a jump is, which jump and
+    whether others are continuous by construction what FMUs get of them, and a description only what
+    people read: that stands apart, in ``cosim.initial``, ``cosim.delayed``, ``cosim.lagging``,
+    ``cosim.left_limits``, ``cosim.jumping``, ``cosim.continuous`` and ``cosim.descriptions``, and
+    changes no hash; so do nominal values, which are not written at all.
     """
     # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
     # in an entry may change, nor _ALWAYS_WRITTEN.

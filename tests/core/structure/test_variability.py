@@ -2,12 +2,12 @@
 
 import pytest
 
-from cosim.blocks.arithmetic import sum_of
-from cosim.blocks.source import constant
+from cosim.blocks.arithmetic import sum_of, switch
+from cosim.blocks.source import constant, step
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
-from tests.core.parts import Scripted, integrator, times
+from tests.core.parts import Scripted, half_through, integrator, times
 
 
 def test_an_element_that_nothing_drives_has_no_zero_order_hold():
@@ -48,3 +48,42 @@ def test_what_is_continuous_by_construction_is_known_behind_static_parts_too():
     assert graph.latest["reader"].tolist() == [False, True, True, True, False, True]
     for means in ({"means": ["reader"]}, {"coupling": "newton"}, {"input_interpolation": "linear"}):
         assert not Graph(parts, connections, **means).latest["reader"].any()
+
+
+def test_direct_feedthrough_passes_a_jump_on():
+    """A switch jumps itself. Of a discrete signal left limits are known, so its mean is a value."""
+    parts = {
+        "user": Scripted([0.0] * 3),
+        "own": integrator(),
+        "held": step(time=1.0),
+        "switch": switch(),
+        "through_user": half_through(),
+        "through_switch": half_through(),
+        "through_own": half_through(),
+        "through_held": half_through(),
+        "filtered": integrator(),
+        "reader": Scripted([0.0] * 3),
+    }
+    parts["reader"].interface = Interface((Signal("u", 6),), (Signal("y"),))
+    connections = {
+        "own.u": "held.y",
+        "switch.u1": "own.y",
+        "switch.u2": "own.y",
+        "switch.control": "own.y",
+        "through_user.u": "user.y",
+        "through_switch.u": "switch.y",
+        "through_own.u": "own.y",
+        "through_held.u": "held.y",
+        "filtered.u": "through_user.y",
+    }
+    read = ["switch", "through_user", "through_switch", "through_own", "through_held", "filtered"]
+    connections["reader.u"] = [f"{name}.y" for name in read]
+    latest = Graph(parts, connections).latest["reader"].tolist()
+    assert dict(zip(read, latest, strict=True)) == {
+        "switch": True,
+        "through_user": True,
+        "through_switch": True,
+        "through_own": False,
+        "through_held": False,
+        "filtered": False,
+    }
