@@ -12,6 +12,7 @@ from cosim.core.contracts import (
     Design,
     Native,
     Rollback,
+    Wiring,
     first_event,
     left_limits,
     linearized,
@@ -94,9 +95,9 @@ class Declared:
         self.interface = interface
         self._component = component
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Say it to the component."""
-        take_wiring(self._component, latest, in_loop)
+        take_wiring(self._component, wiring)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""

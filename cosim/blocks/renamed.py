@@ -14,6 +14,7 @@ from cosim.core.contracts import (
     Native,
     Rollback,
     Stopped,
+    Wiring,
     first_event,
     left_limits,
     linearized,
@@ -42,10 +43,9 @@ class Renamed:
         self._component = component
         self._ports = ports
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Say it to the component, of its own inputs."""
-        masks = map(self._ports.component_mask, (latest, in_loop))
-        take_wiring(self._component, *masks)
+        take_wiring(self._component, wiring.of(self._ports.component_mask))
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component; the arrays of its design have no ports."""

@@ -14,6 +14,7 @@ from cosim.core.contracts import (
     Native,
     Rollback,
     Stopped,
+    Wiring,
     linearized,
     prepare,
     take_wiring,
@@ -104,9 +105,9 @@ class Sampled:
         self._own_h = 0.0
         self._memory = SampledMemory(interface.n_u, interface.n_y)
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Say it to the component."""
-        take_wiring(self._component, latest, in_loop)
+        take_wiring(self._component, replace(wiring, held=wiring.held | self._hold))
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""
@@ -228,9 +229,9 @@ class Decimated:
         self._n = n
         self._memory = DecimatedMemory(self.interface.n_y)
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Say it to the component."""
-        take_wiring(self._component, latest, in_loop)
+        take_wiring(self._component, wiring)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""

@@ -14,7 +14,7 @@ that are used again, so they are valid during the call only: copy what is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
@@ -181,21 +181,39 @@ class Eventful(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """What drives the inputs of a component, as masks of shape (n_u,).
+
+    Parameters
+    ----------
+    driven : Mask
+        Something drives these.
+    held : Mask
+        These have a zero-order hold.
+    latest : Mask
+        What drives these may jump inside of a step: where they have one value over it, it is that
+        at its end. The others that are not held have the mean of both ends.
+    in_loop : Mask
+        These are driven from a loop of its own without any discrete output.
+    """
+
+    driven: Mask
+    held: Mask
+    latest: Mask
+    in_loop: Mask
+
+    def of(self, own: Callable[[Mask], Mask]) -> Wiring:
+        """Return it for other inputs, whose masks a function returns."""
+        return Wiring(own(self.driven), own(self.held), own(self.latest), own(self.in_loop))
+
+
 @runtime_checkable
 class Wired(Protocol):
     """For components that need to know what drives their inputs, as those of FMUs do."""
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
-        """Take what drives the inputs, before ``prepare``.
-
-        Parameters
-        ----------
-        latest : Mask, shape (n_u,)
-            What drives these may jump inside of a step: where they have one value over it, it is
-            that at its end. The others that are not held have the mean of both ends.
-        in_loop : Mask, shape (n_u,)
-            These are driven from a loop of its own without any discrete output.
-        """
+    def take_wiring(self, wiring: Wiring) -> None:
+        """Take what drives the inputs, before ``prepare``."""
         ...
 
 
@@ -260,10 +278,10 @@ def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
     return cast(Linearizable, component).linearized(t, u)
 
 
-def take_wiring(component: Component, latest: Mask, in_loop: Mask) -> None:
+def take_wiring(component: Component, wiring: Wiring) -> None:
     """Say to a component what drives its inputs, if it asks; see :class:`Wired`."""
     if isinstance(component, Wired):
-        component.take_wiring(latest, in_loop)
+        component.take_wiring(wiring)
 
 
 def left_limits(component: Component, t: Vector) -> Mapping[int, Vector]:

@@ -23,7 +23,7 @@ from cosim.core.arguments import (
     checked_periods,
 )
 from cosim.core.connections import Connection, SourceText
-from cosim.core.contracts import Component, Design, Transfer
+from cosim.core.contracts import Component, Design, Transfer, Wiring
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.recording import Plan, Recording
@@ -191,7 +191,7 @@ class Graph:
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
         self.latest: dict[str, Mask] = {}
-        self._in_loop: dict[str, Mask] = {}
+        self._wiring: dict[str, Wiring] = {}
         for stage in self.stages:
             loop = frozenset(member.name for member in stage.members)
             moving = self._variabilities.moving_in(loop)
@@ -203,7 +203,17 @@ class Graph:
                 held = self._variabilities.held(channel, extrapolated, loop, self._torn)
                 self.held[name] = held
                 self.latest[name] = self._variabilities.latest(channel, held)
-                self._in_loop[name] = self._variabilities.driven_by(channel, moving, alone=True)
+                sources = set(chain.from_iterable(self._sources[name].values()))
+                self._wiring[name] = Wiring(
+                    self._variabilities.driven_by(channel, sources),
+                    held,
+                    self.latest[name],
+                    self._variabilities.driven_by(channel, moving, alone=True),
+                )
+
+    def wire(self, name: str) -> None:
+        """Say to a component what drives its inputs, as ``prepare`` does."""
+        self._members[name].component.take_wiring(self._wiring[name])
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that.
@@ -316,7 +326,7 @@ class Graph:
         self, name: str, guarded: GuardedComponent, step_ns: int, recorded: Design
     ) -> Design:
         """Prepare a component that is in a place, or may come there."""
-        guarded.take_wiring(self.latest[name], self._in_loop[name])
+        guarded.take_wiring(self._wiring[name])
         lengths = self._lengths(name, step_ns)
         return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
 

@@ -81,7 +81,7 @@ class Fmu:
         self._resources = resources
         self._solving = solving
         self.unsaved = unsaved
-        self._notes = notes
+        self.notes = notes
 
     @property
     def description(self) -> Description:
@@ -125,11 +125,6 @@ class Fmu:
     def model_description(self) -> str:
         """The modelDescription.xml of the file."""
         return self._archive.xml
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is to be known about the FMU and about its results."""
-        return self._notes + self.component.notes
 
     def tune(self, t: float, values: Mapping[str, tuple[float, ...]]) -> None:
         """Set tunable parameters at ``t`` [s], the time reached; outputs follow them.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from cosim.blocks.arithmetic import gain
 from cosim.blocks.dynamics import lag
 from cosim.blocks.state_space import controller
-from cosim.core.contracts import Stopped
+from cosim.core.contracts import Stopped, Wired, Wiring
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface, Signal
 
@@ -26,6 +27,13 @@ def through(D: float = 0.5) -> Linear:
             A=np.array([[-2.0]]), B=np.eye(1), C=np.eye(1), D=np.array([[D]]), x0=np.array([0.3])
         )
     )
+
+
+def driven(component: Wired, held: Collection[bool] | None = None):
+    """Return a component, all of whose inputs are driven; held ones by discrete signals."""
+    none = np.zeros(component.interface.n_u, np.bool_)
+    component.take_wiring(Wiring(~none, none if held is None else np.array(held), none, none))
+    return component
 
 
 def times(K: float):

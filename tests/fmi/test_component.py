@@ -15,6 +15,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
+from tests.core.parts import driven
 from tests.fmi.plant import INTERFACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
 
 # At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below
@@ -130,7 +131,7 @@ def test_co_simulation_with_input_derivatives_equals_the_exact_solver(exported):
     """The FMU does the same first-order hold; u0 + h slope differs from u1 by rounding."""
     with load(exported, FmuOptions(interface_type="cs")) as fmu:
         y = run(fmu.component, step=1e-3)
-        assert fmu.component.notes == ()
+        assert driven(fmu.component).notes == ()
     assert abs(y - run(generated(), step=1e-3)).max() < ROUNDING
 
 
@@ -141,7 +142,7 @@ DERIVATIVES = (' providesDirectionalDerivative="true"', "")
 def errors_and_notes(path, step):
     with load(path, FmuOptions(interface_type="cs")) as fmu:
         y = run(fmu.component, step=step)
-        notes = fmu.component.notes
+        notes = driven(fmu.component).notes
     errors = abs(y - solution(grid(step))).max(axis=0)
     return errors, notes
 
@@ -172,21 +173,17 @@ def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_fe
     assert ((ratio[1:3] > 3.8) & (ratio[1:3] < 4.2)).all()
     assert coarse[0] == pytest.approx(SLOPE[0] * 0.01, rel=0.1)
     assert notes == (
-        "academic: y, x_b lag inputs with a zero-order hold, or set to a mean, by up to one step "
-        "(the FMU has no directional derivatives)",
+        "academic: y, x_b lag inputs set to a mean by up to one step (the FMU has no directional "
+        "derivatives)",
     )
 
 
-def test_an_interpolating_fmu_without_D_warns_of_held_inputs_at_any_time(edited):
-    """Which inputs are held is known after prepare only.
-
-    The warning names the condition, so it is right before it too.
-    """
+def test_an_interpolating_fmu_without_D_warns_of_held_inputs_only(edited):
+    """The others have their values at the end of a step there."""
     with load(edited(DERIVATIVES), FmuOptions(interface_type="cs")) as fmu:
-        before = fmu.component.notes
-        fmu.component.prepare(1e-3, np.array([True, False]), {})
-        assert fmu.component.notes == before
-    assert before == (
+        assert driven(fmu.component).notes == ()
+        notes = driven(fmu.component, [True, False]).notes
+    assert notes == (
         "academic: y, x_b lag inputs with a zero-order hold by up to one step "
         "(the FMU has no directional derivatives)",
     )
@@ -304,7 +301,7 @@ def test_the_interface_of_a_pythonfmu_fmu(foreign2):
     """Vectors are put together, feedthrough is unknown."""
     with load(foreign2) as fmu:
         interface = fmu.component.interface
-        assert "may lag inputs" in fmu.component.notes[0]
+        assert "may lag inputs" in driven(fmu.component).notes[0]
     outputs = interface.outputs
     assert not any(interface.knows(output.name) for output in outputs)
     assert [(s.name, s.size, s.type, s.variability) for s in outputs] == [

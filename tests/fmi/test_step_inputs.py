@@ -192,6 +192,7 @@ def test_a_log_has_what_was_set_or_says_that_means_were(fmu, tmp_path, where):
     """The key of an FMU does without a period."""
     log = ran(fmu, tmp_path, **({} if where == "nowhere" else {where: LINEAR}))
     asked = where != "nowhere"
+    assert any("y lags inputs set to a mean" in each.text for each in log.warnings) == asked
     assert set(log["b.y"].tolist()) == ({1.0, 3.0, 5.0} if asked else {1.0, 5.0})
     lines = [m.text for m in log.messages() if m.source == "b" and "mean of both" in m.text]
     assert [line.startswith("every step sets u to the mean") for line in lines] == [True] * asked

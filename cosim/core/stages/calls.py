@@ -26,6 +26,7 @@ from cosim.core.contracts import (
     Rollback,
     Stopped,
     Transfer,
+    Wiring,
     first_event,
     left_limits,
     linearized,
@@ -135,9 +136,9 @@ class GuardedComponent:
             self._seconds[self.name] += float(self._native_seconds[0])
             self._native_seconds[0] = 0.0
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Say to the component what drives its inputs."""
-        take_wiring(self._component, latest, in_loop)
+        take_wiring(self._component, wiring)
 
     def prepare(
         self, h: float, held: Mask, recorded: Design, lengths: tuple[float, ...] = ()
@@ -398,9 +399,9 @@ class Timed:
         yield
         self._seconds[self._name] += perf_counter() - began
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Pass on."""
-        take_wiring(self._component, latest, in_loop)
+        take_wiring(self._component, wiring)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""

@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped
+from cosim.core.contracts import Design, Stopped, Wiring
 from cosim.core.gain.responses import linearized_by_responses
 from cosim.core.linearization import InputUse, Linearized
 from cosim.core.recording import INNER_STEP
@@ -96,12 +96,13 @@ class CoSimulation:
         if not self._stepper.interpolates:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
         self._tuned: list[TunedParameters] = []
-        self._latest = np.zeros(self.interface.n_u, np.bool_)
+        none = np.zeros(self.interface.n_u, np.bool_)
+        self._wiring = Wiring(none, none, none, none)
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Take what drives the inputs; see :class:`cosim.core.contracts.Wired`."""
-        self._latest = latest
-        self._stepper.take_wiring(latest, in_loop)
+        self._wiring = wiring
+        self._stepper.take_wiring(wiring.latest, wiring.in_loop)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs have a zero-order hold; nothing is designed.
@@ -135,20 +136,44 @@ class CoSimulation:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be known about the results."""
-        names = self._uncorrected_outputs()
+        """What is to be known about the results, once it is known what drives the inputs."""
+        held, means = self._late_inputs()
+        names = []
+        late: set[str] = set()
+        for name in self._uncorrected_outputs():
+            feeding = (held | means).intersection(self.interface.feeds(name)) - self._in_events
+            if feeding:
+                names.append(name)
+                late |= feeding
         if not names:
             return ()
         verb = "lag" if len(names) > 1 else "lags"
         if not all(self.interface.knows(name) for name in names):
             verb = "may lag"
-        inputs = "inputs with a zero-order hold"
-        if not self._stepper.interpolates:
-            inputs += ", or set to a mean,"
+        ways = []
+        if late & held:
+            ways.append("with a zero-order hold")
+        if late & means:
+            ways.append("set to a mean")
+        inputs = f"inputs {', or '.join(ways)}{',' * (len(ways) - 1)}"
         why = "the FMU has no directional derivatives"
         if self._feedthrough:
             why = "directional derivatives are for real variables"
         return (f"{self._name}: {', '.join(names)} {verb} {inputs} by up to one step ({why})",)
+
+    def _late_inputs(self) -> tuple[set[str], set[str]]:
+        """Return the driven inputs that have a zero-order hold, and those that get means."""
+        wiring = self._wiring
+        one_value = self.interface.one_value
+        held: set[str] = set()
+        means: set[str] = set()
+        for name, columns in self.interface.input_columns().items():
+            if (wiring.driven & wiring.held)[columns].any():
+                held.add(name)
+            moves = wiring.driven & ~wiring.held & ~wiring.latest
+            if name in one_value and moves[columns].any():
+                means.add(name)
+        return held, means
 
     def _uncorrected_outputs(self) -> list[str]:
         """Return the outputs that depend on inputs directly, and do not follow all of them."""
@@ -303,7 +328,7 @@ class CoSimulation:
             return None
         self._tries = True
         try:
-            masks = {"held": self._held, "latest": self._latest}
+            masks = {"held": self._held, "latest": self._wiring.latest}
             return linearized_by_responses(self, t, self._h, u, **masks, use=use)
         finally:
             self._tries = False

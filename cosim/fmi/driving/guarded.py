@@ -14,6 +14,7 @@ from cosim.core.contracts import (
     PreparableSubsteps,
     Rollback,
     Stopped,
+    Wiring,
     first_event,
     left_limits,
     take_wiring,
@@ -157,9 +158,9 @@ class Guarded:
         """What is to be known about the results."""
         return self._component.notes
 
-    def take_wiring(self, latest: Mask, in_loop: Mask) -> None:
+    def take_wiring(self, wiring: Wiring) -> None:
         """Pass on."""
-        take_wiring(self._component, latest, in_loop)
+        take_wiring(self._component, wiring)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""

@@ -545,6 +545,10 @@ class Builder:
         for name, spec in self.scenario.specs.items():
             for text in self.advice(name, spec, graph):
                 self.context.warn(name, text)
+        for name, fmu in self.context.fmus.opened.items():
+            graph.wire(name)
+            for text in fmu.component.notes:
+                self.context.warn(name, text)
         keys = ["until"] if self.scenario.file.scenario.until is not None else []
         keys += ["when"] if self._reactions else []
         held_inputs = held_disturbances(self.scenario, graph, self.clock.step_ns)
