@@ -266,6 +266,16 @@ def test_values_that_are_not_kept_are_named_once(tmp_path):
         assert fmu.drain() == [message]
 
 
+def test_values_in_single_precision_are_kept(tmp_path):
+    """0.1 reads back as 0.10000000149, of a variable that is declared as double precision."""
+    path = small.compiled(tmp_path, "NUMBER=float")
+    start = {"A": -0.1, "B": 1e-3, "C": 1.0 / 3.0, "x": 0.7}
+    with load(path, FmuOptions(start=start)) as fmu:
+        assert fmu.component.initialize(0.0, np.array([0.1]))[0] == float(np.float32(0.7)) != 0.7
+        fmu.component.outputs(0.0, np.array([0.1]))
+        assert fmu.drain() == []
+
+
 def test_an_input_that_cannot_be_read_is_no_fault(tmp_path):
     """It is asked for, no more: nothing is said, and the end of the run is as ever."""
     path = compile_rogue(tmp_path / "hides.fmu", "HIDES", STATELESS)

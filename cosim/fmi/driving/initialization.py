@@ -30,7 +30,7 @@ StartScalar: TypeAlias = bool | int | float | str
 StartValue: TypeAlias = "StartScalar | Sequence[StartValue]"
 Starts: TypeAlias = Mapping[str, StartValue]  # by variable name
 Found = TypeVar("Found")
-CONVERTED: Final = 1e-9  # relative: what rounding leaves where an FMU converts units and back
+SINGLE: Final = 1e-6  # relative: what single precision leaves, also of units that are converted
 
 
 class Initialization:
@@ -183,8 +183,9 @@ class Initialization:
         found = self._ask(partial(self._instance.get_float64, references))
         if found is None:
             return
-        single = references.where(lambda variable: variable.type == "Float32")
-        rounding = np.where(single, np.finfo(np.float32).eps, CONVERTED)
+        real = references.where(lambda variable: variable.signal_type == "real")
+        # Whatever its type is: what an FMU computes with inside, nothing says.
+        rounding = np.where(real, SINGLE, 0.0)
         same = np.isclose(found, wanted, rounding, 0.0, equal_nan=True)
         for i in np.flatnonzero(~same):
             variable = references.elements[i].variable

@@ -6,12 +6,16 @@
  * KIND 3: y = 1, and 5 from the step on that ends behind 0.45 s.
  * SAYS 1: a message in every step. With COUNTS, KIND 0 has in y how many instances there were in
  * this process before, which the binary knows and not the instance. With FORGETS all values are 0
- * when the experiment is set up. */
+ * when the experiment is set up; with NUMBER=float it keeps them in single precision. */
 #include "fmi2Functions.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+
+#ifndef NUMBER
+#define NUMBER double
+#endif
 
 enum { U, V, X, Y, Z, A, B, C, D, KIND, SAYS, VALUES };
 
@@ -93,7 +97,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                        const fmi2Real values[])
 {
     for (size_t i = 0; i < n; ++i)
-        ((Instance *)c)->value[vr[i]] = values[i];
+        ((Instance *)c)->value[vr[i]] = (NUMBER)values[i];
     return fmi2OK;
 }
 
