@@ -10,6 +10,10 @@ from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.variable import Variable
+from cosim.report.tables.comparison import print_dry_run
+from cosim.scenario.assumptions.report import check_assumptions
+from cosim.scenario.running.execution import load as load_scenario
+from cosim.scenario.swapping.swap_comparison import compare_swaps
 from tests.fmi import small
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3
@@ -264,6 +268,29 @@ def test_values_that_are_not_kept_are_named_once(tmp_path):
         fmu.component.initialize(0.0, np.array([0.5]))
         fmu.component.outputs(0.0, np.array([0.5]))
         assert fmu.drain() == [message]
+
+
+def test_values_that_are_not_kept_are_named_before_the_run(tmp_path, capsys):
+    """By the check of a scenario, and by its dry run, which do what a run begins with."""
+    path = compile_rogue(tmp_path / "good.fmu", "GOOD", STATELESS)
+    scenario = tmp_path / "one.toml"
+    scenario.write_text(f"""
+scenario = {{ name = "one", stop = 0.2, step = 0.1 }}
+[components]
+plant = {{ kind = "fmu", path = "{path}", start = {{ k = 3.0, u = 1.0 }} }}
+""")
+    text = "k is 1.0, was set to 3.0"
+    (warning,) = check_assumptions(scenario).warnings
+    assert warning[0] == "plant"
+    assert text in warning[1]
+    reports = compare_swaps(load_scenario(scenario))
+    assert reports.of_run == (warning,)
+    print_dry_run(reports, as_json=False)
+    out, err = capsys.readouterr()
+    assert (out, err) == (
+        "dry run: the scenario can run; warnings: 1\n",
+        f"warning: plant: {warning[1]}\n",
+    )
 
 
 def test_values_in_single_precision_are_kept(tmp_path):

@@ -93,17 +93,25 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     if as_json:
         swaps = {name: report.to_dict() for name, report in reports.reports.items()}
         imported = dict(reports.imported)
-        print_json({"swaps": swaps, "problems": reports.refusals, "imported": imported})
+        warnings = [{"of": name, "text": text} for name, text in reports.of_run]
+        problems = reports.refusals
+        print_json(
+            {"swaps": swaps, "problems": problems, "imported": imported, "warnings": warnings}
+        )
         return
     for report in reports.reports.values():
         print_section(report.component, report.lines)
     for component, name in reports.imported.items():
         print_line(f"{component}: {name} was imported")
     if not reports.refusals:
-        for component, text in reports.warnings:
+        for component, text in [*reports.of_run, *reports.warnings]:
             print_line(f"warning: {component}: {text}", error=True)
-        different = f"the scenario can run; rows that differ: {reports.different}"
-        print_line(f"dry run: {different if reports.different else 'no problems found'}")
+        found = "no problems found"
+        if reports.different:
+            found = f"the scenario can run; rows that differ: {reports.different}"
+        elif reports.of_run:
+            found = f"the scenario can run; warnings: {len(reports.of_run)}"
+        print_line(f"dry run: {found}")
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:

@@ -17,7 +17,7 @@ from cosim.scenario.assumptions.attempts import Evidence
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.changed_loops import changed_loops
 from cosim.scenario.building.coupling_check import CouplingReport, report_behind, report_on
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.context.build_context import DependsOnInvalid
 from cosim.scenario.document.problems import Problem
 from cosim.scenario.kinds.initial_states import change_text, changed_states
@@ -45,6 +45,7 @@ class Beginning:
         self.designs: dict[str, Design] = {}
         self.refused: list[str] = []
         self._row: Vector | None = None
+        self._of_fmus: list[tuple[str, str]] = []
 
     @cached_property
     def problems(self) -> list[Problem]:
@@ -77,8 +78,9 @@ class Beginning:
 
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
-        """What the run warns of, by component, each once."""
-        return tuple(dict.fromkeys(self._builder.context.records.warnings))
+        """What the run warns of before its first step, by component, each once."""
+        warnings = [*self._builder.context.records.warnings, *self._of_fmus]
+        return tuple(dict.fromkeys(warnings))
 
     def check(self) -> Evidence:
         """Prepare and initialize every component.
@@ -100,6 +102,9 @@ class Beginning:
             graph.initialize(clock.start_time, row)
         except RunError as error:
             raise AssumptionError(str(error)) from error
+        finally:
+            fmus = self._experiment.fmus
+            self._of_fmus = warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
         self._row = row
         count = len(graph.components)
         evidence = (

@@ -39,6 +39,14 @@ class MessageSource(Protocol):
         ...
 
 
+def warnings_among(messages: Mapping[str, Sequence[Message]]) -> list[tuple[str, str]]:
+    """Return the warnings among messages of FMUs, each with its component."""
+    warnings = []
+    for name, of_fmu in messages.items():
+        warnings += [(name, message.text) for message in of_fmu if message.level == "warning"]
+    return warnings
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A scenario ready to run.

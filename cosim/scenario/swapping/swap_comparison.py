@@ -25,7 +25,7 @@ from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.kinds import Kind
@@ -183,6 +183,8 @@ class _SwapComparison:
         for name, fmu in fmus.items():
             self._messages[name] = fmu.drain()
         self._initial = _InitialState(builder)
+        of_run = warnings_among(self._messages)
+        of_run += warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
         reports = {}
         for name, part in before.items():
             if name in builder.components:
@@ -192,7 +194,8 @@ class _SwapComparison:
         for name, metadata in builder.context.records.metadata.items():
             if "code" in metadata:
                 imported[name] = str(metadata["code"]["class"])
-        self.reports = SwapReports(reports, problems, self._initial.failure, imported)
+        warnings = tuple(dict.fromkeys([*builder.context.records.warnings, *of_run]))
+        self.reports = SwapReports(reports, problems, self._initial.failure, imported, warnings)
         self._repeats = self._initial.repeats()
         for fmu in fmus.values():
             fmu.discard()

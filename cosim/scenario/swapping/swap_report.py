@@ -216,12 +216,15 @@ class SwapReports:
         Why the initialization failed; empty: it did not.
     imported : mapping of component name to str
         The classes of users that were imported.
+    of_run : tuple of (component, text)
+        What a run warns of before its first step, whatever was swapped.
     """
 
     reports: Mapping[str, SwapReport] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     failure: str = ""
     imported: Mapping[str, str] = field(default_factory=dict)
+    of_run: tuple[tuple[str, str], ...] = ()
 
     def check(self) -> None:
         """Check that the scenario can run.
