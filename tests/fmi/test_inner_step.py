@@ -36,6 +36,17 @@ def test_an_inner_step_is_detected_once(n, moves, rest):
     assert detections(np.exp(-0.1 * intervals), MOVING if moves else STILL) == [(k, n)]
 
 
+@given(n=st.floats(1.1, 9.0), begin=st.floats(0.0, 1.0))
+def test_an_inner_step_that_the_step_does_not_divide_is_detected(n, begin):
+    """Outputs change after 3, 2, 3, 2 steps where n is 2.5: what 32 intervals show of it."""
+    intervals = np.floor(STEPS / n + begin)
+    found = detections(np.exp(-0.01 * intervals), MOVING)
+    uneven = np.unique(np.diff(np.flatnonzero(np.diff(intervals)))[:32]).size > 1
+    assert len(found) == 1
+    if uneven and found[0][1] != int(found[0][1]):
+        assert found[0][1] == pytest.approx(n, abs=1.0 / 32)
+
+
 def test_nothing_else_is_taken_for_one(subtests):
     for number, (outputs, inputs) in enumerate(
         [
@@ -47,6 +58,12 @@ def test_nothing_else_is_taken_for_one(subtests):
             (STEPS // 10 % 2, STILL),
             (1.0 + 2.0**-52 * (STEPS // 10), STILL),
             (np.random.default_rng(1).poisson(0.5, len(STEPS)).cumsum(), STILL),
+            (
+                np.random.default_rng(1).integers(2, 4, len(STEPS)).cumsum().searchsorted(STEPS),
+                STILL,
+            ),
+            (np.exp(-0.1 * np.floor(STEPS / 2.5)), np.floor(STEPS / 2.5)),
+            (np.floor(STEPS / 2.5), STILL),  # a quantized ramp
         ]
     ):
         with subtests.test(number=number):
@@ -74,6 +91,14 @@ def test_an_inner_step_beside_a_loop_that_moves_is_its_own():
 
 def test_the_history_can_be_restored():
     """A run that goes back and on again detects the same at the same step."""
+    uneven = np.exp(-0.01 * np.floor(STEPS / 2.5))
+    watch = InnerStep(np.array([0]), 1)
+    detections(uneven[:55], MOVING[:55], watch)
+    kept = watch.history
+    first = detections(uneven[55:], MOVING[55:], watch)
+    watch.history = kept
+    assert detections(uneven[55:], MOVING[55:], watch) == first != []
+
     outputs = np.exp(-0.1 * (STEPS // 10))
     watch = InnerStep(np.array([0]), 1)
     detections(outputs[:55], MOVING[:55], watch)

@@ -348,8 +348,8 @@ class CoSimulation:
             self._diagnostics.add(
                 t,
                 INNER_STEP,
-                f"its outputs change at every {_ordinal(n)} communication step only{together}: "
-                f"{who} to keep an inner step of {n * h:.12g} s and to ignore the communication "
+                f"its outputs change at {_every(n)} communication step only{together}: {who} to "
+                f"keep an inner step of {_seconds(n, h)} s and to ignore the communication "
                 f"step of {h} s",
                 INNER_STEP,
             )
@@ -381,6 +381,17 @@ class CoSimulation:
         self._initialization.mode_time = own.initialization_time
         self._stepper.restore(own.stepper)
         self._diagnostics.restore(own.diagnostics)
+
+
+def _every(n: float) -> str:
+    """Return which steps it is; of n between whole numbers, which is known to some digits only."""
+    if n == int(n):
+        return f"every {_ordinal(int(n))}"
+    return f"every {n:.3g}th (on average)"
+
+
+def _seconds(n: float, h: float) -> str:
+    return f"{n * h:.12g}" if n == int(n) else f"about {n * h:.2g}"
 
 
 def _ordinal(n: int) -> str:

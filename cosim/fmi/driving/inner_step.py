@@ -1,7 +1,8 @@
 """Detect an inner step: that an FMU ignores the communication step and keeps one of its own.
 
 The outputs of such an FMU keep their bits over most communication steps and change at every n-th
-one only, n > 1. What looks alike is distinguished:
+one only, n > 1; where n is no whole number, at the first ones at or behind its multiples, as after
+3, 2, 3, 2 steps for n = 2.5. What looks alike is distinguished:
 
 * at rest: nothing ever changes;
 * it follows an input that itself changes at every n-th step only, directly or with a delay: only
@@ -12,7 +13,10 @@ one only, n > 1. What looks alike is distinguished:
 * a switch between two values (a pulse): a change back to the value before the last one does not
   count.
 
-``REPEATS`` intervals in a row that equal the one before are needed, as chance gives a few;
+* a quantized ramp, where n is no whole number: changes that are all the same do not count.
+
+``REPEATS`` intervals in a row that equal the one before are needed, as chance gives a few, or
+``UNEVEN`` in a row that one n explains (of random ones of n and n + 1 less than one in a million);
 ``CHANGES_IN_A_ROW`` changes in successive steps show that there is no inner step. A quantized
 output that changes steadily looks the same: what is detected is an indication, no proof.
 ``inner_step.c`` does it, as steps in compiled code are watched too.
@@ -20,6 +24,7 @@ output that changes steadily looks the same: what is detected is an indication, 
 
 from __future__ import annotations
 
+import math
 from ctypes import addressof
 from typing import NamedTuple, final
 
@@ -43,6 +48,9 @@ class StepHistory(NamedTuple):
     outside_changes: int = 0  # and how many had others that are not from its own loop
     period: int = 0  # steps between the last two changes
     repeats: int = 0  # how often in a row that period came again
+    ends: tuple[int, ...] = (0,)  # of the intervals in a row that one n explains [steps]
+    least: float = 0.0  # what n is above by these
+    most: float = math.inf  # and below
     is_shared: bool = False  # inputs from the loop changed with the outputs then
 
 
@@ -100,6 +108,9 @@ class InnerStep:
             struct.outside_changes,
             struct.period,
             struct.repeats,
+            tuple(struct.ends[: struct.uneven + 1]),
+            struct.least,
+            struct.most,
             bool(struct.is_shared),
         )
 
@@ -117,6 +128,10 @@ class InnerStep:
         struct.outside_changes = history.outside_changes
         struct.period = history.period
         struct.repeats = history.repeats
+        struct.uneven = len(history.ends) - 1
+        struct.ends[: len(history.ends)] = history.ends
+        struct.least = history.least
+        struct.most = history.most
         struct.is_shared = history.is_shared
 
     @property
@@ -124,8 +139,8 @@ class InnerStep:
         """Whether what was detected may be of another component of its loop."""
         return bool(self._struct.is_shared)
 
-    def observe(self, outputs: Vector, inputs: Vector) -> int:
-        """Return n, once, where the outputs change at every n-th step only; else 0.
+    def observe(self, outputs: Vector, inputs: Vector) -> float:
+        """Return n, once, where the outputs change at every n-th step on average; else 0.
 
         Parameters
         ----------
@@ -135,7 +150,7 @@ class InnerStep:
             Of that step.
         """
         vectors = (outputs.ctypes.data, inputs.ctypes.data)
-        period: int = library.cosim_inner_step_observe(self.address, *vectors)
+        period: float = library.cosim_inner_step_observe(self.address, *vectors)
         return period
 
 

@@ -110,7 +110,7 @@ class Stepper:
         As they were read last.
     inputs : Vector, shape (n_u,)
         That those outputs belong to.
-    inner_steps : int
+    inner_steps : float
         The inner step of the FMU, in communication steps, where the last step showed it; else 0.
     keeps_left : bool
         Whether the outputs before an event at the end of a step are read.
@@ -156,7 +156,7 @@ class Stepper:
         self._copy: tuple[object, ...] | None = None  # the memory behind that of compiled code
         n_u = len(discrete)
         self._inner_step = InnerStep(_watched(description), n_u)
-        self.inner_steps = 0
+        self.inner_steps = 0.0
         self.keeps_left = False
         self.left: Vector | None = None
         self._share_state(n_u)

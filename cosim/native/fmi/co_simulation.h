@@ -26,7 +26,7 @@ typedef struct {
     double *values;
     int32_t interpolates, stepped, ended;
     double next_event;
-    int64_t inner_steps;
+    double inner_steps;
     cosim_inner_step inner_step;
     /* what was said up to the copy is said; what comes behind it is not, where the FMU goes back */
     cosim_messages_mark messages;
@@ -50,7 +50,7 @@ typedef struct {
     /* the state: as in StepperState; one array behind the other */
     double *outputs, *inputs, *event_inputs;
     cosim_inner_step *inner_step;
-    int64_t inner_steps; /* the inner step that was detected, in communication steps */
+    double inner_steps; /* the inner step that was detected, in communication steps */
     cosim_fmu_directional feedthrough; /* D; n_unknowns 0: not known */
     cosim_fmu_variables step_inputs, outputs_read;
     cosim_fmu_step do_step;

@@ -14,6 +14,7 @@ UNREAD: Final = 2
 COMPLETED: Final = 3
 FAILED: Final = 4
 SLOPES_FAILED: Final = 5
+UNEVEN: Final = 32  # COSIM_UNEVEN
 
 
 class InnerStepStruct(Structure):
@@ -23,7 +24,9 @@ class InnerStepStruct(Structure):
         ("columns", c_void_p),
         *((name, c_int32) for name in ("n", "n_u", "watches", "begun", "changed", "is_shared")),
         *((name, c_int64) for name in ("steps", "input_changes", "outside_changes")),
-        *((name, c_int64) for name in ("period", "repeats")),
+        *((name, c_int64) for name in ("period", "repeats", "uneven")),
+        ("ends", c_int64 * (UNEVEN + 1)),
+        *((name, c_double) for name in ("least", "most")),
         *((name, c_void_p) for name in ("in_loop", "outputs", "inputs", "outputs_before")),
     )
 
@@ -41,7 +44,7 @@ class CoSimulationCopyStruct(Structure):
         *((name, c_void_p) for name in ("get", "set", "fmu_state", "values")),
         *((name, c_int32) for name in ("interpolates", "stepped", "ended")),
         ("next_event", c_double),
-        ("inner_steps", c_int64),
+        ("inner_steps", c_double),
         ("inner_step", InnerStepStruct),
         ("messages", MessagesMarkStruct),
         ("has_warned", c_int32),
@@ -59,7 +62,7 @@ class CoSimulationStruct(Structure):
         *((name, c_double) for name in ("next_event", "first_event")),
         *((name, c_void_p) for name in ("get_state", "held", "latest", "outputs", "inputs")),
         *((name, c_void_p) for name in ("event_inputs", "inner_step")),
-        ("inner_steps", c_int64),
+        ("inner_steps", c_double),
         ("feedthrough", DirectionalStruct),
         ("step_inputs", VariablesStruct),
         ("outputs_read", VariablesStruct),
@@ -71,4 +74,4 @@ class CoSimulationStruct(Structure):
     )
 
 
-declare({"cosim_inner_step_observe": (c_int64, (c_void_p, c_void_p, c_void_p))})
+declare({"cosim_inner_step_observe": (c_double, (c_void_p, c_void_p, c_void_p))})

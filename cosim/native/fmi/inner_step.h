@@ -4,6 +4,8 @@
 
 #include <stdint.h>
 
+enum { COSIM_UNEVEN = 32 };
+
 typedef struct {
     const intptr_t *columns; /* (n) of the outputs that are watched */
     int32_t n, n_u;
@@ -12,13 +14,15 @@ typedef struct {
     int32_t changed; /* `outputs_before` is known */
     int32_t is_shared; /* inputs of its loop changed with the outputs: another may keep the step */
     int64_t steps, input_changes, outside_changes, period, repeats;
+    int64_t uneven, ends[COSIM_UNEVEN + 1]; /* intervals in a row that n h follows, and their ends */
+    double least, most;                     /* what n may be by these */
     const uint8_t *in_loop; /* (n_u) which inputs change by what the component does itself */
     double *outputs, *inputs, *outputs_before; /* (n), (n_u), (n) */
 } cosim_inner_step;
 
 /* Watch the outputs and inputs of one more step: n, once, where the outputs change at every n-th
- * step only; else 0. */
-int64_t cosim_inner_step_observe(cosim_inner_step *self, const double *outputs,
+ * step only, on average; else 0. */
+double cosim_inner_step_observe(cosim_inner_step *self, const double *outputs,
                                  const double *inputs);
 
 #endif
