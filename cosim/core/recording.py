@@ -20,6 +20,7 @@ from cosim.instants import duration, last_nanosecond
 EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 INNER_STEP: Final = "inner step"  # of a component: category of a message, key of the results
+SHARED_INNER_STEP: Final = "inner step in a loop"  # of it, or of another one of its loop
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
 

@@ -15,7 +15,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped, Wiring
 from cosim.core.gain.responses import linearized_by_responses
 from cosim.core.linearization import InputUse, Linearized
-from cosim.core.recording import INNER_STEP
+from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
@@ -342,16 +342,17 @@ class CoSimulation:
     def _report_inner_step(self, t: float, h: float) -> None:
         n = self._stepper.inner_steps
         if n:
-            together, who = "", "it seems"
+            together, who, category = "", "it seems", INNER_STEP
             if self._stepper.shares_inner_step:
                 together, who = ", with its inputs from its loop", "it, or another one there, seems"
+                category = SHARED_INNER_STEP
             self._diagnostics.add(
                 t,
                 INNER_STEP,
                 f"its outputs change at {_every(n)} communication step only{together}: {who} to "
                 f"keep an inner step of {_seconds(n, h)} s and to ignore the communication "
                 f"step of {h} s",
-                INNER_STEP,
+                category,
             )
 
     def drain(self) -> list[Message]:

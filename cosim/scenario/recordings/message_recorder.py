@@ -14,7 +14,7 @@ from cosim.core.contracts import Block, Stopped
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorded.signals import WARNINGS, DistinctWarnings, RunMessage
 from cosim.core.recorders import close, end_of_run, error_text
-from cosim.core.recording import INNER_STEP, MessageLevel, Plan, Recorder
+from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP, MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
@@ -199,8 +199,13 @@ class MessageRecorder(PassingRecorder):
 
     def _record_messages(self, until_ns: int) -> None:
         """Record the new messages of all FMUs, and those that have waited for their instants."""
+        messages = {}
         for name, fmu in self._experiment.fmus.items():
-            self._record(name, [*self._ahead.pop(name, []), *fmu.drain()], until_ns)
+            messages[name] = [*self._ahead.pop(name, []), *fmu.drain()]
+        # In the order of inner steps, of which the first one of a loop is said, in blocks of any
+        # length.
+        for name in sorted(messages, key=lambda name: _first_inner_step(messages[name])):
+            self._record(name, messages[name], until_ns)
 
     def _record(self, name: str, messages: Sequence[Message], until_ns: int) -> None:
         """Record messages at their own time; where there is none, at the time reached before.
@@ -214,12 +219,34 @@ class MessageRecorder(PassingRecorder):
             if time_ns > until_ns:
                 ahead.append(message)
                 continue
-            if category == INNER_STEP:
+            if category == SHARED_INNER_STEP:
+                loop = self._loop_of(name)
+                is_said = not loop.isdisjoint(self._inner_steps)
                 self._inner_steps.append(name)
-            labelled = text if category in ("", INNER_STEP) else f"{category}: {text}"
-            self.message(time_ns, level, name, labelled)
+                if is_said:  # of one of them, which may be the one
+                    continue
+                text += f"; its loop: {', '.join(sorted(loop))}"
+            elif category == INNER_STEP:
+                self._inner_steps.append(name)
+            elif category:
+                text = f"{category}: {text}"
+            self.message(time_ns, level, name, text)
         if ahead:
             self._ahead[name] = ahead
+
+    def _loop_of(self, name: str) -> frozenset[str]:
+        """Return the components of the loop that a component is in."""
+        for stage in self._experiment.graph.stages:
+            members = frozenset(member.name for member in stage.members)
+            if name in members:
+                return members
+        return frozenset()
+
+
+def _first_inner_step(messages: Sequence[Message]) -> float:
+    """Return when an inner step showed that may be of another FMU [s]; infinity: none did."""
+    times = [time for time, _, category, _ in messages if category == SHARED_INNER_STEP]
+    return min((time for time in times if time is not None), default=math.inf)
 
 
 def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
