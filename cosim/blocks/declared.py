@@ -10,9 +10,9 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import (
     Component,
     Design,
+    InputWiring,
     Native,
     Rollback,
-    Wiring,
     first_event,
     left_limits,
     linearized,
@@ -95,7 +95,7 @@ class Declared:
         self.interface = interface
         self._component = component
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Say it to the component."""
         take_wiring(self._component, wiring)
 

@@ -11,10 +11,10 @@ from cosim.blocks.port_map import PortMap
 from cosim.core.contracts import (
     Component,
     Design,
+    InputWiring,
     Native,
     Rollback,
     Stopped,
-    Wiring,
     first_event,
     left_limits,
     linearized,
@@ -43,7 +43,7 @@ class Renamed:
         self._component = component
         self._ports = ports
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Say it to the component, of its own inputs."""
         take_wiring(self._component, wiring.of(self._ports.component_mask))
 

@@ -11,10 +11,10 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import (
     Component,
     Design,
+    InputWiring,
     Native,
     Rollback,
     Stopped,
-    Wiring,
     linearized,
     prepare,
     take_wiring,
@@ -105,7 +105,7 @@ class Sampled:
         self._own_h = 0.0
         self._memory = SampledMemory(interface.n_u, interface.n_y)
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Say it to the component."""
         take_wiring(self._component, replace(wiring, held=wiring.held | self._hold))
 
@@ -229,7 +229,7 @@ class Decimated:
         self._n = n
         self._memory = DecimatedMemory(self.interface.n_y)
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Say it to the component."""
         take_wiring(self._component, wiring)
 

@@ -182,7 +182,7 @@ class Eventful(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Wiring:
+class InputWiring:
     """What drives the inputs of a component, as masks of shape (n_u,).
 
     Parameters
@@ -203,16 +203,16 @@ class Wiring:
     latest: Mask
     in_loop: Mask
 
-    def of(self, own: Callable[[Mask], Mask]) -> Wiring:
+    def of(self, own: Callable[[Mask], Mask]) -> InputWiring:
         """Return it for other inputs, whose masks a function returns."""
-        return Wiring(own(self.driven), own(self.held), own(self.latest), own(self.in_loop))
+        return InputWiring(own(self.driven), own(self.held), own(self.latest), own(self.in_loop))
 
 
 @runtime_checkable
 class Wired(Protocol):
     """For components that need to know what drives their inputs, as those of FMUs do."""
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Take what drives the inputs, before ``prepare``."""
         ...
 
@@ -278,7 +278,7 @@ def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
     return cast(Linearizable, component).linearized(t, u)
 
 
-def take_wiring(component: Component, wiring: Wiring) -> None:
+def take_wiring(component: Component, wiring: InputWiring) -> None:
     """Say to a component what drives its inputs, if it asks; see :class:`Wired`."""
     if isinstance(component, Wired):
         component.take_wiring(wiring)

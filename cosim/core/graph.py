@@ -23,7 +23,7 @@ from cosim.core.arguments import (
     checked_periods,
 )
 from cosim.core.connections import Connection, SourceText
-from cosim.core.contracts import Component, Design, Transfer, Wiring
+from cosim.core.contracts import Component, Design, InputWiring, Transfer
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.recording import Plan, Recording
@@ -191,7 +191,7 @@ class Graph:
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
         self.latest: dict[str, Mask] = {}
-        self._wiring: dict[str, Wiring] = {}
+        self._wiring: dict[str, InputWiring] = {}
         for stage in self.stages:
             loop = frozenset(member.name for member in stage.members)
             moving = self._variabilities.moving_in(loop)
@@ -204,7 +204,7 @@ class Graph:
                 self.held[name] = held
                 self.latest[name] = self._variabilities.latest(channel, held)
                 sources = set(chain.from_iterable(self._sources[name].values()))
-                self._wiring[name] = Wiring(
+                self._wiring[name] = InputWiring(
                     self._variabilities.driven_by(channel, sources),
                     held,
                     self.latest[name],

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.blocks.arithmetic import gain
 from cosim.blocks.dynamics import lag
 from cosim.blocks.state_space import controller
-from cosim.core.contracts import Stopped, Wired, Wiring
+from cosim.core.contracts import InputWiring, Stopped, Wired
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface, Signal
 
@@ -32,7 +32,7 @@ def through(D: float = 0.5) -> Linear:
 def driven(component: Wired, held: Collection[bool] | None = None):
     """Return a component, all of whose inputs are driven; held ones by discrete signals."""
     none = np.zeros(component.interface.n_u, np.bool_)
-    component.take_wiring(Wiring(~none, none if held is None else np.array(held), none, none))
+    component.take_wiring(InputWiring(~none, none if held is None else np.array(held), none, none))
     return component
 
 

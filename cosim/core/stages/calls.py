@@ -21,12 +21,12 @@ from cosim.arrays import Mask, Matrix, Vector, read_only
 from cosim.core.contracts import (
     Component,
     Design,
+    InputWiring,
     Native,
     PreparableSubsteps,
     Rollback,
     Stopped,
     Transfer,
-    Wiring,
     first_event,
     left_limits,
     linearized,
@@ -136,7 +136,7 @@ class GuardedComponent:
             self._seconds[self.name] += float(self._native_seconds[0])
             self._native_seconds[0] = 0.0
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Say to the component what drives its inputs."""
         take_wiring(self._component, wiring)
 
@@ -399,7 +399,7 @@ class Timed:
         yield
         self._seconds[self._name] += perf_counter() - began
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Pass on."""
         take_wiring(self._component, wiring)
 

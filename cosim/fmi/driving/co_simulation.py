@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped, Wiring
+from cosim.core.contracts import Design, InputWiring, Stopped
 from cosim.core.gain.responses import linearized_by_responses
 from cosim.core.linearization import InputUse, Linearized
 from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP
@@ -97,9 +97,9 @@ class CoSimulation:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
         self._tuned: list[TunedParameters] = []
         none = np.zeros(self.interface.n_u, np.bool_)
-        self._wiring = Wiring(none, none, none, none)
+        self._wiring = InputWiring(none, none, none, none)
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Take what drives the inputs; see :class:`cosim.core.contracts.Wired`."""
         self._wiring = wiring
         self._stepper.take_wiring(wiring.latest, wiring.in_loop)

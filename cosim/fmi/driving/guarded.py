@@ -10,11 +10,11 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import (
     Component,
     Design,
+    InputWiring,
     Linearizable,
     PreparableSubsteps,
     Rollback,
     Stopped,
-    Wiring,
     first_event,
     left_limits,
     take_wiring,
@@ -158,7 +158,7 @@ class Guarded:
         """What is to be known about the results."""
         return self._component.notes
 
-    def take_wiring(self, wiring: Wiring) -> None:
+    def take_wiring(self, wiring: InputWiring) -> None:
         """Pass on."""
         take_wiring(self._component, wiring)
 
