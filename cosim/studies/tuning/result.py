@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cosim.arrays import Matrix
 from cosim.errors import listing, option
 from cosim.studies.analysis.failures import grouped, warning_lines
 from cosim.studies.tuning.local import SearchEnd
@@ -292,12 +293,12 @@ def _whiteness(residual: ResidualCheck | None, samples: int) -> str:
     """Return what the standard errors assume of the residual, and what it looks like."""
     given = "the standard errors assume that"
     white = f"the {samples} samples of the residual are white with a constant standard deviation"
-    if residual is None:
-        return f"{given} {white} (not checked)"
+    if residual is None or not residual.samples:
+        unknown = "" if residual is None else f": {residual.problem}"
+        return f"{given} {white} (not checked{unknown})"
     found = f"the autocorrelation at lag 1 is {residual.neighbours:.2g}"
-    others = residual.rows - residual.samples
-    if others:
-        found += f", and {others} of {residual.rows} rows are interpolated or held between samples"
+    if residual.rows != residual.samples:
+        found += f", and the {residual.rows} rows are interpolated or held between them"
     if samples == residual.samples and not residual.problem:
         return f"{given} {white}; whiteness is not rejected, {found}"
     said = residual.problem or f"by their color {residual.independent} are"
@@ -307,27 +308,34 @@ def _whiteness(residual: ResidualCheck | None, samples: int) -> str:
     )
 
 
-def with_residual(result: TuningResult) -> TuningResult:
-    """Return a result with the standard errors that its residual allows."""
+def with_residual(
+    result: TuningResult, moves: Matrix | None = None, *, samples: int | None = None
+) -> TuningResult:
+    """Return a result with the standard errors that its residual allows.
+
+    Parameters
+    ----------
+    result : TuningResult
+    moves : Matrix, shape (n, p), or None
+        As of :func:`cosim.studies.tuning.standard_errors.of_samples`.
+    samples : int, optional
+        As many are independent; left out: as the residual says.
+    """
     residual = result.residual
     if residual is None or result.errors is None:
         return result
-    if residual.problem:
+    if residual.problem and samples is None:
+        known = f" of the {residual.samples}" if residual.samples else ""
         problem = (
             f"{residual.problem}; where a wrong model is not the cause, {option('samples')} says "
-            f"how many of the {residual.samples} samples are independent"
+            f"how many{known} samples are independent"
         )
         return replace(result, errors=None, errors_problem=problem)
-    if residual.independent == result.errors.samples:
+    independent = residual.independent if samples is None else samples
+    if not residual.samples or (moves is None and independent == result.errors.samples):
         return result
     try:
-        errors = of_samples(
-            result.errors,
-            result.space,
-            residual.independent,
-            ratio=residual.ratio,
-            freedom=residual.freedom,
-        )
+        errors = of_samples(result.errors, result.space, residual, independent, moves)
     except NoStandardErrors as problem:
         return replace(result, errors=None, errors_problem=str(problem))
     return replace(result, errors=errors)

@@ -31,6 +31,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.studies.tuning.space import DIGITS, BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import Trials
+from cosim.studies.tuning.whiteness import ResidualCheck
 
 _FIRST_STEP: Final = 1e-3  # of the range between the bounds
 _SHORTEST_STEP: Final = 1e-9
@@ -70,6 +71,8 @@ class StandardErrors:
     skewed : tuple of str
         Keys along which S rises on one side much more than on the other within about one standard
         error.
+    values : mapping of key to float
+        Around which they are.
     """
 
     errors: Mapping[str, float]
@@ -78,6 +81,7 @@ class StandardErrors:
     deviation: float
     samples: int
     skewed: tuple[str, ...]
+    values: Mapping[str, float]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -139,20 +143,46 @@ def standard_errors(
     return _result(space, curvature, samples)
 
 
+def moved_points(
+    errors: StandardErrors, space: SearchSpace, best: Mapping[str, float]
+) -> tuple[list[dict[str, float]], Vector]:
+    """Return a point beside the best values for each key, and how many errors away each is.
+
+    Where there is room between the bounds that is one standard error, the other values held.
+    """
+    held = 1.0 / np.sqrt(np.diag(np.linalg.inv(np.array(errors.correlation))))
+    points = []
+    units = np.empty(len(held))
+    for number, key in enumerate(space.bounded):
+        value = best[key.key]
+        above, below = key.upper - value, value - key.lower
+        step = min(errors.errors[key.key] * float(held[number]), max(above, below))
+        moved = value + (step if above >= below else -step)
+        points.append({**best, key.key: moved})
+        units[number] = (moved - value) / errors.errors[key.key]
+    return points, units
+
+
 def of_samples(
-    errors: StandardErrors, space: SearchSpace, samples: int, *, ratio: float, freedom: float
+    errors: StandardErrors,
+    space: SearchSpace,
+    residual: ResidualCheck,
+    samples: int,
+    moves: Matrix | None,
 ) -> StandardErrors:
-    """Return the standard errors for another number of samples, and another deviation of these.
+    """Return the standard errors that follow from the samples on which the rows rest.
 
     Parameters
     ----------
     errors : StandardErrors
+        As if every row were a sample.
     space : SearchSpace
+    residual : ResidualCheck
     samples : int
-    ratio : float
-        Of their deviation over that of the rms.
-    freedom : float
-        Degrees of freedom with which that number is known.
+        As many are independent.
+    moves : Matrix, shape (n, p), or None
+        How much W' times the rows moves with each value, for one standard error
+        (:mod:`cosim.studies.tuning.sampled_residual`); None: the rows are samples.
 
     Raises
     ------
@@ -160,25 +190,28 @@ def of_samples(
         If they are too few.
     """
     free = _free(space, samples)
-    factor = ratio * math.sqrt(_free(space, errors.samples) / free)
-    wide = _student(min(float(free), freedom))
-    deviations = {}
-    intervals = {}
-    for number, key in enumerate(space.bounded):
-        low, high = errors.intervals[key.key]
-        value = math.sqrt(low) * math.sqrt(high) if key.logarithmic else 0.5 * (low + high)
-        deviations[key.key] = factor * errors.errors[key.key]
-        interval = _interval(key, value, wide * deviations[key.key])
-        if interval is None:
-            raise NoStandardErrors(
-                _hardly_determined(space, number, np.array(errors.correlation[number]))
-            )
-        intervals[key.key] = interval
+    factor = residual.ratio * math.sqrt(_free(space, errors.samples) / free)
+    correlation = np.array(errors.correlation)
+    deviations = np.full(len(correlation), factor)
+    if moves is not None:
+        # by the errors as units C is the correlation, over N deviations squared of as many rows
+        weighed = moves @ correlation
+        rows = residual.rows**2 / (errors.samples * residual.samples)
+        covariance = weighed.T @ weighed / (rows * errors.deviation**2)
+        own = np.sqrt(np.diag(covariance))
+        deviations *= own
+        correlation = covariance / np.outer(own, own)
+    found = {
+        key: float(error * deviation)
+        for (key, error), deviation in zip(errors.errors.items(), deviations, strict=True)
+    }
+    freedom = residual.freedom if samples == residual.independent else math.inf
     return replace(
         errors,
-        errors=deviations,
-        intervals=intervals,
-        deviation=ratio * errors.deviation,
+        errors=found,
+        intervals=_intervals(space, errors.values, found, correlation, min(free, freedom)),
+        correlation=_as_tuples(correlation),
+        deviation=residual.ratio * errors.deviation,
         samples=samples,
     )
 
@@ -200,10 +233,34 @@ def _free(space: SearchSpace, samples: int) -> int:
     return free
 
 
-def _student(freedom: float) -> float:
+def _intervals(
+    space: SearchSpace,
+    values: Mapping[str, float],
+    errors: Mapping[str, float],
+    correlation: Matrix,
+    freedom: float,
+) -> dict[str, tuple[float, float]]:
+    """Return the 95 % intervals by Student's t.
+
+    Raises
+    ------
+    NoStandardErrors
+        If one has no end.
+    """
     from cosim.studies.analysis.interval_quantiles import student_quantile
 
-    return student_quantile(freedom + 1.0)
+    wide = student_quantile(float(freedom) + 1.0)
+    intervals = {}
+    for number, key in enumerate(space.bounded):
+        interval = _interval(key, values[key.key], wide * errors[key.key])
+        if interval is None:
+            raise NoStandardErrors(_hardly_determined(space, number, correlation[number]))
+        intervals[key.key] = interval
+    return intervals
+
+
+def _as_tuples(matrix: Matrix) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(map(float, row)) for row in matrix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -411,9 +468,7 @@ def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> Standard
     scaled = 2.0 * variance * np.linalg.inv(curvature.hessian)
     deviations = np.sqrt(np.diag(scaled))
     correlation = scaled / np.outer(deviations, deviations)
-    wide = _student(free)
     errors = {}
-    intervals = {}
     values = space.point(curvature.center)
     for number, key in enumerate(space.bounded):
         value = values[key.key]
@@ -423,18 +478,15 @@ def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> Standard
                 f"that of {key.key} would be below the {DIGITS} digits of its value: the residual "
                 "is rounding noise"
             )
-        interval = _interval(key, value, wide * error)
-        if interval is None:
-            raise NoStandardErrors(_hardly_determined(space, number, correlation[number]))
         errors[key.key] = error
-        intervals[key.key] = interval
     skew = np.abs(curvature.gradient) / np.diag(curvature.hessian)
     skewed = [key.key for key, each in zip(space.bounded, skew, strict=True) if each > _SKEWED]
     return StandardErrors(
         errors=errors,
-        intervals=intervals,
-        correlation=tuple(tuple(map(float, row)) for row in correlation),
+        intervals=_intervals(space, values, errors, correlation, free),
+        correlation=_as_tuples(correlation),
         deviation=math.sqrt(variance),
         samples=samples,
         skewed=tuple(skewed),
+        values=values,
     )

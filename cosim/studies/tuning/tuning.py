@@ -20,8 +20,9 @@ from cosim.studies.tuning.planning import TuningPlan, plan_tuning
 from cosim.studies.tuning.recorded import TuningDataset
 from cosim.studies.tuning.result import TuningResult, with_residual
 from cosim.studies.tuning.searching import TuningMethod, TuningSearch, search_best
+from cosim.studies.tuning.standard_errors import moved_points
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask
-from cosim.studies.tuning.whiteness import residual_check
+from cosim.studies.tuning.whiteness import check_residual, residual_at
 from cosim.studies.workers.pool import WorkerPool
 
 if TYPE_CHECKING:
@@ -191,10 +192,19 @@ def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
     result = replace(result, command=plan.command(point))
     if result.errors is None:
         return result
-    member = plan.member(0, point)
-    residual = residual_check(plan.study.subject, OBJECTIVE, member, timeout=plan.task.timeout)
-    result = replace(result, residual=residual)
-    return result if plan.search.samples is not None else with_residual(result)
+    points, units = moved_points(result.errors, plan.search.space, point)
+    found = residual_at(
+        plan.study.subject,
+        OBJECTIVE,
+        [plan.member(number, each) for number, each in enumerate([point, *points])],
+        timeout=plan.task.timeout,
+    )
+    if found is None:
+        return result
+    residual, differences = found
+    moves = None if differences is None else differences / units
+    result = replace(result, residual=check_residual(residual))
+    return with_residual(result, moves, samples=plan.search.samples)
 
 
 def _expression(minimize: str | None, maximize: str | None) -> str:

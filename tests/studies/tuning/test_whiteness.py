@@ -4,12 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import interp1d
 from scipy.signal import lfilter
 
 import cosim
 from cosim.studies.tuning.result import statements, with_residual
-from cosim.studies.tuning.whiteness import ResidualCheck, check_rows
-from tests.studies.tuning.curves import DECAY, T, decay, fitted
+from cosim.studies.tuning.sampled_residual import Lines, SampledResidual
+from cosim.studies.tuning.searching import TuningSearch, search_best
+from cosim.studies.tuning.standard_errors import moved_points
+from cosim.studies.tuning.whiteness import ResidualCheck, check_residual
+from tests.studies.tuning.curves import DECAY, LINE, T, decay, fitted
+from tests.studies.tuning.functions import OBJECTIVE, Recorded
 
 ROWS = 500
 
@@ -18,10 +23,11 @@ def white(seed, rows=ROWS):
     return np.random.default_rng(seed).standard_normal(rows)
 
 
-def checked(residual, is_sample=None):
-    if is_sample is None:
-        is_sample = np.ones(residual.size, np.bool_)
-    return check_rows(np.arange(residual.size) * 0.01, residual, is_sample)
+def checked(residual, problem=""):
+    rms = float(np.sqrt(np.mean((residual / np.abs(residual).max()) ** 2)) * np.abs(residual).max())
+    t = np.arange(residual.size) * 0.01
+    rows = residual.size
+    return check_residual(SampledResidual(rows, rms, t, residual, residual, True, problem))
 
 
 def test_white_noise_of_any_size_is_what_noise_leaves():
@@ -56,31 +62,86 @@ def test_independent_samples_are_those_of_the_closed_form():
 
 
 def test_rows_between_samples_do_not_count():
-    """Straight lines between samples are no noise of their own."""
-    rows = 5 * (ROWS - 1) + 1
-    is_sample = np.arange(rows) % 5 == 0
-    lines = np.interp(np.arange(rows), np.arange(rows)[is_sample], white(1))
-    found = checked(lines, is_sample)
-    assert (found.rows, found.samples, found.independent) == (rows, ROWS, ROWS)
+    """Of straight lines between samples the rms is smaller, by 2/3 of the variance for many."""
+    noise = white(1)
+    t = np.arange(ROWS) * 0.05
+    whole = SampledResidual(5 * (ROWS - 1) + 1, np.sqrt(2.0 / 3.0), t, noise, noise, False)
+    found = check_residual(whole)
+    assert (found.rows, found.samples, found.independent) == (2496, ROWS, ROWS)
     assert found.problem == ""
-    neighbours = white(1)[1:] @ white(1)[:-1] / (white(1) @ white(1))
-    assert found.neighbours == pytest.approx(neighbours, rel=1e-9)
-    few = checked(lines[:21], is_sample[:21])
+    assert found.neighbours == pytest.approx(noise[1:] @ noise[:-1] / (noise @ noise), rel=1e-9)
+    assert found.ratio == pytest.approx(np.sqrt(1.5 * np.mean(noise**2)), rel=1e-9)
+    few = check_residual(SampledResidual(21, 1.0, t[:5], noise[:5], noise[:5], False))
     assert few.problem.startswith("5 samples are too few")
 
 
 def test_residuals_that_cannot_be_checked_have_no_check():
-    assert checked(np.zeros(100)) is None
+    nothing = np.zeros(100)
+    assert check_residual(SampledResidual(100, 0.0, nothing, nothing, nothing, True)) is None
     assert checked(white(1, 9)) is None
-    assert checked(np.array([np.inf] * 20)) is None
+    infinite = np.full(20, np.inf)
+    assert check_residual(SampledResidual(20, np.inf, infinite, infinite, infinite, True)) is None
 
 
-def found_for(residual, **options):
-    """Return the fit of a decay with a residual of these properties."""
+def test_samples_that_are_not_known_are_a_problem():
+    assert checked(white(1), "of a table").problem == "of a table"
+    _, result = found_for({"samples": 0, "independent": 0, "problem": "of a table"})
+    assert result.standard_errors is None
+    assert "of a table" in result.errors_problem
+    assert "samples" in result.errors_problem
+    before, result = found_for({"samples": 0, "problem": "of a table"}, given=201)
+    assert result.errors == before.errors
+    assert "not checked: of a table" in statements(result)[-1]
+
+
+@pytest.mark.parametrize(("spacing", "offset"), [(37, 0), (40, 5), (20, 5), (35, 0), (7, 0)])
+@pytest.mark.parametrize("hold", [False, True])
+def test_errors_of_values_between_samples_are_those_of_what_the_rows_rest_on(spacing, offset, hold):
+    """With y = X p + W e the covariance of least squares is s^2 (X'X)^-1 X'W W'X (X'X)^-1.
+
+    The step is 10 ms; spacing and offset of the samples are in ms.
+    """
+    t = np.arange(501) * 0.01
+    knots = np.arange(-offset, 5000 + spacing, spacing) / 1000.0
+    knots[0] = 0.0
+    lines = Lines.between(knots, t, hold=hold)
+    rows_of = interp1d(
+        knots, np.eye(knots.size), kind="previous" if hold else "linear", axis=0
+    )
+    W = rows_of(t)
+    noise = 0.1 * np.random.default_rng(2).standard_normal(knots.size)
+    assert lines.of(noise) == pytest.approx(W @ noise, abs=1e-9)
+    assert lines.back(t) == pytest.approx(W.T @ t, abs=1e-9)
+    X = np.stack([t, np.ones(t.size)], axis=1)
+    C = np.linalg.inv(X.T @ X)
+    measured = X @ [3.0, -2.0] + W @ noise
+
+    def rms(point):
+        return float(np.sqrt(np.mean((X @ list(point.values()) - measured) ** 2)))
+
+    result = search_best(
+        Recorded(rms), TuningSearch(LINE, OBJECTIVE, is_rms=True, with_errors=True, samples=t.size)
+    )
+    residual = X @ list(result.estimate.values()) - measured
+    at_samples = np.stack([knots, np.ones(knots.size)], axis=1) @ list(result.estimate.values())
+    at_samples -= np.stack([knots, np.ones(knots.size)], axis=1) @ [3.0, -2.0] + noise
+    points, units = moved_points(result.errors, LINE, result.best.point)
+    moves = [lines.back(X @ list(point.values()) - measured - residual) for point in points]
+    sampled = SampledResidual(t.size, rms(result.estimate), knots, at_samples, residual, False)
+    result = replace(result, residual=check_residual(sampled))
+    result = with_residual(result, np.stack(moves, axis=1) / units)
+    s = np.sqrt(at_samples @ at_samples / (knots.size - 2))
+    expected = s * np.sqrt(np.diag(C @ X.T @ W @ W.T @ X @ C))
+    assert list(result.standard_errors.values()) == pytest.approx(expected, rel=0.01)
+
+
+def found_for(residual, given=None, **options):
+    """Return the fit of a decay with a residual of these properties, and what that leaves of it."""
     measured = decay(T, 2.0, 3.0) + 0.02 * white(1, T.size)
     result = fitted(decay, DECAY, measured, starts=1, **options)
     of_all = ResidualCheck(T.size, T.size, 1.0, 0.1, "", T.size, np.inf)
-    return result, with_residual(replace(result, residual=replace(of_all, **residual)))
+    changed = replace(result, residual=replace(of_all, **residual))
+    return result, with_residual(changed, samples=given)
 
 
 def test_white_samples_leave_the_errors_as_they_are():
@@ -108,7 +169,7 @@ def test_fewer_independent_samples_widen_the_errors():
     assert result.errors.samples == 52
     text = statements(result)[-1]
     assert "52 of the 201 samples" in text
-    assert "800 of 1001 rows are interpolated or held" in text
+    assert "the 1001 rows are interpolated or held" in text
 
 
 def test_a_residual_with_structure_has_no_errors():
