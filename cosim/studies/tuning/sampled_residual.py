@@ -326,23 +326,24 @@ class ResidualRecorder(Nothing):
     def _knots(self, t: Vector, rows: Matrix) -> tuple[Vector, bool] | str:
         """Return the instants of the samples, and whether values are held between them.
 
-        These are those that samples have, or those of the rows that have them. A text says why
-        neither explains the rows.
+        These are those of the first rows that have them, or else their own. A text says why neither
+        explains the rows.
         """
         kept = {samples.signal: samples.kept for samples in self._sampled}
         first, *others = kept.values()
         names = " and ".join(kept)
         if not len(first) or any(not np.array_equal(first[:, :2], one[:, :2]) for one in others):
             return f"{names} have no samples, or not at the same instants"
-        for own, hold in product((1, 0), (False, True)):
+        for own, hold in product((0, 1), (False, True)):
             instants = first[:, own]
             if (np.diff(instants) <= 0.0).any():
                 continue
             lines = Lines.between(instants, t, hold=hold)
             inside = (t >= instants[0]) & (t <= instants[-1])
             if all(
-                np.abs(lines.of(one[:, 2]) - rows[:, self._reduction.signals.index(name)])[inside]
-                .max(initial=0.0)
+                np.abs(lines.of(one[:, 2]) - rows[:, self._reduction.signals.index(name)])[
+                    inside
+                ].max(initial=0.0)
                 <= ROUNDING * np.abs(one[:, 2]).max()
                 for name, one in kept.items()
             ):

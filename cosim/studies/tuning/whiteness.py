@@ -135,9 +135,7 @@ def residual_at(
     return found, np.stack(columns, axis=1)
 
 
-def _residuals(
-    pool: WorkerPool, members: Sequence[StudyMember]
-) -> list[SampledResidual | None]:
+def _residuals(pool: WorkerPool, members: Sequence[StudyMember]) -> list[SampledResidual | None]:
     """Return the residuals of members in their order; None: a run kept nothing."""
     ended = {member.number: outcome for member, outcome in pool.run(members)}
     return [SampledResidual.of_metrics(ended[member.number].metrics) for member in members]

@@ -105,9 +105,7 @@ def test_errors_of_values_between_samples_are_those_of_what_the_rows_rest_on(spa
     knots = np.arange(-offset, 5000 + spacing, spacing) / 1000.0
     knots[0] = 0.0
     lines = Lines.between(knots, t, hold=hold)
-    rows_of = interp1d(
-        knots, np.eye(knots.size), kind="previous" if hold else "linear", axis=0
-    )
+    rows_of = interp1d(knots, np.eye(knots.size), kind="previous" if hold else "linear", axis=0)
     W = rows_of(t)
     noise = 0.1 * np.random.default_rng(2).standard_normal(knots.size)
     assert lines.of(noise) == pytest.approx(W @ noise, abs=1e-9)
