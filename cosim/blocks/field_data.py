@@ -20,13 +20,19 @@ from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
-from cosim.core.signals import Interface, PortUnit, Signal, Variability, samples_of
+from cosim.core.signals import (
+    SAMPLE_TIMES,
+    Interface,
+    PortUnit,
+    Signal,
+    Variability,
+    samples_of,
+)
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.instants import NANOSECONDS
 from cosim.native.blocks.field_data import field_data_step
 from cosim.native.step import NativeStep
 
-SAMPLE_TIMES: Final = "sample_times"
 USUAL_GAP: Final = 10.0  # median distances of samples
 _ELEMENT: Final = re.compile(r"(?P<whole>.+)\[(?P<index>\d{1,9})\]", re.DOTALL)
 JITTER: Final = 1.1  # communication steps: so far apart are samples that come once in a step

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
-from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import SAMPLE_TIMES, Interface, Signal
 from cosim.native.blocks.late_samples import HeldRows, LateColumns, late_samples_step
 from cosim.native.step import NativeStep
 

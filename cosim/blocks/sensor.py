@@ -36,7 +36,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.blocks.measurement import (
     MeasuringChain,
     SampleStreams,
@@ -46,7 +45,7 @@ from cosim.blocks.measurement import (
 )
 from cosim.core.contracts import Design
 from cosim.core.linearization import Linearized, static
-from cosim.core.signals import Interface, Signal, samples_of
+from cosim.core.signals import SAMPLE_TIMES, Interface, Signal, samples_of
 from cosim.errors import UsageError, steps_text
 from cosim.native.blocks.sensor import SensorConstants, SensorStep
 from cosim.native.step import NativeStep

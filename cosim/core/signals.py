@@ -23,6 +23,7 @@ Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # input names by
 
 PortUnit: TypeAlias = str | Sequence[str]  # of all elements of a port, or one for each
 
+SAMPLE_TIMES: Final = "sample_times"  # the output with the instants of samples
 LARGEST_WHOLE: Final = 2.0**53  # up to here every integer is a float64
 
 _CHOICES: Final[Mapping[str, tuple[str, ...]]] = {

@@ -13,7 +13,6 @@ from pydantic import Field, StrictStr
 
 from cosim.arrays import Vector
 from cosim.blocks.field_data import (
-    SAMPLE_TIMES,
     FieldData,
     FieldRecording,
     at_points,
@@ -25,7 +24,7 @@ from cosim.blocks.renaming import Renaming
 from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Interface, PortUnit, Signal, samples_of
+from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit, Signal, samples_of
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from cosim.blocks.field_data import SAMPLE_TIMES, units_of_samples
+from cosim.blocks.field_data import units_of_samples
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.core.signals import Interface, PortUnit
+from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
@@ -281,8 +281,6 @@ def sample_connections(
     sampled = _sampled_outputs(y, specs)
     if sampled is None:
         return {}
-    from cosim.blocks.field_data import SAMPLE_TIMES  # rarely needed
-
     sources, timed_by = sampled
     samples = Connection(sources, y.gain, y.offset, y.unit)
     times = Connection(Port(timed_by, SAMPLE_TIMES))

@@ -24,12 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.core.contracts import Block
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan
-from cosim.core.signals import samples_of
+from cosim.core.signals import SAMPLE_TIMES, samples_of
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.programs import RowProgram
 from cosim.scenario.parsing import Scenario
