@@ -134,7 +134,7 @@ def _alpha_changes(data: DataSet, disturbance: Matrix) -> dict[str, Vector]:
     f = np.divide(disturbance, data.alpha, out=np.zeros_like(disturbance), where=is_large)
     changes = {}
     for i, (alpha, factor) in enumerate(zip(data.alpha.T, f.T, strict=True)):
-        shift = np.gradient(alpha, t) * factor
+        shift = _slope_of(alpha, t) * factor
         changes[_shift_of(i)] = shift
         changes[_rate_in(i)] = shift * (t - t[0])
     return changes
@@ -148,11 +148,16 @@ def alpha_limits(data: DataSet) -> dict[str, float]:
     limits = {}
     for i, alpha in enumerate(data.alpha.T):
         varying = float(np.std(alpha))
-        shift = np.gradient(alpha, data.t)
+        shift = _slope_of(alpha, data.t)
         for name, change in ((_shift_of(i), shift), (_rate_in(i), shift * (data.t - data.t[0]))):
             size = float(np.sqrt(np.mean(change**2)))
             limits[name] = varying / size if size > 0.0 else 0.0
     return limits
+
+
+def _slope_of(alpha: Vector, t: Vector) -> Vector:
+    """Return the derivative; of a constant it is 0, which differences at unequal instants miss."""
+    return np.asarray(np.gradient(alpha, t) if np.ptp(alpha) else np.zeros(len(t)), np.float64)
 
 
 def _shift_of(i: int) -> str:
