@@ -31,7 +31,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, Accuracy
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.linearized_fit import ErrorBias, error_bias, whitened_rows
-from cosim.theory.assessment.model_errors import Directions, model_errors
+from cosim.theory.assessment.model_errors import Directions, ModelError, model_errors
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.quantiles import chi_square_above, ratio_above
 
@@ -197,7 +197,7 @@ class ErrorTraces:
 
     Parameters
     ----------
-    names : tuple of str
+    errors : tuple of ModelError
     within : Matrix, shape (unknowns, K)
         What the fit takes of each, in ``TestedFit.basis``.
     beside : Vector, shape (K,)
@@ -206,7 +206,7 @@ class ErrorTraces:
         What of it is along each direction that is tested.
     """
 
-    names: tuple[str, ...]
+    errors: tuple[ModelError, ...]
     within: Matrix
     beside: Vector
     seen: Matrix
@@ -220,7 +220,7 @@ class ErrorTraces:
     def __add__(self, other: ErrorTraces) -> ErrorTraces:
         """Return both."""
         return ErrorTraces(
-            self.names + other.names,
+            self.errors + other.errors,
             np.hstack([self.within, other.within]),
             np.concatenate([self.beside, other.beside]),
             np.hstack([self.seen, other.seen]),
@@ -272,7 +272,7 @@ class TestedFit:
         free = scaled - self.basis @ within
         remainders = np.linalg.norm(free, axis=0)
         kept = remainders > LEAST_REMAINDER
-        self._names = tuple(np.array(directions.names, object)[kept])
+        self._errors = tuple(np.array(directions.errors, object)[kept])
         self._directions = free[:, kept] / remainders[kept]
         self._within = within[:, kept] * lengths[kept]
         self._beside = remainders[kept] * lengths[kept]
@@ -280,14 +280,14 @@ class TestedFit:
     def tested_errors(self) -> ErrorTraces:
         """Return the traces of the directions themselves."""
         seen = self._directions.T @ self._directions
-        return ErrorTraces(self._names, self._within, self._beside, seen * self._beside)
+        return ErrorTraces(self._errors, self._within, self._beside, seen * self._beside)
 
     def traces(self, directions: Directions) -> ErrorTraces:
         """Return the traces of others, of the samples of which directions are computed."""
         columns = whitened_rows(directions.columns, self.data.numbers, self._noise)
         within = self.basis.T @ columns
         beside = np.linalg.norm(columns - self.basis @ within, axis=0)
-        return ErrorTraces(directions.names, within, beside, self._directions.T @ columns)
+        return ErrorTraces(directions.errors, within, beside, self._directions.T @ columns)
 
     def thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows of the samples of which directions are computed."""
@@ -356,7 +356,7 @@ class TestedFit:
         excess = self._excess(self._directions, deviation)
         place = int(excess.argmax()) if len(excess) else 0
         statistic = float(excess[place] ** 2) if len(excess) else 0.0
-        largest = self._names[place] if self._names else ""
+        largest = self._errors[place].name if self._errors else ""
         threshold = self._threshold(1, among=max(len(excess), 1))
         return ResidualTest(LARGEST_TRACE, statistic, threshold, 1, largest)
 

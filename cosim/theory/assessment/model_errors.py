@@ -24,30 +24,48 @@ from cosim.theory.fitted_response import FittedResponse
 from cosim.theory.forced_response import forced_outputs, simulate
 
 SLOW_DIRECTIONS: Final = 30
-CONSTANT: Final = "a constant on y"
-DRIFT: Final = "a drift over the record on y"
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """An error of a model.
+
+    Parameters
+    ----------
+    name : str
+    limit : float
+        The size at which, to first order, a change is as large as what it changes.
+    is_on_output : bool
+        It is no error of the plant or the disturbance.
+    is_constant : bool
+        A constant on an output, which may be an unknown.
+    """
+
+    name: str
+    limit: float = np.inf
+    is_on_output: bool = False
+    is_constant: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Directions of the outputs, shape (N, n_y, K), and the name of each."""
+    """Directions of the outputs, shape (N, n_y, K), and the error of the model behind each."""
 
     columns: NDArray[np.float64]
-    names: tuple[str, ...]
+    errors: tuple[ModelError, ...]
 
 
 def model_errors(plant: DisturbedPlant, data: DataSet, response: FittedResponse) -> Directions:
     """Compute the directions for a fitted model."""
     signals = _signals(plant, data, response)
-    changes = _alpha_changes(data, response.disturbance)
+    changes, limits = _alpha_changes(data, response.disturbance)
     parts = [
-        _entering_states(plant, data, {**signals, **changes}),
+        _entering_states(plant, data, {**signals, **changes}, limits),
         _at_outputs(plant, signals),
         _slow(data.t, plant.C.shape[0]),
     ]
     columns = np.concatenate([part.columns for part in parts], axis=2)
-    names = sum((part.names for part in parts), ())
-    return Directions(columns, names)
+    return Directions(columns, sum((part.errors for part in parts), ()))
 
 
 def missing_parts(plant: DisturbedPlant, data: DataSet, rates: Vector) -> Directions:
@@ -69,12 +87,13 @@ def missing_parts(plant: DisturbedPlant, data: DataSet, rates: Vector) -> Direct
     outputs = forced_outputs(plant, data)
     nothing = np.zeros((len(t), n))
     columns = []
-    names = []
+    errors = []
     for o, unit in enumerate(np.eye(n_y)):
-        of_output = f"[{o}]" if n_y > 1 else ""
-        for name, signal in ((CONSTANT, np.ones(len(t))), (DRIFT, drift)):
-            columns.append(outputs.respond(nothing, nothing, np.outer(signal, unit)))
-            names.append(f"{name}{of_output}")
+        output = f"y[{o}]" if n_y > 1 else "y"
+        columns.append(outputs.respond(nothing, nothing, np.outer(np.ones(len(t)), unit)))
+        errors.append(ModelError(f"a constant on {output}", is_on_output=True, is_constant=True))
+        columns.append(outputs.respond(nothing, nothing, np.outer(drift, unit)))
+        errors.append(ModelError(f"a drift over the record on {output}", is_on_output=True))
     entries = np.unique(np.vstack([plant.Bd, plant.Dd]), axis=1).T
     for entry in entries:
         where = "delta"
@@ -85,8 +104,8 @@ def missing_parts(plant: DisturbedPlant, data: DataSet, rates: Vector) -> Direct
             term = np.exp(-rate * t)
             forced = np.outer(term, entry[:n])
             columns.append(outputs.respond(forced, nothing, np.outer(term, entry[n:])))
-            names.append(f"{_term_name(float(rate), float(data.t[0]))} in {where}")
-    return Directions(np.nan_to_num(np.stack(columns, axis=2)), tuple(names))
+            errors.append(ModelError(f"{_term_name(float(rate), float(data.t[0]))} in {where}"))
+    return Directions(np.nan_to_num(np.stack(columns, axis=2)), tuple(errors))
 
 
 def _term_name(rate: float, t_1: float) -> str:
@@ -125,34 +144,33 @@ def _input_name(j: int) -> str:
     return f"u[{j}]"
 
 
-def _alpha_changes(data: DataSet, disturbance: Matrix) -> dict[str, Vector]:
-    """Return what a time shift and another rate of every alpha change in the disturbance."""
+def _alpha_changes(
+    data: DataSet, disturbance: Matrix
+) -> tuple[dict[str, Vector], dict[str, float]]:
+    """Return what a time shift and another rate of every alpha change in the disturbance.
+
+    And at which size either, to first order, is as large as what varies of that alpha: one that is
+    constant has nothing to change.
+    """
     t = data.t
     if len(t) < 3:
-        return {}
+        return {}, {}
     is_large = np.abs(data.alpha) > 1e-9 * np.abs(data.alpha).max(axis=0, initial=0.0)
     f = np.divide(disturbance, data.alpha, out=np.zeros_like(disturbance), where=is_large)
     changes = {}
-    for i, (alpha, factor) in enumerate(zip(data.alpha.T, f.T, strict=True)):
-        shift = _slope_of(alpha, t) * factor
-        changes[_shift_of(i)] = shift
-        changes[_rate_in(i)] = shift * (t - t[0])
-    return changes
-
-
-def alpha_limits(data: DataSet) -> dict[str, float]:
-    """Return at which size a change of an alpha, to first order, is as large as what varies of it.
-
-    By how names in ``model_errors`` begin; an alpha that is constant has nothing to change.
-    """
     limits = {}
-    for i, alpha in enumerate(data.alpha.T):
+    for i, (alpha, factor) in enumerate(zip(data.alpha.T, f.T, strict=True), start=1):
         varying = float(np.std(alpha))
-        shift = _slope_of(alpha, data.t)
-        for name, change in ((_shift_of(i), shift), (_rate_in(i), shift * (data.t - data.t[0]))):
+        slope = _slope_of(alpha, t)
+        shift = slope * factor
+        for name, change, effect in (
+            (f"a shift of alpha {i}", slope, shift),
+            (f"another rate in alpha {i}", slope * (t - t[0]), shift * (t - t[0])),
+        ):
             size = float(np.sqrt(np.mean(change**2)))
             limits[name] = varying / size if size > 0.0 else 0.0
-    return limits
+            changes[name] = effect
+    return changes, limits
 
 
 def _slope_of(alpha: Vector, t: Vector) -> Vector:
@@ -160,16 +178,8 @@ def _slope_of(alpha: Vector, t: Vector) -> Vector:
     return np.asarray(np.gradient(alpha, t) if np.ptp(alpha) else np.zeros(len(t)), np.float64)
 
 
-def _shift_of(i: int) -> str:
-    return f"a shift of alpha {i + 1}"
-
-
-def _rate_in(i: int) -> str:
-    return f"another rate in alpha {i + 1}"
-
-
 def _entering_states(
-    plant: DisturbedPlant, data: DataSet, signals: dict[str, Vector]
+    plant: DisturbedPlant, data: DataSet, signals: dict[str, Vector], limits: dict[str, float]
 ) -> Directions:
     """Return the responses to each signal, entering at each state."""
     n_y, n = plant.C.shape
@@ -177,14 +187,15 @@ def _entering_states(
     held = {_input_name(j) for j, is_held in enumerate(data.is_held) if is_held}
     columns = np.zeros((len(data.t), n_y, n * len(signals)))
     nothing = np.zeros((len(data.t), n))
-    names: list[str] = []
+    errors: list[ModelError] = []
     for j, unit in enumerate(np.eye(n)):
         for name, signal in signals.items():
             entering = np.outer(signal, unit)
             parts = (nothing, entering) if name in held else (entering, nothing)
-            columns[:, :, len(names)] = np.nan_to_num(outputs.respond(*parts))
-            names.append(f"{name} in the dynamics of x_a[{j}]")
-    return Directions(columns, tuple(names))
+            columns[:, :, len(errors)] = np.nan_to_num(outputs.respond(*parts))
+            limit = limits.get(name, np.inf)
+            errors.append(ModelError(f"{name} in the dynamics of x_a[{j}]", limit))
+    return Directions(columns, tuple(errors))
 
 
 def _at_outputs(plant: DisturbedPlant, signals: dict[str, Vector]) -> Directions:
@@ -193,11 +204,11 @@ def _at_outputs(plant: DisturbedPlant, signals: dict[str, Vector]) -> Directions
     n_y = plant.C.shape[0]
     N, K = forcing.shape
     columns = np.zeros((N, n_y, n_y * K))
-    names = []
+    errors = []
     for o in range(n_y):
         columns[:, o, o * K : (o + 1) * K] = forcing
-        names += [f"{name} in y[{o}]" for name in signals]
-    return Directions(columns, tuple(names))
+        errors += [ModelError(f"{name} in y[{o}]") for name in signals]
+    return Directions(columns, tuple(errors))
 
 
 def _slow(t: Vector, n_y: int) -> Directions:
@@ -207,10 +218,10 @@ def _slow(t: Vector, n_y: int) -> Directions:
     halves = np.arange(1, SLOW_DIRECTIONS + 1)
     cosines = np.cos(np.pi * np.outer(fraction, halves))
     columns = np.zeros((len(t), n_y, n_y * SLOW_DIRECTIONS))
-    names = []
+    errors = []
     for o in range(n_y):
         columns[:, o, o * SLOW_DIRECTIONS : (o + 1) * SLOW_DIRECTIONS] = cosines
         for k in halves:
             period = 2.0 * span / k
-            names.append(f"something of period {period:.3g} s in y[{o}]")
-    return Directions(columns, tuple(names))
+            errors.append(ModelError(f"something of period {period:.3g} s in y[{o}]"))
+    return Directions(columns, tuple(errors))

@@ -24,12 +24,7 @@ from cosim.arrays import Vector
 from cosim.theory.assessment.amplitude_verdicts import constants_of
 from cosim.theory.assessment.consistency import LEAST_REMAINDER, ErrorTraces, TestedFit
 from cosim.theory.assessment.linearized_fit import pseudo_inverse
-from cosim.theory.assessment.model_errors import (
-    CONSTANT,
-    DRIFT,
-    alpha_limits,
-    missing_parts,
-)
+from cosim.theory.assessment.model_errors import ModelError, missing_parts
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
 
 LEAST_MOVE: Final = 0.5  # half widths, from which on it is told
@@ -104,10 +99,9 @@ def undetected_errors(
     consistency = assessment.consistency
     if not np.isfinite(widths).any() or not consistency.passed or not consistency.tests:
         return ()
-    sizes, moves = _moves(assessment)
-    names = list(sizes)
-    times = np.nan_to_num(np.array([moves[name] for name in names]) / widths)
-    told = [i for i, name in enumerate(names) if name.startswith((CONSTANT, DRIFT))]
+    found = _moves(assessment)
+    times = np.nan_to_num(np.array([one.distances for one in found]) / widths)
+    told = [i for i, one in enumerate(found) if one.error.is_on_output]
     for j in range(len(widths)):
         largest = float(times[:, j].max())
         first = int(np.argmax(times[:, j] * SAME_MOVE >= largest))
@@ -119,9 +113,10 @@ def undetected_errors(
         for label, value in zip(labels, times[i], strict=True):
             if value > LEAST_MOVE:
                 half_widths[label] = float(value)
-        remedy = with_offset if names[i].startswith(CONSTANT) else ""
+        error = found[i].error
+        remedy = with_offset if error.is_constant else ""
         if half_widths:
-            errors.append(UndetectedError(names[i], sizes[names[i]], half_widths, remedy))
+            errors.append(UndetectedError(error.name, found[i].size, half_widths, remedy))
     return tuple(errors)
 
 
@@ -133,8 +128,17 @@ def _half_width(verdict: ParameterVerdict) -> float:
     return 0.5 * (verdict.upper - verdict.lower) or np.nan
 
 
-def _moves(assessment: Assessment) -> tuple[dict[str, float], dict[str, Vector]]:
-    """Return the size of every error that would pass, and by how much it moves each estimate.
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """An error that would just pass, its size, and how far it moves each estimate."""
+
+    error: ModelError
+    size: float
+    distances: Vector
+
+
+def _moves(assessment: Assessment) -> list[_Move]:
+    """Return every error that would pass, and by how much it moves each estimate.
 
     One that may be in each of several data sets has its largest size, and moves them by its sum.
     """
@@ -157,12 +161,11 @@ def _moves(assessment: Assessment) -> tuple[dict[str, float], dict[str, Vector]]
     for index in range(len(tested)):
         constants = constants_of(assessment, index)
         by_unknowns.append(np.vstack([own.slopes for own in constants]))
-    sizes: dict[str, float] = {}
-    moves: dict[str, Vector] = {}
+    moves: dict[str, _Move] = {}
     for index, one in enumerate(tested):
         missing = missing_parts(fitted.problem.plant, one.data, rates)
         traces = one.traces(missing) + one.tested_errors()
-        theta = np.zeros((len(fit.theta), len(traces.names)))
+        theta = np.zeros((len(fit.theta), len(traces.errors)))
         theta[fit.estimated] = of_theta[index] @ one.basis @ traces.within
         moved = [theta]
         for other in range(len(tested)):
@@ -173,10 +176,11 @@ def _moves(assessment: Assessment) -> tuple[dict[str, float], dict[str, Vector]]
         disturbed = linear[index][:, :order] @ fit.amplitudes[index]
         passing = _passing(one, traces, fit.deviation, float(np.linalg.norm(disturbed)))
         distances = np.abs(np.vstack(moved) * passing)
-        for k, name in enumerate(traces.names):
-            sizes[name] = max(float(passing[k]), sizes.get(name, 0.0))
-            moves[name] = distances[:, k] + moves.get(name, 0.0)
-    return sizes, moves
+        for k, error in enumerate(traces.errors):
+            move = moves.get(error.name, _Move(error, 0.0, np.zeros(len(distances))))
+            size = max(float(passing[k]), move.size)
+            moves[error.name] = _Move(error, size, distances[:, k] + move.distances)
+    return list(moves.values())
 
 
 def _passing(tested: TestedFit, traces: ErrorTraces, deviation: float, disturbed: float) -> Vector:
@@ -184,15 +188,11 @@ def _passing(tested: TestedFit, traces: ErrorTraces, deviation: float, disturbed
     passing = tested.passing(traces, deviation)
     lengths = traces.lengths
     passing[traces.beside <= LEAST_REMAINDER * lengths] = 0.0
-    limits = alpha_limits(tested.data)
     for k in np.flatnonzero(passing).tolist():
-        name = traces.names[k]
-        if name.startswith((CONSTANT, DRIFT)):
+        error = traces.errors[k]
+        if error.is_on_output:
             continue
-        whole = disturbed / lengths[k]
-        for change, limit in limits.items():
-            if name.startswith(f"{change} "):
-                whole = min(whole, limit)
+        whole = min(disturbed / lengths[k], error.limit)
         is_rounding = lengths[k] <= ROUNDING_LENGTH * disturbed
         is_made_up_for = passing[k] > whole
         passing[k] = min(passing[k], LARGEST_ERROR * whole)

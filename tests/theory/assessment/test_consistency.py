@@ -174,7 +174,8 @@ def test_a_wrong_gain_leaves_its_own_trace_at_any_samples(subtests):
             fit = fit_output_error([data], lag(), FAMILY, START)
             response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
             directions = model_errors(lag(), data, response)
-            place = directions.names.index("u[0] in the dynamics of x_a[0]")
+            names = [error.name for error in directions.errors]
+            place = names.index("u[0] in the dynamics of x_a[0]")
             np.testing.assert_allclose(
                 directions.columns[:, 0, place], states(t, u, amplitude=0.0, held=held), atol=1e-9
             )

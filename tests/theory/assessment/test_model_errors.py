@@ -27,7 +27,8 @@ def test_a_constant_alpha_has_no_slope_at_any_instants():
         data = DataSet(own, y[:, np.newaxis], np.zeros((300, 1)), np.ones((300, 1)))
         found.append(assess(OutputErrorProblem([data], plant, [Exponential()])))
     first, second = found
-    assert not any("alpha" in name for name in first.consistency.tested[0].tested_errors().names)
+    errors = first.consistency.tested[0].tested_errors().errors
+    assert not any("alpha" in error.name for error in errors)
     assert second.noise.a == pytest.approx(first.noise.a, rel=1e-6)
     error = first.parameters[0].standard_error
     assert second.parameters[0].standard_error == pytest.approx(error, rel=1e-6)
