@@ -31,7 +31,7 @@ from cosim.studies.document.study_file import STUDY, StudyFile
 from cosim.studies.members.sources import common_texts
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.inspection import inspect_members, inspected_members
-from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.running.recorded_study import RecordedStudy, own_environment
 from cosim.studies.running.sources import (
     StudySources,
     found_sources,
@@ -86,7 +86,9 @@ class StudyPlan:
             Of the result of a run, where those are kept beside the metrics.
         """
         layout = StudyLayout.of(self.design)
-        recorded = RecordedStudy(self.study, layout, warnings=self.sources.warnings)
+        recorded = RecordedStudy(
+            self.study, layout, own_environment(), warnings=self.sources.warnings
+        )
         digests = {
             **scenario_digests(_base(self.scenario, with_record=self.subject.with_results)),
             OF_METRICS: digest_of([dict(self.study.metrics), self.subject.with_results]),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import InstanceOf, TypeAdapter, ValidationError
 
 from cosim.digests import source_digest
 from cosim.errors import UsageError
@@ -73,23 +73,26 @@ class RecordedStudy:
         What was not known of it when it was planned.
     """
 
-    study: StudyFile
+    study: InstanceOf[StudyFile]
     layout: StudyLayout
-    environment: Mapping[str, str] = field(default_factory=own_environment)
+    environment: Mapping[str, str]
     search: RecordedSearch | None = None
     warnings: tuple[str, ...] = ()
 
     def to_text(self) -> str:
         """Return the text that a dataset keeps."""
-        described = _Described(
-            self.study.to_dict(),
-            self.study.source,
-            self.layout,
-            dict(self.environment),
-            self.search,
-            self.warnings,
+        layout, search = (
+            None if one is None else asdict(one) for one in (self.layout, self.search)
         )
-        return json.dumps(asdict(described), ensure_ascii=False)
+        described = {
+            "tables": self.study.to_dict(),
+            "source": self.study.source,
+            "layout": layout,
+            "environment": dict(self.environment),
+            "search": search,
+            "warnings": self.warnings,
+        }
+        return json.dumps(described, ensure_ascii=False)
 
     @classmethod
     def read(cls, text: str) -> RecordedStudy:
@@ -101,19 +104,14 @@ class RecordedStudy:
             If it is of another version of this package.
         """
         try:
-            described = TypeAdapter(_Described).validate_python(read_json(text))
-            study, problems = study_of(described.tables, described.source)
+            described = read_json(text)
+            file = TypeAdapter(_File).validate_python(described)
+            study, problems = study_of(file.tables, file.source)
+            if study is not None:
+                return TypeAdapter(cls).validate_python({**described, "study": study})
         except (ValueError, KeyError, TypeError) as error:
             raise _unreadable(_in_a_line(error)) from error
-        if study is None:
-            raise _unreadable("; ".join(text for _, text in problems))
-        return cls(
-            study,
-            described.layout,
-            described.environment,
-            described.search,
-            described.warnings,
-        )
+        raise _unreadable("; ".join(text for _, text in problems))
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member of a dataset alone.
@@ -124,15 +122,11 @@ class RecordedStudy:
 
 
 @dataclass(frozen=True)
-class _Described:
-    """The text of a dataset's study: what it has to have."""
+class _File:
+    """The file of a study, as the text of a dataset has it."""
 
     tables: Mapping[str, Any]
     source: str
-    layout: StudyLayout
-    environment: Mapping[str, str]
-    search: RecordedSearch | None = None
-    warnings: tuple[str, ...] = ()
 
 
 def _in_a_line(error: Exception) -> str:

@@ -25,7 +25,11 @@ from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import StudyFile
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
-from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy
+from cosim.studies.running.recorded_study import (
+    RecordedSearch,
+    RecordedStudy,
+    own_environment,
+)
 from cosim.studies.running.sources import scenario_digest
 from cosim.studies.tuning.searching import TuningMethod, TuningSearch, check_search
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace, key_of
@@ -102,7 +106,9 @@ class TuningPlan:
         )
         layout = StudyLayout("cases", samples=search.members)
         warnings = self.study.sources.warnings
-        return RecordedStudy(self.study.study, layout, search=chosen_by, warnings=warnings)
+        return RecordedStudy(
+            self.study.study, layout, own_environment(), search=chosen_by, warnings=warnings
+        )
 
 
 def plan_tuning(task: TuningTask) -> TuningPlan:

@@ -447,7 +447,7 @@ def test_what_a_dataset_says_of_its_study_has_the_types_it_rests_on(key, value):
     """A dataset may be somebody else's."""
     tables = {"study": {"scenario": "pair", "name": "pair"}, "metrics": {"m": "last(motor.y)"}}
     study, _ = study_of({**tables, "vary": {"controller.gain": [1]}}, "pair")
-    said = json.loads(RecordedStudy(study, StudyLayout("grid")).to_text())
+    said = json.loads(RecordedStudy(study, StudyLayout("grid"), {}).to_text())
     assert RecordedStudy.read(json.dumps(said)).study.name == study.name
     with pytest.raises(UsageError, match=key):
         RecordedStudy.read(json.dumps({**said, key: value}))
