@@ -325,11 +325,13 @@ def with_residual(
     if residual is None or result.errors is None:
         return result
     if residual.problem and samples is None:
-        known = f" of the {residual.samples}" if residual.samples else ""
-        problem = (
-            f"{residual.problem}; where a wrong model is not the cause, {option('samples')} says "
-            f"how many{known} samples are independent"
-        )
+        way_out = f"or {option('samples')} says how many of them are independent"
+        if residual.samples:
+            way_out = (
+                f"where a wrong model is not the cause, {option('samples')} says how many of the "
+                f"{residual.samples} samples are independent"
+            )
+        problem = f"{residual.problem}; {way_out}"
         return replace(result, errors=None, errors_problem=problem)
     independent = residual.independent if samples is None else samples
     if not residual.samples or (moves is None and independent == result.errors.samples):
