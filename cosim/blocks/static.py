@@ -16,6 +16,8 @@ from cosim.errors import RunError
 from cosim.native.step import NativeStep
 
 RELATIVE: Final = 2.0**-17  # steps of central differences: near the cube root of the rounding
+DISTANCES: Final = (1.0, 1e3, 1e6)  # from an operating point, where its derivatives are tried
+LINEAR: Final = 1e-6  # relative: beyond the rounding of these derivatives
 
 
 class CompiledStatic:
@@ -86,7 +88,7 @@ class CompiledStatic:
         """Return D, where it is not known by central differences."""
         if self._gain is not None:
             return static(self._gain)
-        return static(_differences(lambda changed: self.outputs(t, changed), u, self.interface))
+        return _linearized(lambda changed: self.outputs(t, changed), u, self.interface)
 
     def save(self) -> None:
         """Copy nothing: there is no state."""
@@ -125,7 +127,7 @@ class Static:
 
     def linearized(self, t: float, u: Vector) -> Linearized:
         """Return D by central differences."""
-        return static(_differences(lambda changed: self.outputs(t, changed), u, self.interface))
+        return _linearized(lambda changed: self.outputs(t, changed), u, self.interface)
 
     def save(self) -> None:
         """Copy nothing: there is no state."""
@@ -165,16 +167,39 @@ class Static:
         return self._function(rows)
 
 
+def _linearized(
+    function: Callable[[Vector], Vector], u: Vector, interface: Interface
+) -> Linearized:
+    """Return D by central differences, and whether it holds far from u, too."""
+    own = static(_differences(function, u, interface))
+    direction = np.where(_are_real(interface), 1.0 / np.arange(1.0, len(u) + 1.0), 0.0)
+    try:
+        y = function(u)
+        for size in (sign * distance for distance in DISTANCES for sign in (1.0, -1.0)):
+            change = own.D @ (size * direction)
+            error = np.abs(function(u + size * direction) - y - change).max(initial=0.0)
+            terms = np.abs(y).max(initial=0.0) + np.abs(own.D).max(initial=0.0) * abs(size)
+            if not error <= LINEAR * terms:
+                return replace(own, is_local=True)
+    except RunError:  # it is not defined there
+        return replace(own, is_local=True)
+    return own
+
+
+def _are_real(interface: Interface) -> list[bool]:
+    is_real: list[bool] = []
+    for signal in interface.inputs:
+        is_real += [signal.type == "real"] * signal.size
+    return is_real
+
+
 def _differences(function: Callable[[Vector], Vector], u: Vector, interface: Interface) -> Matrix:
     """Return the derivatives of a function, shape (n_y, n_u), by central differences.
 
     By integers and Booleans, which do not change by little, they are zero.
     """
-    is_real: list[bool] = []
-    for signal in interface.inputs:
-        is_real += [signal.type == "real"] * signal.size
     D = np.zeros((interface.n_y, len(u)))
-    for i in np.flatnonzero(is_real):
+    for i in np.flatnonzero(_are_real(interface)):
         # a power of two, so that the difference of the inputs has no rounding of its own
         step = RELATIVE * 2.0 ** np.ceil(np.log2(max(1.0, abs(u[i]))))
         above = u.copy()

@@ -43,6 +43,8 @@ class Linearized:
         The inputs of which a step takes the value at its end, in place of the mean; left out: none.
     rate : Vector, shape (n_x,), optional
         x' at the operating point itself; left out: it is not known.
+    is_local : bool
+        It is known not to hold far from the operating point.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Linearized:
     offset: int = 0
     latest: Mask | None = None
     rate: Vector | None = None
+    is_local: bool = False
 
     def __post_init__(self) -> None:
         n_x = len(self.A)

@@ -5,12 +5,15 @@ map is found by the very operations of the loop (:class:`cosim.core.stages.coupl
 to linearized components and to all unit vectors at once. Where a loop iterates, its torn inputs are
 what their sources give for them: what a *sweep* of the operations gives is linear in what it takes
 for them, so that they are found by one solution of equations.
+
+The stages of a graph are such parts of a step too, one behind the other: the map of the whole is
+found in the same way (:func:`whole_map`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
@@ -53,6 +56,8 @@ class LoopModel:
         Whether the row has what is taken for the torn inputs, and not what their sources give.
     latest : tuple of bool
         Which components take the inputs at the end of a step over the whole step.
+    left : tuple of Mask, shapes (n_y of all,)
+        Whose left limits each component takes at the end of a step; empty: none.
     """
 
     members: tuple[Linearized, ...]
@@ -64,6 +69,7 @@ class LoopModel:
     iterations: int = 0
     records_torn: bool = True
     latest: tuple[bool, ...] = ()
+    left: tuple[Mask, ...] = ()
 
     @property
     def outputs(self) -> list[slice]:
@@ -121,22 +127,32 @@ def loop_model(
     width: int,
 ) -> LoopModel:
     """Return the model of a loop whose components are all linearized; ``width`` is of a row."""
-    numbers = {member.name: number for number, member in enumerate(loop.members)}
-    operations: list[tuple[OperationName, int]] = []
-    for kind, members in loop.program:
-        if kind in CHANGING:
-            operations += [(kind, numbers[member.name]) for member in members]
     names = [member.name for member in loop.members]
-    return LoopModel(
+    model = LoopModel(
         tuple(replace(linearized[name], latest=latest[name]) for name in names),
         wiring(loop.members, width),
         tuple(held[name] for name in names),
-        tuple(operations),
+        (),
         h,
-        _torn(loop),
-        _iterations(loop),
-        loop.kept is None,
-        tuple(member.takes_latest for member in loop.members),
+        latest=tuple(member.takes_latest for member in loop.members),
+    )
+    return of_stage(model, loop, names, CHANGING)
+
+
+def of_stage(
+    model: LoopModel, stage: Stage, names: Sequence[str], kinds: Collection[OperationName]
+) -> LoopModel:
+    """Return a model of these components, by name, with the operations of a stage of them."""
+    operations: list[tuple[OperationName, int]] = []
+    for kind, members in stage.program:
+        if kind in kinds:
+            operations += [(kind, names.index(member.name)) for member in members]
+    return replace(
+        model,
+        operations=tuple(operations),
+        torn=_torn(stage, names),
+        iterations=_iterations(stage),
+        records_torn=stage.kept is None,
     )
 
 
@@ -146,12 +162,13 @@ def _iterations(loop: Stage) -> int:
     return 0 if loop.torn is None else loop.torn.solver.iterations
 
 
-def _torn(loop: Stage) -> tuple[tuple[int, int], ...]:
+def _torn(loop: Stage, names: Sequence[str]) -> tuple[tuple[int, int], ...]:
     """Return the inputs of a loop that are solved for or kept, as component and element."""
     inputs = loop.torn or loop.kept
     columns = () if inputs is None else inputs.columns
     torn = []
-    for number, member in enumerate(loop.members):
+    for member in loop.members:
+        number = names.index(member.name)
         first = member.inputs.start
         own = [column for column in columns if first <= column < member.inputs.stop]
         torn += [(number, column - first) for column in own]
@@ -186,18 +203,31 @@ def one_step_maps(model: LoopModel) -> list[Matrix] | None:
 
 
 def _one_step_map(model: LoopModel, steps: Sequence[MemberStep]) -> Matrix | None:
+    return whole_map([model], steps)
+
+
+def whole_map(models: Sequence[LoopModel], steps: Sequence[MemberStep]) -> Matrix | None:
+    """Return the map of a step of several stages, each a model of the components of all.
+
+    None: a step has no one solution.
+    """
     states = slices([step.n_s for step in steps])
     n_states = states[-1].stop
-    n_row = model.outputs[-1].stop
-    units = np.eye(n_states + n_row + model.n_kept)
+    n_row = models[0].outputs[-1].stop
+    kept = slices([n_states + n_row, *(model.n_kept for model in models)])[1:]
+    units = np.eye(kept[-1].stop)
     row = units[n_states : n_states + n_row]
-    kept = units[n_states + n_row :]
-    sweep = _Sweep(model, steps, [units[part] for part in states], row, kept)
-    torn = sweep.repeated() if model.iterations else sweep.solution()
-    if torn is None:
-        return None
-    state, row = sweep(torn)
-    return np.vstack([*state, row, torn[: model.n_kept]])
+    state = [units[part] for part in states]
+    end = left = row  # what extrapolated inputs read
+    handed_on = []
+    for model, part in zip(models, kept, strict=True):
+        sweep = _Sweep(model, steps, state, row, units[part], (end, left))
+        torn = sweep.repeated() if model.iterations else sweep.solution()
+        if torn is None:
+            return None
+        state, end, left = sweep(torn)
+        handed_on.append(torn[: model.n_kept])
+    return np.vstack([*state, end, *handed_on])
 
 
 class _Sweep:
@@ -214,6 +244,8 @@ class _Sweep:
         The outputs at the start.
     kept : Matrix, shape (n_kept, k)
         The torn inputs at the start.
+    ends : tuple of Matrix, shapes (n_y of all, k)
+        The outputs at the end as far as they are known: right and left limits.
     """
 
     def __init__(
@@ -223,34 +255,44 @@ class _Sweep:
         state: Sequence[Matrix],
         row: Matrix,
         kept: Matrix,
+        ends: tuple[Matrix, Matrix],
     ) -> None:
         self._kept = kept
+        self._ends = ends
         self._model = model
         self._steps = steps
         self._state = state
         self._row = row
 
-    def __call__(self, torn: Matrix) -> tuple[list[Matrix], Matrix]:
-        """Return states and outputs at the end, for torn inputs there, shape (n_torn, k)."""
+    def __call__(self, torn: Matrix) -> tuple[list[Matrix], Matrix, Matrix]:
+        """Return states, outputs at the end and their left limits, for torn inputs there.
+
+        These have the shape (n_torn, k).
+        """
         model = self._model
         outputs = model.outputs
         state = list(self._state)
-        end = self._row.copy()  # what extrapolated inputs read
+        end, left = (rows.copy() for rows in self._ends)
         together: dict[int, Matrix] = {}  # inputs that are gathered before anybody advances
         for kind, number in model.operations:
+            limits = end
+            if model.left and kind != "right":
+                limits = np.where(model.left[number][:, np.newaxis], left, end)
             if kind == "gather together":
-                together[number] = self._inputs(number, end, torn)
+                together[number] = self._inputs(number, limits, torn)
                 continue
             is_gathered = kind == "advance together"
-            u1 = together[number] if is_gathered else self._inputs(number, end, torn)
-            if kind != "refresh":
+            u1 = together[number] if is_gathered else self._inputs(number, limits, torn)
+            if kind not in ("refresh", "right"):
                 u0 = u1 if model.latest[number] else self._inputs(number, self._row, self._kept)
                 state[number], y = self._steps[number].advance(state[number], u0, u1)
             else:
                 before = end[outputs[number]]
                 y = self._steps[number].refresh(state[number], u1, before)
             end[outputs[number]] = y
-        return state, end
+            if kind != "right" and model.members[number].is_continuous:
+                left[outputs[number]] = y  # what is discrete has there what it held
+        return state, end, left
 
     def _inputs(self, number: int, end: Matrix, torn: Matrix) -> Matrix:
         u: Matrix = self._model.wiring[number] @ end
@@ -262,7 +304,7 @@ class _Sweep:
 
     def repeated(self) -> Matrix:
         """Return what the last of a fixed number of sweeps takes for the torn inputs."""
-        torn = self._driven(self._row)
+        torn = self._driven(self._ends[0])
         for _ in range(self._model.iterations - 1):
             torn = self._given(torn)
         return torn
@@ -277,12 +319,13 @@ class _Sweep:
         nothing = [np.zeros((len(state), count)) for state in self._state]
         no_row = np.zeros((len(self._row), count))
         no_kept = np.zeros((len(self._kept), count))
-        J = _Sweep(self._model, self._steps, nothing, no_row, no_kept)._given(np.eye(count))
+        ends = (no_row, no_row)
+        J = _Sweep(self._model, self._steps, nothing, no_row, no_kept, ends)._given(np.eye(count))
         return solved(np.eye(count) - J, given)
 
     def _given(self, torn: Matrix) -> Matrix:
         """Return what the sources of torn inputs give for them."""
-        _, end = self(torn)
+        _, end, _ = self(torn)
         return self._driven(end)
 
     def _driven(self, end: Matrix) -> Matrix:

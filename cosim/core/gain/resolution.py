@@ -1,57 +1,53 @@
-"""Whether the step resolves the model: what linear interpolation over a step does to its modes.
+"""Whether the step resolves the model: what a run makes of it against its exact solution.
 
-Each component is exact for inputs that are linear over a step, or held. Where an output of a
-component with fast modes drives another one that integrates it, the line between two communication
-points misses what the modes do there: of exp(-a t) up to (a h)^2/8, and (a h)^2/12 of its integral.
-What becomes of that is computed wherever inputs are interpolated and integrated, from the exact
-response of the components as one linear system
+Both are found for the whole linear model at once, whose components are linearized where it begins:
 
-* to a jump of each discrete signal, which itself reaches the model without an error,
-* to the initial state, where the model does not begin at rest.
+* exactly: the components in continuous time are joined directly (:mod:`cosim.core.gain.system`);
+* as the master steps: by the map of a step of the whole schedule
+  (:mod:`cosim.core.gain.loop_map`), with what each component is given of its inputs: interpolated,
+  held, extrapolated in a loop, solved for, the latest, or the mean.
 
-What the lines miss of these inputs drives the errors of the states, from component to component,
-and around loops. They are compared with the largest value of the same response, output by output:
-more than ``LIMIT`` of it is refused. So a fast mode that nothing excites, that no such input shows,
-or that what follows averages out, is no error.
+They answer, one by one, a jump of each discrete signal, and what the model does from its beginning
+where that is not at rest. The outputs at the communication points are compared over as many steps
+as the run has, each relative to the largest value of its own response: more than ``LIMIT`` of it is
+refused. So a fast mode that nothing excites, that is not shown, or averaged out, is no error.
 
-Not in it: what is lost where a loop extrapolates inputs, which hold, and of smooth signals from
-outside.
+Cut are components with a period of their own and delays, which hold, or are as they were; what
+comes out of them may jump. What is not linear, or cannot be linearized, is not decided where its
+inputs are interpolated and differ from the lines, or where others integrate what it may do within a
+step. Of smooth signals from outside nothing is said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.core.gain.loop_gain import largest_part
-from cosim.core.gain.loop_map import LoopModel, slices, wiring
+from cosim.core.gain.loop_map import CHANGING, LoopModel, of_stage, slices, whole_map, wiring
 from cosim.core.gain.system import ConnectedSystem, connect
 from cosim.core.graph import Graph
-from cosim.core.linearization import Linearized, static
+from cosim.core.linearization import Linearized
 from cosim.core.port import Port
 from cosim.core.stages.member import Member
 from cosim.errors import listing
 from cosim.instants import NANOSECONDS
-from cosim.native.numerics.linear import first_order_hold, matrix_exponential
+from cosim.native.numerics.linear import first_order_hold
 
 LIMIT: Final = 0.01  # of a response
 LARGEST: Final = 200  # states up to which their response takes little time
-SLOW: Final = 0.1  # a mode times the step: the line misses an eighth of a percent
-POINTS: Final = 8  # within a step
 ROUNDING: Final = 1e-9
 STEPS: Final = 64  # that are followed one by one, then by twos, fours, ...
 
 
 class Missed(NamedTuple):
-    """What linear interpolation misses of the response of an input, and to what."""
+    """How far the steps are from the exact response of an output, and to what."""
 
     error: float  # over the largest value of the response
     signal: str
@@ -63,18 +59,18 @@ NONE: Final = Missed(0.0, "", "")
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """What linear interpolation over a step does to a model.
+    """How a run with this step differs from the exact solution of the model.
 
     Parameters
     ----------
     h : float
         Communication step [s].
     components : tuple of str
-        With the fastest mode of all whose outputs others integrate; empty: there is none.
+        With the fastest mode; empty: there is none that is known.
     rate : float
-        The largest modulus of an eigenvalue of theirs [1/s].
+        The modulus of its eigenvalue [1/s].
     unknown : tuple of str
-        Components that drive others in the same way, and have no linearization or too many states.
+        Components that leave the error unknown: not linear, not linearized, or too large together.
     missed : Missed
         The largest error of a response.
     step_ns : int or None
@@ -90,29 +86,25 @@ class Resolution:
 
     @property
     def is_resolved(self) -> bool:
-        """Whether the error of every response is within the limit."""
+        """Whether no response is known to have a larger error than the limit."""
         return self.missed.error <= LIMIT
 
     @property
     def text(self) -> str:
         """What was found, in a sentence."""
-        if not self.components:
-            text = "no mode of a linear component is interpolated and integrated"
-        else:
+        text = "no linear component in continuous time has a mode"
+        if self.components:
             text = (
                 f"the fastest mode of {listing(self.components)}, {self.rate:.4g} 1/s, times the "
                 f"step of {self.h:g} s is {self.rate * self.h:.3g}"
             )
         if self.missed.error:
             error, signal, cause = self.missed
-            text += (
-                f"; by the linear interpolation of inputs {signal} is off by up to {error:.2g} of "
-                f"its response to {cause}"
-            )
+            text += f"; {signal} is off by up to {error:.2g} of its response to {cause}"
         if not self.is_resolved:
             text += f", more than {LIMIT:g}"
         if self.unknown:
-            text += f"; nothing is known of {listing(self.unknown)}"
+            text += f"; not known is what becomes of it in {listing(self.unknown)}"
         return text
 
     @property
@@ -136,7 +128,7 @@ def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:
 def resolution(
     graph: Graph, clock: Clock, row: Vector, linearized: Mapping[str, Linearized]
 ) -> Resolution:
-    """Return what linear interpolation over a step does to the model.
+    """Return how a run with this step differs from the exact solution of the model.
 
     Parameters
     ----------
@@ -148,328 +140,302 @@ def resolution(
     linearized : mapping of component name to Linearized
         Those that can be linearized.
     """
-    model = _Model(graph, clock, row, linearized)
     h = clock.step_ns / NANOSECONDS
-    sources = model.integrated_sources()
-    rates: dict[str, float] = {}
-    unknown = [name for name in sources if model.is_unknown(name)]
-    fast: list[_FastStage] = []
-    for stage in graph.stages:
-        names = [member.name for member in stage.members if member.name in sources]
-        part = _FastStage(model, [name for name in names if name in model.linear])
-        if part.size > LARGEST:
-            unknown += part.stage
-            continue
-        rate = part.fastest(is_loop=stage.is_loop)
-        if rate is None:
-            continue
-        rates |= dict.fromkeys(part.stage, rate)
-        if rate * h * max(model.spans.values()) > SLOW:
-            fast.append(part)
-
-    def worst(parts: int) -> Missed:
-        found = (part.missed(h / parts) for part in fast)
-        return max(found, key=lambda one: one.error, default=NONE)
-
-    missed = worst(1)
+    model = _WholeModel(graph, clock, row, linearized)
+    with_states = tuple(name for name, own in model.linear.items() if len(own.A))
+    if sum(len(model.linear[name].A) for name in with_states) > LARGEST:
+        return Resolution(h, (), 0.0, with_states, NONE, None)
+    rate, fastest = model.fastest()
+    missed = model.missed(1)
     step_ns = None
     if missed.error > LIMIT:
-        step_ns = largest_part(clock.step_ns, lambda parts: worst(parts).error <= LIMIT)
-    rate = max(rates.values(), default=0.0)
-    fastest = tuple(name for name in rates if rates[name] == rate)
-    return Resolution(h, fastest, rate, tuple(unknown), missed, step_ns)
+        step_ns = largest_part(clock.step_ns, lambda parts: model.missed(parts).error <= LIMIT)
+    return Resolution(h, fastest, rate, tuple(model.unknown()), missed, step_ns)
 
 
-class _Model:
-    """The components of a graph that are linearized, and the inputs that they integrate.
+class _WholeModel:
+    """All components of a graph as one linear model; what is cut is constant.
 
     Attributes
     ----------
     linear : dict of component name to Linearized
-        Those in continuous time.
-    integrated : dict of component name to Mask, shape (n_u,)
-        Which inputs are interpolated over a step, and integrated.
-    spans : dict of component name to int
-        Communication steps of such an interpolation.
-    drivers, driven : dict of component name to dict
-        Whose outputs a component gets, and who gets its own.
+        Those in continuous time that take communication steps.
     """
 
     def __init__(
         self, graph: Graph, clock: Clock, row: Vector, linearized: Mapping[str, Linearized]
     ) -> None:
-        self.graph = graph
-        self.clock = clock
-        self.row = row
-        self.labels = graph.labels()
-        self.linear = {name: own for name, own in linearized.items() if own.is_continuous}
-        self.integrated: dict[str, Mask] = {}
-        self.spans: dict[str, int] = {}
-        for name, own in linearized.items():
-            if own.is_discrete or own.delay or own.input_use == "start":
-                continue
-            elements = ~graph.held[name] & own.B.any(axis=0) & ~self._refined(name)
-            if elements.any():
-                self.integrated[name] = elements
-                self.spans[name] = max(1, own.own_steps)
-        self.drivers: dict[str, dict[str, None]] = {name: {} for name in graph.components}
-        self.driven: dict[str, dict[str, None]] = {name: {} for name in graph.components}
-        for to, connection in graph.connections.items():
-            for source in connection.sources:
-                self.drivers[to.component][source.component] = None
-                self.driven[source.component][to.component] = None
+        self._graph = graph
+        self._clock = clock
+        self._row = row
+        self._members = list(graph.members.values())
+        self._names = [member.name for member in self._members]
+        divided: set[str] = set()
+        for stage in graph.stages:
+            if stage.controls or stage.nested is not None:
+                divided.update(member.name for member in stage.members)
+        self.linear: dict[str, Linearized] = {}
+        for name in self._names:
+            own = linearized.get(name)
+            if own is not None and own.is_continuous and name not in divided:
+                self.linear[name] = own
+        self._delays = {name for name, own in linearized.items() if own.delay}
+        # Behind the components stands what lets the states move as they do at the beginning.
+        matrices = wiring(self._members, graph.layout.width)
+        self._columns = [c for m in self._members for c in range(m.outputs.start, m.outputs.stop)]
+        n_y = len(self._columns)
+        self._beginning = np.eye(n_y + 1)[n_y:]
+        members: list[Linearized] = []
+        held = []
+        for member in self._members:
+            members.append(self._linearized(member))
+            held.append(np.append(graph.held[member.name], True))
+        widened = [np.vstack([np.pad(W, ((0, 0), (0, 1))), self._beginning]) for W in matrices]
+        self._model = LoopModel(
+            (*members, _constant(1, 0)),
+            (*widened, np.zeros((0, n_y + 1))),
+            (*held, np.zeros(0, np.bool_)),
+            (),
+            clock.step_ns / NANOSECONDS,
+            latest=(*(member.takes_latest for member in self._members), False),
+            left=(*map(self._left, self._members), np.zeros(n_y + 1, np.bool_)),
+        )
 
-    def _refined(self, name: str) -> Mask:
-        """Return which inputs of a component come out of a loop that divides its steps."""
-        for stage in self.graph.stages:
-            names = [member.name for member in stage.members]
-            if stage.controls and name in names:
-                matrices = wiring(stage.members, self.graph.layout.width)
-                return np.asarray(matrices[names.index(name)].any(axis=1))
-        return np.zeros(self.graph.layout[name].interface.n_u, np.bool_)
+    def _linearized(self, member: Member) -> Linearized:
+        """Return a component with one input more: that of its x' at the beginning."""
+        own = self.linear.get(member.name)
+        interface = member.channel.interface
+        if own is None:
+            return _constant(interface.n_y, interface.n_u + 1)
+        rate = np.zeros(len(own.A)) if own.rate is None else own.rate
+        return replace(
+            own,
+            B=np.column_stack([own.B, rate]),
+            D=np.pad(own.D, ((0, 0), (0, 1))),
+            latest=np.append(self._graph.latest[member.name], False),
+        )
 
-    def passes(self, name: str) -> bool:
-        """Return whether what drives a component is in its outputs at once."""
-        return name in self.linear and bool(self.linear[name].D.any())
-
-    def integrated_sources(self) -> dict[str, None]:
-        """Return the components whose outputs others integrate, also through what passes them."""
-        sources: dict[str, None] = {}
-        for name in self.integrated:
-            sources |= self.drivers[name]
-        waiting = list(sources)
-        for name in waiting:  # grows on the way
-            if self.passes(name):
-                waiting += [driver for driver in self.drivers[name] if driver not in sources]
-                sources |= self.drivers[name]
-        return sources
-
-    def is_unknown(self, name: str) -> bool:
-        """Return whether a component follows its inputs in continuous time, unknown how."""
-        interface = self.graph.members[name].channel.interface
-        if name in self.linear or not interface.n_u:
-            return False
-        ports = [Port(name, signal.name) for signal in interface.outputs]
-        return any(self.graph.variability(port) == "continuous" for port in ports)
-
-
-class _FastStage:
-    """The linear components of a stage, and those behind them that pass on their outputs.
-
-    With them those that integrate these outputs, and behind all of them what else drives them.
-    """
-
-    def __init__(self, model: _Model, stage: list[str]) -> None:
-        self.stage = stage
-        self._model = model
-        passing = list(stage)
-        for name in passing:  # grows on the way
-            passing += [n for n in model.driven[name] if n not in passing and model.passes(n)]
-        driven = chain.from_iterable(model.driven[name] for name in passing)
-        consumers = [name for name in driven if name in model.integrated]
-        names = dict.fromkeys((*passing, *consumers))
-        self._names = [name for name in names if name in model.linear]
-        drivers = chain.from_iterable(model.drivers[name] for name in self._names)
-        others = dict.fromkeys((*drivers, *consumers))
-        self._inside = [model.graph.members[name] for name in self._names]
-        self._others = [model.graph.members[n] for n in others if n not in self._names]
-        self.size = sum(len(model.linear[name].A) for name in self._names)
-
-    def fastest(self, *, is_loop: bool) -> float | None:
-        """Return the fastest mode of the stage [1/s]; None: it has none."""
-        modes: list[float] = []
-        for name in self.stage:
-            modes += np.abs(np.linalg.eigvals(self._model.linear[name].A)).tolist()
-        if is_loop and modes and self._system is not None:
-            modes += np.abs(self._system.poles).tolist()
-        return max(modes, default=None)
-
-    @cached_property
-    def _loop(self) -> LoopModel:
-        """All of them in their places; the others have outputs alone."""
-        linear = [self._model.linear[name] for name in self._names]
-        for member in self._others:
-            interface = member.channel.interface
-            nothing = static(np.zeros((interface.n_y, interface.n_u)))
-            linear.append(replace(nothing, is_discrete=True))
-        matrices = wiring([*self._inside, *self._others], self._model.graph.layout.width)
-        return LoopModel(tuple(linear), matrices, (), (), 0.0)
+    def _left(self, member: Member) -> Mask:
+        """Return of which outputs a component takes left limits, as a mask."""
+        if member.jumps is None:
+            return np.zeros(len(self._columns) + 1, np.bool_)
+        taken = {*member.jumps.held.tolist(), *member.jumps.followed.tolist()}
+        return np.array([column in taken for column in self._columns] + [False])
 
     @cached_property
     def _system(self) -> ConnectedSystem | None:
-        """The components as one, driven by the outputs of the others."""
-        return connect(self._loop)
+        """The exact model; None: its algebraic loops have no one solution."""
+        return connect(self._model)
 
-    def missed(self, h: float) -> Missed:
-        """Return the largest error of a response where the step is h."""
-        system = self._system
-        if system is None:
-            return NONE
-        causes, G, by_w = self._excitations(system)
-        if not G.any():
-            return NONE
-        response = _Response(system.A, G, h)
-        places = list(chain.from_iterable(_columns(member) for member in self._inside))
-        rows = np.eye(len(system.C))[: len(places)]  # those inside stand before the others
-        wrong = np.hstack([np.zeros((len(places), len(response.x))), rows @ system.C])
-        P = self._with_errors(system, response)
-        checks = [(response, P, wrong[np.newaxis], rows, places)]
-        for number, member in enumerate(self._others, start=len(self._inside)):
-            if member.name not in self._model.integrated:
-                continue  # it is not known what the others make of the errors of their inputs
-            elements = np.flatnonzero(self._model.integrated[member.name])
-            response = _Response(system.A, G, h * self._model.spans[member.name])
-            rows = self._loop.wiring[number][elements]
-            places = (member.inputs.start + elements).tolist()
-            checks.append((response, response.P, response.missed(rows @ system.C), rows, places))
-        clock = self._model.clock
-        largest = (0.0, 0, 0)  # error, place of the signal in the row, cause
-        for response, P, wrong, rows, places in checks:
-            initial = self._model.row[places]
-            base = np.hstack([rows @ system.D @ by_w, initial[:, np.newaxis]])
-            steps = max(1, round((clock.stop - clock.start_time) / response.h))
-            errors = response.errors(P, wrong, rows @ system.C, base, steps)
-            at, column = np.unravel_index(int(errors.argmax()), errors.shape)
-            largest = max(largest, (float(errors[at, column]), places[at], int(column)))
-        error, place, cause = largest
-        return Missed(error, self._model.labels[place], causes[cause]) if error else NONE
+    def fastest(self) -> tuple[float, tuple[str, ...]]:
+        """Return the modulus of the fastest eigenvalue [1/s], and the components of its stage."""
+        largest: tuple[float, tuple[str, ...]] = (0.0, ())
+        done = 0
+        for stage in self._graph.stages:
+            names = [m.name for m in stage.members if m.name in self.linear]
+            size = sum(len(self.linear[name].A) for name in names)
+            own = slice(done, done + size)
+            done += size
+            if size and self._system is not None:
+                rate = float(np.abs(np.linalg.eigvals(self._system.A[own, own])).max())
+                with_states = tuple(name for name in names if len(self.linear[name].A))
+                largest = max(largest, (rate, with_states), key=lambda one: one[0])
+        return largest
 
-    def _with_errors(self, system: ConnectedSystem, response: _Response) -> Matrix:
-        """Return what a step does to x and g, and to the errors of the states behind them.
-
-        Each component takes for its inputs lines between what it gets at the points, the errors
-        of the others there included.
-        """
-        linear = [self._model.linear[name] for name in self._names]
-        states = slices([len(own.A) for own in linear])
-        U = np.vstack(self._loop.wiring[: len(linear)]) @ system.C
-        inputs = slices([own.B.shape[1] for own in linear])
-        missed = response.missed(U)
-        size = len(response.x)
-        n = len(system.A)
-        before = np.zeros((n, size + n))
-        after = np.eye(n)
-        for name, own, x, u in zip(self._names, linear, states, inputs, strict=True):
-            held = np.zeros(own.B.shape[1], np.bool_)
-            whole = first_order_hold(own.A, own.B, response.h, held)
-            after[x] -= whole.B1 @ U[u]
-            before[x, size:] += whole.B0 @ U[u]
-            before[x, size:][:, x] += whole.Ad
-            part = first_order_hold(own.A, own.B, response.h / POINTS, held)
-            interpolated = self._model.integrated.get(name, held)
-            of_inputs = missed[:, u] * interpolated[:, np.newaxis]
-            for first, second in pairwise(of_inputs):
-                before[x, :size] = part.Ad @ before[x, :size] + part.B0 @ first + part.B1 @ second
-        P = np.zeros((size + n, size + n))
-        P[:size, :size] = response.P
-        try:
-            P[size:] = np.linalg.solve(after, before)
-        except np.linalg.LinAlgError:  # with this step the run has no one solution
-            P[size:] = np.nan
-        return P
-
-    def _excitations(self, system: ConnectedSystem) -> tuple[list[str], Matrix, Matrix]:
-        """Return what begins fast modes, in words, as x' at once, and as outputs of the others.
-
-        The last one is the initial state, for which these do not change.
-        """
+    @cached_property
+    def _causes(self) -> tuple[list[str], Matrix]:
+        """What excites the model, in words, and as outputs of what is cut."""
+        labels = self._graph.labels()
         causes: list[str] = []
         jumping: list[int] = []
-        columns = list(chain.from_iterable(_columns(member) for member in self._others))
-        jumps = list(chain.from_iterable(self._jumps(member) for member in self._others))
-        for number, column in enumerate(columns):
-            if jumps[number] and system.B[:, number].any():
-                causes.append(f"a jump of {self._model.labels[column]}")
-                jumping.append(number)
-        rates = []
-        for name in self._names:
-            own = self._model.linear[name]
-            rates.append(np.zeros(len(own.A)) if own.rate is None else own.rate)
-        initial = np.concatenate(rates)[:, np.newaxis]
-        by_w = np.eye(len(columns))[:, jumping]
-        return [*causes, "the initial state"], np.hstack([system.B @ by_w, initial]), by_w
+        place = 0
+        for member in self._members:
+            if member.name in self.linear:
+                continue
+            column = member.outputs.start
+            for signal in member.channel.interface.outputs:
+                may_jump = bool(self._graph.jumps(Port(member.name, signal.name)))
+                for _ in range(signal.size):
+                    if may_jump:
+                        causes.append(f"a jump of {labels[column]}")
+                        jumping.append(place)
+                    place += 1
+                    column += 1
+        units = np.eye(place + 1)
+        return [*causes, "the initial state"], units[:, [*jumping, place]]
 
-    def _jumps(self, member: Member) -> Iterator[bool]:
-        """Yield of every output of a component whether it may jump."""
-        for signal in member.channel.interface.outputs:
-            may_jump = bool(self._model.graph.jumps(Port(member.name, signal.name)))
-            yield from [may_jump] * signal.size
+    def missed(self, parts: int) -> Missed:
+        """Return the largest error of a response where the step is so many times shorter."""
+        if self._system is None:
+            return NONE
+        causes, w = self._causes
+        h = self._model.h / parts
+        names = [*self._names, ""]
+        stages = []
+        for stage in self._graph.stages:
+            stages.append(of_stage(replace(self._model, h=h), stage, names, (*CHANGING, "right")))
+        beginning = (("advance", len(self._members)),)
+        stages[0] = replace(stages[0], operations=(*beginning, *stages[0].operations))
+        step = whole_map(stages, stages[0].steps(0))
+        if step is None:
+            return NONE
+        response = _Response(self._system, w, h)
+        known = [m.is_continuous for m in self._model.members for _ in m.D]
+        errors = response.errors(step, self._model, self._base(w), self._clock.steps * parts)
+        errors[~np.array(known)] = 0.0
+        at, column = np.unravel_index(int(errors.argmax()), errors.shape)
+        error = float(errors[at, column])
+        if error <= ROUNDING:
+            return NONE
+        return Missed(error, self._graph.labels()[self._columns[at]], causes[column])
+
+    def _base(self, w: Matrix) -> Matrix:
+        """Return what the outputs begin with, which is no part of the response to a jump."""
+        base = np.zeros((len(self._columns) + 1, w.shape[1]))
+        base[:-1, -1] = self._row[self._columns]
+        return base
+
+    def unknown(self) -> list[str]:
+        """Return the components that leave the error unknown."""
+        if self._system is None:
+            return list(self.linear)
+        unknown = []
+        for number, name in enumerate(self._names):
+            own = self.linear.get(name)
+            interface = self._members[number].channel.interface
+            ports = [Port(name, signal.name) for signal in interface.outputs]
+            is_open = any(self._graph.variability(port) == "continuous" for port in ports)
+            if not (interface.n_u and is_open) or (own is not None and not own.is_local):
+                continue
+            has_no_states = own is not None or name in self._delays
+            may_integrate = not (has_no_states or interface.continuous)  # own ones take samples
+            may_be_fast = not has_no_states or bool(self._moving(name)[:, self._off_lines].any())
+            if may_be_fast and (may_integrate or self._drives(name)):
+                unknown.append(name)
+        return unknown
+
+    def _moving(self, name: str) -> Mask:
+        """Return which outputs drive the inputs of a component that do not hold, as a mask."""
+        moving = np.append(~self._graph.held[name], False)
+        return np.asarray(self._model.wiring[self._names.index(name)][moving] != 0.0)
+
+    @cached_property
+    def _off_lines(self) -> Mask:
+        """Which outputs leave the line between two communication points, as a mask."""
+        assert self._system is not None
+        _, w = self._causes
+        return _Response(self._system, w, self._model.h).leaves_lines(self._base(w))
+
+    def _drives(self, name: str) -> bool:
+        """Return whether a component that may integrate interpolates what comes out of this one."""
+        reached = [name]
+        for source in reached:  # grows on the way
+            outputs = self._model.outputs[self._names.index(source)]
+            for to, member in zip(self._names, self._members, strict=True):
+                if to in reached or not self._moving(to)[:, outputs].any():
+                    continue
+                own = self.linear.get(to)
+                if own is not None and not own.B.any():
+                    reached.append(to)
+                elif own is not None or not member.channel.interface.continuous:
+                    return True
+        return False
 
 
-def _columns(member: Member) -> range:
-    """Return the columns of the outputs of a component."""
-    return range(member.outputs.start, member.outputs.stop)
+def _constant(n_y: int, n_u: int) -> Linearized:
+    """Return outputs that stay what they are."""
+    nothing = np.zeros((n_y, n_u))
+    return Linearized(np.eye(n_y), nothing, np.eye(n_y), nothing, is_discrete=True, own_steps=1)
 
 
 class _Response:
-    """The responses of a system ``x' = A x + g`` with ``x = 0`` at the start, step by step.
+    """The exact responses of a system, at rest up to the first communication point, to w there.
 
     Parameters
     ----------
-    A, G : Matrix, shapes (n, n), (n, k)
-        For every response a g.
+    system : ConnectedSystem
+    w : Matrix, shape (n_w, k)
+        Behind all others what lets the states move from the start of the step before.
     h : float
-        Length of the steps [s].
-
-    Attributes
-    ----------
-    x : Matrix, shape (n + k, k)
-        States and unit vectors, for the g, at the start.
-    P : Matrix, shape (n + k, n + k)
-        What a step does to it.
+        Communication step [s].
     """
 
-    def __init__(self, A: Matrix, G: Matrix, h: float) -> None:
-        n, k = G.shape
-        system = np.zeros((n + k, n + k))
-        system[:n] = np.hstack([A, G])
-        E = matrix_exponential(system * (h / POINTS))
-        states = [np.eye(n + k)]
-        for _ in range(POINTS):
-            states.append(E @ states[-1])
-        self.h = h
-        self.x = np.vstack([np.zeros((n, k)), np.eye(k)])
-        self.P = states[-1]
+    def __init__(self, system: ConnectedSystem, w: Matrix, h: float) -> None:
+        n, n_w = system.B.shape
         self._n = n
-        self._states = np.array(states)
+        self._by_x = np.hstack([system.C, system.D])
+        step = first_order_hold(system.A, system.B, h, np.ones(n_w, np.bool_))
+        half = first_order_hold(system.A, system.B, 0.5 * h, np.ones(n_w, np.bool_))
+        self._M = _with_constant(step.Ad, step.B0)
+        self._half = _with_constant(half.Ad, half.B0)
+        self._start = np.vstack([np.zeros((n, w.shape[1])), w])
+        self._start[:n, -1] = step.B0[:, -1]
+        self._w = w
 
-    def missed(self, inputs: Matrix) -> NDArray[np.float64]:
-        """Return lines over a step less ``inputs x``, at its points, by states at its start."""
-        u: NDArray[np.float64] = inputs @ self._states[:, : self._n]
-        fractions = np.linspace(0.0, 1.0, POINTS + 1)[:, np.newaxis, np.newaxis]
-        return np.asarray(u[0] + fractions * (u[-1] - u[0]) - u)
+    def leaves_lines(self, base: Matrix) -> Mask:
+        """Return which outputs are off a line in the middle of a step by too much, as a mask."""
+        middle = self._by_x @ (self._half - 0.5 * (np.eye(len(self._M)) + self._M))
+        x = self._start
+        error, y, terms = (np.zeros(base.shape) for _ in range(3))
+        for _ in range(STEPS):
+            error = np.fmax(error, np.abs(middle @ x))
+            y = np.fmax(y, np.abs(self._by_x @ x + base))
+            terms = np.fmax(terms, np.abs(self._by_x) @ np.abs(x))
+            x = self._M @ x
+        is_off: Mask = (error > LIMIT / 4.0 * y + ROUNDING * terms).any(axis=1)
+        return is_off
 
-    def errors(
-        self, P: Matrix, wrong: NDArray[np.float64], outputs: Matrix, base: Matrix, steps: int
-    ) -> Matrix:
-        """Return the errors of signals, shape (m, k), relative to their largest values.
+    def errors(self, step: Matrix, model: LoopModel, base: Matrix, steps: int) -> Matrix:
+        """Return the errors of all outputs, shape (n_y, k), relative to their largest values.
 
         Parameters
         ----------
-        P : Matrix, shape (N, N)
-            What a step does to the states, and what follows from them.
-        wrong : array, shape (points, m, N)
-            The errors by these.
-        outputs, base : Matrix, shapes (m, n), (m, k)
-            The signals are ``outputs x + base``.
+        step : Matrix, shape (N, N)
+            What the master does: to all states, then to all outputs.
+        model : LoopModel
+            Of all components.
+        base : Matrix, shape (n_y, k)
+            What is to be added to a response.
         steps : int
             Their number.
         """
-        x = np.vstack([self.x, np.zeros((len(P) - len(self.x), self.x.shape[1]))])
-        y = np.abs(base)
+        members = model.members
+        states = slices([len(member.A) for member in members])
+        n_states = states[-1].stop
+        rows = slice(n_states, n_states + len(self._by_x))
+        order = [[], []]
+        for member, part in zip(members, states, strict=True):
+            order[not member.is_continuous] += range(part.start, part.stop)
+        own, others = order
+        z = np.zeros((len(step), self._w.shape[1]))
+        z[others] = self._w  # it is in the row only at the end of the step
+        z[rows.stop - 1, -1] = 1.0  # but what moves the states from its start
+        z = step @ z
+        x = self._start
+        # An output that is not up to date where something jumps is so at any step.
+        error = np.abs(self._by_x[:, : self._n] @ (z[own] - x[: self._n]))
+        y = np.abs(self._by_x @ x + base)
         terms = y.copy()  # where y is much less than its terms, it is rounding
-        error = np.abs(wrong @ x).max(axis=0)
+        M = self._M
         done = 0
         length = 1
-        while done < steps and np.isfinite(x).all():
+        while done < steps and np.isfinite(z).all() and np.isfinite(x).all():
             for _ in range(min(STEPS, -(-(steps - done) // length))):
-                x = P @ x
-                error = np.fmax(error, np.abs(wrong @ x).max(axis=0))
-                y = np.fmax(y, np.abs(outputs @ x[: self._n] + base))
-                terms = np.fmax(terms, np.abs(outputs) @ np.abs(x[: self._n]))
+                z = step @ z
+                x = M @ x
+                response = self._by_x @ x
+                error = np.fmax(error, np.abs(z[rows] - response))
+                y = np.fmax(y, np.abs(response + base))
+                terms = np.fmax(terms, np.abs(self._by_x) @ np.abs(x))
             done += STEPS * length
             length *= 2
-            P = P @ P
+            step = step @ step
+            M = M @ M
         is_known = (y > ROUNDING * terms) & np.isfinite(y) & np.isfinite(error)
         relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
         return relative
+
+
+def _with_constant(Ad: Matrix, Bd: Matrix) -> Matrix:
+    n_w = Bd.shape[1]
+    return np.block([[Ad, Bd], [np.zeros((n_w, len(Ad))), np.eye(n_w)]])

@@ -276,13 +276,12 @@ class _Check:
     def _resolution(self) -> AssumptionVerdict:
         """Return what linear interpolation over a step does to the modes of the model."""
         found = self._beginning.resolution()
-        if found.unknown and not found.components:
-            return undecided(RESOLUTION, f"nothing is known of {listing(found.unknown)}")
         values = {"step": found.h, "fastest_rate": found.rate, "error": found.missed.error}
         if not found.is_resolved:
             return refused(RESOLUTION, AssumptionError(found.text, cure=found.cure), values)
+        fulfilled = None if found.unknown else True
         return AssumptionVerdict(
-            name=RESOLUTION, fulfilled=True, evidence=found.text, values=values
+            name=RESOLUTION, fulfilled=fulfilled, evidence=found.text, values=values
         )
 
     def _of_coupled(self, report: CouplingReport) -> list[AssumptionVerdict]:
