@@ -42,6 +42,7 @@ from cosim.native.numerics.linear import first_order_hold
 
 LIMIT: Final = 0.01  # of a response
 LARGEST: Final = 200  # states up to which their response takes little time
+LARGEST_MAP: Final = 800  # rows of the map of a step, up to which the same holds
 ROUNDING: Final = 1e-9
 STEPS: Final = 64  # that are followed one by one, then by twos, fours, ...
 
@@ -143,13 +144,16 @@ def resolution(
     h = clock.step_ns / NANOSECONDS
     model = _WholeModel(graph, clock, row, linearized)
     with_states = tuple(name for name, own in model.linear.items() if len(own.A))
-    if sum(len(model.linear[name].A) for name in with_states) > LARGEST:
+    missed = None if model.is_too_large else model.missed(1)
+    if missed is None:
         return Resolution(h, (), 0.0, with_states, NONE, None)
     rate, fastest = model.fastest()
-    missed = model.missed(1)
-    step_ns = None
-    if missed.error > LIMIT:
-        step_ns = largest_part(clock.step_ns, lambda parts: model.missed(parts).error <= LIMIT)
+
+    def is_resolved(parts: int) -> bool:
+        shorter = model.missed(parts)
+        return shorter is not None and shorter.error <= LIMIT
+
+    step_ns = None if missed.error <= LIMIT else largest_part(clock.step_ns, is_resolved)
     return Resolution(h, fastest, rate, tuple(model.unknown()), missed, step_ns)
 
 
@@ -222,6 +226,12 @@ class _WholeModel:
         taken = {*member.jumps.held.tolist(), *member.jumps.followed.tolist()}
         return np.array([column in taken for column in self._columns] + [False])
 
+    @property
+    def is_too_large(self) -> bool:
+        """Whether its response takes more time than it is worth."""
+        states = sum(len(own.A) for own in self.linear.values())
+        return states > LARGEST or self._model.size > LARGEST_MAP
+
     @cached_property
     def _system(self) -> ConnectedSystem | None:
         """The exact model; None: its algebraic loops have no one solution."""
@@ -264,21 +274,25 @@ class _WholeModel:
         units = np.eye(place + 1)
         return [*causes, "the initial state"], units[:, [*jumping, place]]
 
-    def missed(self, parts: int) -> Missed:
-        """Return the largest error of a response where the step is so many times shorter."""
+    def missed(self, parts: int) -> Missed | None:
+        """Return the largest error of a response where the step is so many times shorter.
+
+        None: what depends on each other at one instant has no one solution.
+        """
         if self._system is None:
-            return NONE
+            return None
         causes, w = self._causes
         h = self._model.h / parts
         names = [*self._names, ""]
         stages = []
         for stage in self._graph.stages:
             stages.append(of_stage(replace(self._model, h=h), stage, names, (*CHANGING, "right")))
-        beginning = (("advance", len(self._members)),)
-        stages[0] = replace(stages[0], operations=(*beginning, *stages[0].operations))
+        first = stages[0]  # where x' is brought on, too
+        number = len(self._members)
+        stages[0] = replace(first, operations=(("advance", number), *first.operations))
         step = whole_map(stages, stages[0].steps(0))
         if step is None:
-            return NONE
+            return None
         response = _Response(self._system, w, h)
         known = [m.is_continuous for m in self._model.members for _ in m.D]
         errors = response.errors(step, self._model, self._base(w), self._clock.steps * parts)
@@ -297,8 +311,6 @@ class _WholeModel:
 
     def unknown(self) -> list[str]:
         """Return the components that leave the error unknown."""
-        if self._system is None:
-            return list(self.linear)
         unknown = []
         for number, name in enumerate(self._names):
             own = self.linear.get(name)
@@ -309,8 +321,10 @@ class _WholeModel:
                 continue
             has_no_states = own is not None or name in self._delays
             may_integrate = not (has_no_states or interface.continuous)  # own ones take samples
-            may_be_fast = not has_no_states or bool(self._moving(name)[:, self._off_lines].any())
-            if may_be_fast and (may_integrate or self._drives(name)):
+            is_off_line = bool(self._moving(name)[:, self._off_lines].any())
+            if (is_off_line and may_integrate) or (
+                (is_off_line or not has_no_states) and self._drives(name)
+            ):
                 unknown.append(name)
         return unknown
 
@@ -376,7 +390,8 @@ class _Response:
         """Return which outputs are off a line in the middle of a step by too much, as a mask."""
         middle = self._by_x @ (self._half - 0.5 * (np.eye(len(self._M)) + self._M))
         x = self._start
-        error, y, terms = (np.zeros(base.shape) for _ in range(3))
+        error, terms = np.zeros((2, *base.shape))
+        y = np.abs(base)
         for _ in range(STEPS):
             error = np.fmax(error, np.abs(middle @ x))
             y = np.fmax(y, np.abs(self._by_x @ x + base))
@@ -403,9 +418,9 @@ class _Response:
         states = slices([len(member.A) for member in members])
         n_states = states[-1].stop
         rows = slice(n_states, n_states + len(self._by_x))
-        order = [[], []]
+        order: tuple[list[int], list[int]] = ([], [])
         for member, part in zip(members, states, strict=True):
-            order[not member.is_continuous] += range(part.start, part.stop)
+            order[not member.is_continuous].extend(range(part.start, part.stop))
         own, others = order
         z = np.zeros((len(step), self._w.shape[1]))
         z[others] = self._w  # it is in the row only at the end of the step
@@ -414,7 +429,7 @@ class _Response:
         x = self._start
         # An output that is not up to date where something jumps is so at any step.
         error = np.abs(self._by_x[:, : self._n] @ (z[own] - x[: self._n]))
-        y = np.abs(self._by_x @ x + base)
+        y = np.fmax(np.abs(base), np.abs(self._by_x @ x + base))
         terms = y.copy()  # where y is much less than its terms, it is rounding
         M = self._M
         done = 0
