@@ -1,4 +1,4 @@
-"""What a step makes of the responses of a model, against runs with a shorter one and closed forms."""
+"""What a step makes of the responses of a model, against runs with a shorter one, closed forms."""
 
 from dataclasses import replace
 

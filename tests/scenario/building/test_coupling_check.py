@@ -183,8 +183,9 @@ def test_info_and_check_show_the_gain(pair, call):
     code, text, _ = call("check", str(pair), *newton)
     assert code == 0
     assert "gain 0.99760 per step" in text
-    code, _, err = call("check", str(pair), "--set", "scenario.coupling_check=warn")
-    assert code == 0
+    code, text, err = call("check", str(pair), "--set", "scenario.coupling_check=warn")
+    assert code == 1
+    assert "the step resolves the model\tNOT FULFILLED" in text
     assert f"warning: coupling: {REFUSED}" in err
 
 
@@ -241,6 +242,12 @@ def test_the_gain_of_a_loop_through_an_fmu_is_that_of_its_model(plant, interface
 
 # --- behind actions ---
 
+
+def coupling_warnings(log):
+    """Return what a log warns of its couplings."""
+    return [text for name, text in recorded_warnings(log) if name == "coupling"]
+
+
 SET = """
 scenario = { name = "set", stop = 10.0, step = 0.1 }
 actions = [{ %s, set = { "pid.gain" = %s } }]
@@ -288,7 +295,7 @@ def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(
         assert abs(cosim.run(path, set=way_out)["plant.y"][-1] - 1.0) < 0.05
     memory = cosim.run(path, set=WARN)
     assert abs(memory["plant.y"][-1]) > 1e10
-    ((_, warning),) = recorded_warnings(memory)
+    (warning,) = coupling_warnings(memory)
     assert warning.startswith("after the action at 4.0 s, the loop of pid, plant: coupling")
 
 
@@ -327,13 +334,13 @@ def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
     path = setting('when = "plant.y > 5"', 60.0)
     memory = cosim.run(path)
     assert abs(memory["plant.y"][-1] - 1.0) < 0.05
-    ((_, warning),) = recorded_warnings(memory)
+    (warning,) = coupling_warnings(memory)
     assert warning.startswith(
         "after the action when 'plant.y > 5', linearized at the start, the loop of pid, plant: "
     )
     with pytest.raises(SystemExit) as left:
         main(["check", str(path)])
-    assert not left.value.code
+    assert left.value.code == 1  # by the step, which is long for the loop
     output = capsys.readouterr().out
     assert (
         "pid, plant after the action when 'plant.y > 5', linearized at the start\tnot dec" in output
