@@ -438,6 +438,66 @@ def test_the_modes_of_an_fmu_count_as_those_of_its_source(motor, tmp_path, inter
     assert texts == [f"{row.evidence}; {row.cure}"]
 
 
+SLOW_PLANT = """
+[scenario]
+name = "slow"
+stop = 3.0
+step = 0.01
+
+[models.m]
+E = [[1, 0], [0, 1]]
+A = [[-1, 0.5], [0.2, -2]]
+B = [[0, 1], [1, 0]]
+C = [[1, 0]]
+disturbances = [1]
+
+[components]
+u = { kind = "step", time = 1.0, after = 1.0 }
+d = { kind = "constant", value = 0.0 }
+plant = { kind = "descriptor", model = "m", x0 = [0, 0] }
+observer = { kind = "unknown-input-observer", model = "m", poles = [-3.0], filter_rate = 100.0 }
+
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "d.y"
+"observer.u" = "u.y"
+"observer.y" = "plant.y"
+"""
+
+
+def test_a_filter_that_differentiates_counts_as_a_mode(tmp_path):
+    """The plant is slow: 2.1 1/s. Against a run with a twentieth of the step."""
+    path = tmp_path / "slow.toml"
+    path.write_text(SLOW_PLANT)
+    coarse = cosim.run(path)["observer.delta"]
+    fine = cosim.run(path, set={"scenario.step": 5e-4})["observer.delta"][::20]
+    row = check_assumptions(path).of("the scenario")[RESOLUTION]
+    assert row.fulfilled is False
+    assert "observer.delta is off by" in row.evidence
+    error = np.abs(coarse - fine).max() / np.abs(fine).max()
+    assert row.values["error"] == pytest.approx(error, rel=0.2)
+
+
+def test_what_is_not_linear_behind_a_fast_mode_is_not_decided(tmp_path):
+    path = tmp_path / "square.toml"
+    path.write_text("""
+scenario = { name = "square", stop = 3.0, step = 0.01 }
+[components]
+u = { kind = "step", time = 1.0, after = 1.0 }
+f = { kind = "lag", time_constant = 0.00333 }
+g = { kind = "expression", y = "f.y**2" }
+c = { kind = "lag", time_constant = 0.02 }
+[connections]
+"f.u" = "u.y"
+"c.u" = "g.y"
+""")
+    row = check_assumptions(path).of("the scenario")[RESOLUTION]
+    assert row.fulfilled is None
+    assert row.evidence.endswith(" in g")
+    doubled = {"components.g": {"kind": "expression", "y": "2*f.y"}}
+    assert check_assumptions(path, set=doubled).of("the scenario")[RESOLUTION].fulfilled is False
+
+
 def test_check_does_not_fulfill_what_a_run_warns_not_to_trust():
     """A filter that reads an input that is held; one that does not read it is not warned of."""
     jumping = {"components.u": {"kind": "step", "time": 8.0}}
