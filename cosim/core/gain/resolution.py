@@ -38,7 +38,7 @@ from cosim.core.port import Port
 from cosim.core.stages.member import Member
 from cosim.errors import listing
 from cosim.instants import NANOSECONDS
-from cosim.native.numerics.linear import first_order_hold
+from cosim.native.numerics.linear import matrix_exponential
 
 LIMIT: Final = 0.01  # of a response
 LARGEST: Final = 200  # states up to which their response takes little time
@@ -94,6 +94,8 @@ class Resolution:
     def text(self) -> str:
         """What was found, in a sentence."""
         text = "no linear component in continuous time has a mode"
+        if self.unknown and not self.components:
+            return f"nothing is known of {listing(self.unknown)}"
         if self.components:
             text = (
                 f"the fastest mode of {listing(self.components)}, {self.rate:.4g} 1/s, times the "
@@ -115,12 +117,17 @@ class Resolution:
 
 
 def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:
-    """Return whether one of some components may integrate the modes of another one."""
+    """Return whether one of some components may interpolate what it integrates.
+
+    Where these are not all, what drives it has to be linearizable, too, for the others to begin.
+    """
     linearizable = {n for n, m in graph.members.items() if m.channel.interface.linearizable}
+    drivers = graph.components.keys() if len(among) == len(graph.components) else linearizable
     for to, connection in graph.connections.items():
-        is_driven = any(source.component in linearizable for source in connection.sources)
+        is_driven = any(source.component in drivers for source in connection.sources)
         may_integrate = to.component in among and to.component in linearizable
-        if is_driven and may_integrate and not graph.held[to.component].all():
+        moves = not graph.held[to.component].all() or graph.members[to.component].takes_latest
+        if is_driven and may_integrate and moves:
             return True
     return False
 
@@ -144,17 +151,27 @@ def resolution(
     h = clock.step_ns / NANOSECONDS
     model = _WholeModel(graph, clock, row, linearized)
     with_states = tuple(name for name, own in model.linear.items() if len(own.A))
-    missed = None if model.is_too_large else model.missed(1)
-    if missed is None:
-        return Resolution(h, (), 0.0, with_states, NONE, None)
+    found = None if model.is_too_large else model.compared(1)
+    if found is None:
+        return Resolution(h, (), 0.0, with_states or tuple(model.linear), NONE, None)
     rate, fastest = model.fastest()
 
     def is_resolved(parts: int) -> bool:
-        shorter = model.missed(parts)
-        return shorter is not None and shorter.error <= LIMIT
+        shorter = model.compared(parts)
+        return shorter is not None and shorter.missed.error <= LIMIT
 
-    step_ns = None if missed.error <= LIMIT else largest_part(clock.step_ns, is_resolved)
-    return Resolution(h, fastest, rate, tuple(model.unknown()), missed, step_ns)
+    step_ns = None
+    if found.missed.error > LIMIT:
+        step_ns = largest_part(clock.step_ns, is_resolved)
+    unknown = tuple(model.unknown(found.off_lines))
+    return Resolution(h, fastest, rate, unknown, found.missed, step_ns)
+
+
+class _Compared(NamedTuple):
+    """The largest error of a response, and the outputs that leave the line over a step."""
+
+    missed: Missed
+    off_lines: Mask
 
 
 class _WholeModel:
@@ -188,13 +205,13 @@ class _WholeModel:
         matrices = wiring(self._members, graph.layout.width)
         self._columns = [c for m in self._members for c in range(m.outputs.start, m.outputs.stop)]
         n_y = len(self._columns)
-        self._beginning = np.eye(n_y + 1)[n_y:]
+        beginning = np.eye(n_y + 1)[n_y:]
         members: list[Linearized] = []
         held = []
         for member in self._members:
             members.append(self._linearized(member))
             held.append(np.append(graph.held[member.name], True))
-        widened = [np.vstack([np.pad(W, ((0, 0), (0, 1))), self._beginning]) for W in matrices]
+        widened = [np.vstack([np.pad(W, ((0, 0), (0, 1))), beginning]) for W in matrices]
         self._model = LoopModel(
             (*members, _constant(1, 0)),
             (*widened, np.zeros((0, n_y + 1))),
@@ -274,42 +291,35 @@ class _WholeModel:
         units = np.eye(place + 1)
         return [*causes, "the initial state"], units[:, [*jumping, place]]
 
-    def missed(self, parts: int) -> Missed | None:
-        """Return the largest error of a response where the step is so many times shorter.
+    def compared(self, parts: int) -> _Compared | None:
+        """Return how responses differ where the step is so many times shorter.
 
         None: what depends on each other at one instant has no one solution.
         """
-        if self._system is None:
-            return None
-        causes, w = self._causes
-        h = self._model.h / parts
-        names = [*self._names, ""]
         stages = []
+        model = replace(self._model, h=self._model.h / parts)
         for stage in self._graph.stages:
-            stages.append(of_stage(replace(self._model, h=h), stage, names, (*CHANGING, "right")))
+            stages.append(of_stage(model, stage, [*self._names, ""], (*CHANGING, "right")))
         first = stages[0]  # where x' is brought on, too
         number = len(self._members)
         stages[0] = replace(first, operations=(("advance", number), *first.operations))
-        step = whole_map(stages, stages[0].steps(0))
-        if step is None:
+        step = whole_map(stages, model.steps(0))
+        if step is None or self._system is None:
             return None
-        response = _Response(self._system, w, h)
-        known = [m.is_continuous for m in self._model.members for _ in m.D]
-        errors = response.errors(step, self._model, self._base(w), self._clock.steps * parts)
-        errors[~np.array(known)] = 0.0
-        at, column = np.unravel_index(int(errors.argmax()), errors.shape)
-        error = float(errors[at, column])
-        if error <= ROUNDING:
-            return NONE
-        return Missed(error, self._graph.labels()[self._columns[at]], causes[column])
-
-    def _base(self, w: Matrix) -> Matrix:
-        """Return what the outputs begin with, which is no part of the response to a jump."""
+        causes, w = self._causes
         base = np.zeros((len(self._columns) + 1, w.shape[1]))
-        base[:-1, -1] = self._row[self._columns]
-        return base
+        base[:-1, -1] = self._row[self._columns]  # no part of the response to a jump
+        errors, off_lines = _responses(
+            model, step, self._system, w, base, self._clock.steps * parts
+        )
+        at, column = np.unravel_index(int(errors.argmax()), errors.shape)
+        missed = NONE
+        if errors[at, column] > ROUNDING:
+            label = self._graph.labels()[self._columns[at]]
+            missed = Missed(float(errors[at, column]), label, causes[column])
+        return _Compared(missed, off_lines)
 
-    def unknown(self) -> list[str]:
+    def unknown(self, off_lines: Mask) -> list[str]:
         """Return the components that leave the error unknown."""
         unknown = []
         for number, name in enumerate(self._names):
@@ -321,7 +331,7 @@ class _WholeModel:
                 continue
             has_no_states = own is not None or name in self._delays
             may_integrate = not (has_no_states or interface.continuous)  # own ones take samples
-            is_off_line = bool(self._moving(name)[:, self._off_lines].any())
+            is_off_line = bool(self._moving(name)[:, off_lines].any())
             if (is_off_line and may_integrate) or (
                 (is_off_line or not has_no_states) and self._drives(name)
             ):
@@ -332,13 +342,6 @@ class _WholeModel:
         """Return which outputs drive the inputs of a component that do not hold, as a mask."""
         moving = np.append(~self._graph.held[name], False)
         return np.asarray(self._model.wiring[self._names.index(name)][moving] != 0.0)
-
-    @cached_property
-    def _off_lines(self) -> Mask:
-        """Which outputs leave the line between two communication points, as a mask."""
-        assert self._system is not None
-        _, w = self._causes
-        return _Response(self._system, w, self._model.h).leaves_lines(self._base(w))
 
     def _drives(self, name: str) -> bool:
         """Return whether a component that may integrate interpolates what comes out of this one."""
@@ -362,95 +365,77 @@ def _constant(n_y: int, n_u: int) -> Linearized:
     return Linearized(np.eye(n_y), nothing, np.eye(n_y), nothing, is_discrete=True, own_steps=1)
 
 
-class _Response:
-    """The exact responses of a system, at rest up to the first communication point, to w there.
+def _responses(
+    model: LoopModel, step: Matrix, system: ConnectedSystem, w: Matrix, base: Matrix, steps: int
+) -> tuple[Matrix, Mask]:
+    """Compare the responses of a model, at rest up to its first communication point, to w there.
 
     Parameters
     ----------
+    model : LoopModel
+        Of all components.
+    step : Matrix, shape (N, N)
+        What the master does: to all states, then to all outputs.
     system : ConnectedSystem
+        What it is exactly.
     w : Matrix, shape (n_w, k)
-        Behind all others what lets the states move from the start of the step before.
-    h : float
-        Communication step [s].
+        At the end of its rows what moves the states from the start of the step before.
+    base : Matrix, shape (n_y, k)
+        What is to be added to a response.
+    steps : int
+        Their number.
+
+    Returns
+    -------
+    Matrix, shape (n_y, k)
+        The errors of the outputs in continuous time, relative to their largest values.
+    Mask, shape (n_y,)
+        Which outputs leave the line between two communication points.
     """
-
-    def __init__(self, system: ConnectedSystem, w: Matrix, h: float) -> None:
-        n, n_w = system.B.shape
-        self._n = n
-        self._by_x = np.hstack([system.C, system.D])
-        step = first_order_hold(system.A, system.B, h, np.ones(n_w, np.bool_))
-        half = first_order_hold(system.A, system.B, 0.5 * h, np.ones(n_w, np.bool_))
-        self._M = _with_constant(step.Ad, step.B0)
-        self._half = _with_constant(half.Ad, half.B0)
-        self._start = np.vstack([np.zeros((n, w.shape[1])), w])
-        self._start[:n, -1] = step.B0[:, -1]
-        self._w = w
-
-    def leaves_lines(self, base: Matrix) -> Mask:
-        """Return which outputs are off a line in the middle of a step by too much, as a mask."""
-        middle = self._by_x @ (self._half - 0.5 * (np.eye(len(self._M)) + self._M))
-        x = self._start
-        error, terms = np.zeros((2, *base.shape))
-        y = np.abs(base)
-        for _ in range(STEPS):
-            error = np.fmax(error, np.abs(middle @ x))
-            y = np.fmax(y, np.abs(self._by_x @ x + base))
-            terms = np.fmax(terms, np.abs(self._by_x) @ np.abs(x))
-            x = self._M @ x
-        is_off: Mask = (error > LIMIT / 4.0 * y + ROUNDING * terms).any(axis=1)
-        return is_off
-
-    def errors(self, step: Matrix, model: LoopModel, base: Matrix, steps: int) -> Matrix:
-        """Return the errors of all outputs, shape (n_y, k), relative to their largest values.
-
-        Parameters
-        ----------
-        step : Matrix, shape (N, N)
-            What the master does: to all states, then to all outputs.
-        model : LoopModel
-            Of all components.
-        base : Matrix, shape (n_y, k)
-            What is to be added to a response.
-        steps : int
-            Their number.
-        """
-        members = model.members
-        states = slices([len(member.A) for member in members])
-        n_states = states[-1].stop
-        rows = slice(n_states, n_states + len(self._by_x))
-        order: tuple[list[int], list[int]] = ([], [])
-        for member, part in zip(members, states, strict=True):
-            order[not member.is_continuous].extend(range(part.start, part.stop))
-        own, others = order
-        z = np.zeros((len(step), self._w.shape[1]))
-        z[others] = self._w  # it is in the row only at the end of the step
-        z[rows.stop - 1, -1] = 1.0  # but what moves the states from its start
+    n, n_w = system.B.shape
+    order: tuple[list[int], list[int]] = ([], [])
+    states = slices([len(member.A) for member in model.members])
+    for member, part in zip(model.members, states, strict=True):
+        order[not member.is_continuous].extend(range(part.start, part.stop))
+    own, others = order
+    rows = slice(states[-1].stop, states[-1].stop + len(base))
+    by_x = np.hstack([system.C, system.D])
+    M, half = (
+        matrix_exponential(np.pad(np.hstack([system.A, system.B]) * h, ((0, n_w), (0, 0))))
+        for h in (model.h, 0.5 * model.h)
+    )
+    middle = by_x @ (half - 0.5 * (np.eye(n + n_w) + M))
+    z = np.zeros((len(step), w.shape[1]))
+    z[others] = w  # it is in the row only at the end of the step
+    z[rows.stop - 1, -1] = 1.0  # but what moves the states from its start
+    z = step @ z
+    x = np.vstack([np.zeros((n, w.shape[1])), w])
+    x[:n, -1] = M[:n, -1]
+    # An output that is not up to date where something jumps is so at any step.
+    error = np.abs(system.C @ (z[own] - x[:n]))
+    y = np.fmax(np.abs(base), np.abs(by_x @ x + base))
+    terms = y.copy()  # where y is much less than its terms, it is rounding
+    bend = np.abs(middle @ x)
+    done = 0
+    length = 1
+    exact = M
+    while done < steps:
         z = step @ z
-        x = self._start
-        # An output that is not up to date where something jumps is so at any step.
-        error = np.abs(self._by_x[:, : self._n] @ (z[own] - x[: self._n]))
-        y = np.fmax(np.abs(base), np.abs(self._by_x @ x + base))
-        terms = y.copy()  # where y is much less than its terms, it is rounding
-        M = self._M
-        done = 0
-        length = 1
-        while done < steps and np.isfinite(z).all() and np.isfinite(x).all():
-            for _ in range(min(STEPS, -(-(steps - done) // length))):
-                z = step @ z
-                x = M @ x
-                response = self._by_x @ x
-                error = np.fmax(error, np.abs(z[rows] - response))
-                y = np.fmax(y, np.abs(response + base))
-                terms = np.fmax(terms, np.abs(self._by_x) @ np.abs(x))
-            done += STEPS * length
+        x = exact @ x
+        if not (np.isfinite(z).all() and np.isfinite(x).all()):
+            break
+        response = by_x @ x
+        error = np.fmax(error, np.abs(z[rows] - response))
+        bend = np.fmax(bend, np.abs(middle @ x))
+        y = np.fmax(y, np.abs(response + base))
+        terms = np.fmax(terms, np.abs(by_x) @ np.abs(x))
+        done += length
+        if done >= STEPS * (2 * length - 1):
             length *= 2
             step = step @ step
-            M = M @ M
-        is_known = (y > ROUNDING * terms) & np.isfinite(y) & np.isfinite(error)
-        relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
-        return relative
-
-
-def _with_constant(Ad: Matrix, Bd: Matrix) -> Matrix:
-    n_w = Bd.shape[1]
-    return np.block([[Ad, Bd], [np.zeros((n_w, len(Ad))), np.eye(n_w)]])
+            exact = exact @ exact
+    is_own = np.concatenate([np.full(len(m.D), m.is_continuous) for m in model.members])
+    is_known = is_own[:, np.newaxis] & (y > ROUNDING * terms) & np.isfinite(y)
+    relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
+    off_lines: Mask = (bend > LIMIT / 4.0 * y + ROUNDING * terms).any(axis=1)
+    return relative, off_lines
