@@ -167,6 +167,7 @@ class Static:
         return self._function(rows)
 
 
+@np.errstate(all="ignore")  # far away it may not be defined
 def _linearized(
     function: Callable[[Vector], Vector], u: Vector, interface: Interface
 ) -> Linearized:
@@ -181,7 +182,7 @@ def _linearized(
             terms = np.abs(y).max(initial=0.0) + np.abs(own.D).max(initial=0.0) * abs(size)
             if not error <= LINEAR * terms:
                 return replace(own, is_local=True)
-    except RunError:  # it is not defined there
+    except (RunError, ArithmeticError, ValueError):  # it is not defined there
         return replace(own, is_local=True)
     return own
 

@@ -22,3 +22,18 @@ def test_a_session_goes_back_over_a_component_without_memory():
     for _ in range(2):
         assert simulation.step(3)["zone.y"][:, 0].tolist() == [0.0, 0.5, 1.0]
         simulation.state = state
+
+
+def test_a_linearization_is_local_where_it_does_not_hold_far_away():
+    """By outputs near, far and farther; where it is not defined there it is local, too."""
+    functions = {
+        "a line": (lambda u: 3.0 * u + 1.0, False),
+        "a square": (lambda u: u**2, True),
+        "a limit": (lambda u: np.clip(u, -500.0, 500.0), True),
+        "a modulus": (np.abs, True),
+        "a root": (lambda u: np.sqrt(u + 2.0), True),
+    }
+    interface = Interface((Signal("u"),), (Signal("y"),), {"y": ("u",)})
+    for name, (function, is_local) in functions.items():
+        own = Static(interface, function).linearized(0.0, np.zeros(1))
+        assert own.is_local == is_local, name

@@ -437,5 +437,5 @@ def _responses(
     is_own = np.concatenate([np.full(len(m.D), m.is_continuous) for m in model.members])
     is_known = is_own[:, np.newaxis] & (y > ROUNDING * terms) & np.isfinite(y)
     relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
-    off_lines: Mask = (bend > LIMIT / 4.0 * y + ROUNDING * terms).any(axis=1)
+    off_lines = np.asarray((bend > LIMIT / 4.0 * y + ROUNDING * terms).any(axis=1))
     return relative, off_lines
