@@ -13,7 +13,8 @@ as the run has, each relative to the largest value of its own response: more tha
 refused. So a fast mode that nothing excites, that is not shown, or averaged out, is no error.
 
 Cut are components with a period of their own and delays, which hold, or are as they were; what
-comes out of them may jump. What is not linear, or cannot be linearized, is not decided where its
+comes out of them may jump. A loop through them is not followed: there a quarter of the limit is not
+decided. What is not linear, or cannot be linearized, is not decided where its
 inputs are interpolated and differ from the lines, or where others integrate what it may do within a
 step. Of smooth signals from outside nothing is said.
 """
@@ -43,6 +44,7 @@ from cosim.native.numerics.linear import matrix_exponential
 LIMIT: Final = 0.01  # of a response
 LARGEST: Final = 200  # states up to which their response takes little time
 LARGEST_MAP: Final = 800  # rows of the map of a step, up to which the same holds
+MARGIN: Final = 4.0  # of what may be multiplied by what is not in the model
 ROUNDING: Final = 1e-9
 STEPS: Final = 64  # that are followed one by one, then by twos, fours, ...
 
@@ -163,7 +165,7 @@ def resolution(
     step_ns = None
     if found.missed.error > LIMIT:
         step_ns = largest_part(clock.step_ns, is_resolved)
-    unknown = tuple(model.unknown(found.off_lines))
+    unknown = tuple(model.unknown(found))
     return Resolution(h, fastest, rate, unknown, found.missed, step_ns)
 
 
@@ -200,6 +202,7 @@ class _WholeModel:
             own = linearized.get(name)
             if own is not None and own.is_continuous and name not in divided:
                 self.linear[name] = own
+        self._cut = linearized.keys() - self.linear.keys() - divided
         self._delays = {name for name, own in linearized.items() if own.delay}
         # Behind the components stands what lets the states move as they do at the beginning.
         matrices = wiring(self._members, graph.layout.width)
@@ -319,9 +322,13 @@ class _WholeModel:
             missed = Missed(float(errors[at, column]), label, causes[column])
         return _Compared(missed, off_lines)
 
-    def unknown(self, off_lines: Mask) -> list[str]:
+    def unknown(self, found: _Compared) -> list[str]:
         """Return the components that leave the error unknown."""
         unknown = []
+        if found.missed.error > LIMIT / MARGIN:  # which a loop through what is cut may multiply
+            for stage in self._graph.stages:
+                names = [member.name for member in stage.members] if stage.is_loop else []
+                unknown += [name for name in names if name in self._cut]
         for number, name in enumerate(self._names):
             own = self.linear.get(name)
             interface = self._members[number].channel.interface
@@ -331,7 +338,9 @@ class _WholeModel:
                 continue
             has_no_states = own is not None or name in self._delays
             may_integrate = not (has_no_states or interface.continuous)  # own ones take samples
-            is_off_line = bool(self._moving(name)[:, off_lines].any())
+            is_off_line = bool(self._moving(name)[:, found.off_lines].any())
+            if name in unknown:
+                continue
             if (is_off_line and may_integrate) or (
                 (is_off_line or not has_no_states) and self._drives(name)
             ):
@@ -437,5 +446,5 @@ def _responses(
     is_own = np.concatenate([np.full(len(m.D), m.is_continuous) for m in model.members])
     is_known = is_own[:, np.newaxis] & (y > ROUNDING * terms) & np.isfinite(y)
     relative: Matrix = np.divide(error, y, out=np.zeros(y.shape), where=is_known)
-    off_lines = np.asarray((bend > LIMIT / 4.0 * y + ROUNDING * terms).any(axis=1))
+    off_lines = np.asarray((bend > LIMIT / MARGIN * y + ROUNDING * terms).any(axis=1))
     return relative, off_lines

@@ -297,3 +297,14 @@ def test_a_loop_that_divides_its_steps_resolves_itself():
 def test_too_many_states_are_left_undecided():
     many = linear(-np.eye(201), np.ones((201, 1)), np.ones((1, 201)))
     assert found_of(Graph(*behind(many))).unknown == ("b0",)
+
+
+def test_a_loop_through_a_sampled_component_is_decided_only_far_below_the_limit():
+    """What feeds back through it may multiply the error, as in the run; it is not in the model."""
+    for rate, is_decided in ((250.0, False), (2.5, True)):
+        parts = {"r": step(time=0.1), "fast": first_order(rate), "c": first_order(3.0)}
+        parts |= {"e": sum_of([1.0, -1.0]), "p": Sampled(gain(np.array([[2.0]])), 5)}
+        wires = {"e.u1": "r.y", "e.u2": "c.y", "p.u": "e.y", "fast.u": "p.y", "c.u": "fast.y"}
+        found = found_of(Graph(parts, wires))
+        assert found.is_resolved
+        assert found.unknown == (() if is_decided else ("p",))
