@@ -12,10 +12,11 @@ typedef struct {
     int32_t watches; /* 0: there is nothing to watch, or it is decided */
     int32_t begun;   /* `outputs` and `inputs` are those of a step */
     int32_t changed; /* `outputs_before` is known */
-    int32_t is_shared; /* inputs of its loop changed with the outputs: another may keep the step */
+    int32_t is_shared; /* inputs of its loop changed too: another may keep the step */
     int64_t steps, input_changes, outside_changes, period, repeats;
-    int64_t uneven, ends[COSIM_UNEVEN + 1]; /* intervals in a row that n h follows, and their ends */
-    double least, most;                     /* what n may be by these */
+    int64_t uneven;                 /* intervals in a row that n h follows */
+    int64_t ends[COSIM_UNEVEN + 1]; /* their ends */
+    double least, most;             /* what n may be by these */
     const uint8_t *in_loop; /* (n_u) which inputs change by what the component does itself */
     double *outputs, *inputs, *outputs_before; /* (n), (n_u), (n) */
 } cosim_inner_step;

@@ -546,7 +546,8 @@ class Builder:
             for text in self.advice(name, spec, graph):
                 self.context.warn(name, text)
         for name, fmu in self.context.fmus.opened.items():
-            graph.wire(name)
+            if name in graph.components:  # not a plant that an action puts in its place later
+                graph.wire(name)
             for text in fmu.component.notes:
                 self.context.warn(name, text)
         keys = ["until"] if self.scenario.file.scenario.until is not None else []
