@@ -19,7 +19,8 @@ Eigenvalues, and times computed from them, are compared to 1 %; estimates, inter
 1e-6. Designs only where the log reaches its stop, as one may rest on how long the run is.
 
 A replay takes the rest as it stands, and nothing here is said of it: certificates, the designs,
-metadata and messages of what it copies, models from files, why the run ended, the machine.
+metadata and messages of what it copies, models from files, why the run ended, the machine; and
+warnings and messages of another version of cosim, whose sentences may be others.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import quoted
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
+from cosim.log.contents.environment import environment_changes
 from cosim.log.contents.layout import signals_json
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.scenario.actions.settings import recorded_designs as settings_designs
@@ -194,6 +196,8 @@ def compared_statements(source: Log, again: Log | Memory, designs: DesignPairs |
         names.append("last row")
     if statements.has_verdicts:
         names.append("verdicts")
+    if not statements.has_own_words:
+        names.remove("warnings")
     text = ", ".join(names)
     if not statements.has_all:
         text += f"; as far as they concern {', '.join(again.channels)}"
@@ -209,6 +213,11 @@ class _Statements:
         self._computed = frozenset(computed)
         self._known = declared_channels(again.channels)
         self.has_all = _elements_of(self._known) == _elements_of(declared_channels(source.channels))
+
+    @property
+    def has_own_words(self) -> bool:
+        """Whether this version of cosim wrote the log; another one may say the same otherwise."""
+        return "cosim" not in environment_changes(self._source)
 
     @property
     def has_last_row(self) -> bool:
@@ -231,7 +240,8 @@ class _Statements:
         yield from self._of_connections()
         for name in self._known:
             yield from self._of_component(name)
-        yield from self._of_messages()
+        if self.has_own_words:
+            yield from self._of_messages()
         yield from self._of_substeps()
         yield from self._of_end()
         yield from self._of_identification()

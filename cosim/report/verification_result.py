@@ -185,6 +185,8 @@ class Verification:
         not_compared = NOT_COMPARED
         if self.window is not None:
             not_compared = "rows outside that window, records of the run"
+        elif "cosim" in self.environment:
+            not_compared += ", warnings of another version of cosim"
         lines.append(
             f"not compared: {not_compared}; logs are not signed: replacing the whole log by one "
             "of another run is not detected"

@@ -293,6 +293,17 @@ def test_warnings_of_computed_components_are_compared(tmp_path):
     assert "warnings in result.json: [] in the log, [('warning', 'observer', " in problem
 
 
+@pytest.mark.parametrize(("version", "passes"), [("0.0.1", True), (cosim.__version__, False)])
+def test_the_sentences_of_another_version_are_not_compared(valid, tmp_path, version, passes):
+    """It may say the same in other words; the verification does not claim that it looked."""
+    said = json.dumps([["observer", "a sentence of old"]])
+    changed = {"cosim.run": {"warnings": said}, "cosim.env": {"cosim": version}}
+    verification = verified(forged(valid, tmp_path / "b.mcap", metadata=changed))
+    assert verification.passed is passes
+    assert ("warnings" in verification.statements.split(", ")) is not passes
+    assert ("warnings of another version of cosim" in verification.lines[-1]) is passes
+
+
 @pytest.mark.parametrize(
     ("eigenvalues", "passes"),
     [([-2.0000001, -4.0], True), ([-2.2, -4.0], False), ([-4.0], False), (["x", -2.0], False)],

@@ -131,6 +131,7 @@ class Builder:
         self.port_maps: dict[str, PortMap] = {}
         self._recording = recording
         self._left_out = frozenset(left_out)
+        self._fmus_again = fmus_again
         self._replaced = replaced or {}
         self.periods: dict[str, int] = {}
         self.given_states: dict[str, GivenStates] = {}
@@ -597,11 +598,16 @@ class Builder:
             coupling=settings.coupling,
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
-            means=[name for name, spec in specs.items() if asks_for_means(spec)],
+            means=[name for name, spec in specs.items() if self._gets_means(name, spec)],
             periods=self.periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,
         )
+
+    def _gets_means(self, name: str, spec: Kind) -> bool:
+        """Return whether inputs with one value over a step get their mean, as in a run of old."""
+        again = self._fmus_again.get(name)
+        return asks_for_means(spec) or (again is not None and again.means)
 
 
 def asks_for_means(spec: Kind) -> bool:

@@ -38,10 +38,14 @@ class RecordedFmu:
         A file with the bytes that the run had.
     path : str
         Where it was then.
+    means : bool
+        Whether every input with one value over a step had the mean of both ends, where it moved:
+        in a log that does not tell which had it.
     """
 
     copy: Path
     path: str
+    means: bool
 
 
 NONE_AGAIN: Final[Mapping[str, RecordedFmu]] = MappingProxyType({})

@@ -21,7 +21,8 @@ from cosim.files import read_bounded
 from cosim.log import Attachment
 from cosim.log.reading.container import MOST_ATTACHED
 from cosim.scenario.context.fmus import RecordedFmu
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.recorded_metadata import component_metadata, component_record
+from cosim.scenario.recordings.records import MEANS
 from cosim.temporary import TemporaryFolder
 
 MOST_EMBEDDED: Final = MOST_ATTACHED - 2**12  # bytes; the record of an attachment has a head, too
@@ -99,7 +100,8 @@ def recorded_fmus(
         content = _content(source, name, sha256, candidates)
         copy = folder / embedded_name(sha256)
         copy.write_bytes(content)
-        copies[name] = RecordedFmu(copy, record.path or path)
+        means = MEANS not in component_metadata(source, name)
+        copies[name] = RecordedFmu(copy, record.path or path, means)
     return copies
 
 
