@@ -25,14 +25,19 @@ def failing(report):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["academic-noisy", "closed-loop", pytest.param("compensation", marks=pytest.mark.campaign)],
+    ("name", "undecided"),
+    [
+        ("academic-noisy", []),
+        ("closed-loop", []),
+        # its compensator cannot be linearized
+        pytest.param("compensation", ["coupling", RESOLUTION], marks=pytest.mark.campaign),
+    ],
 )
-def test_shipped_scenarios_fulfill_their_assumptions(name):
-    """All of them, and none is left open."""
+def test_shipped_scenarios_fulfill_their_assumptions(name, undecided):
     report = check_assumptions(name)
     assert report.fulfilled
-    assert all(one.fulfilled for _, one in report.verdicts)
+    left_open = [one.name for _, one in report.verdicts if one.fulfilled is None]
+    assert [name.partition(" of ")[0] for name in left_open] == undecided
 
 
 def test_the_numbers_of_the_example_are_known():
