@@ -274,7 +274,7 @@ def _check_rotated(plot: Path | None, *, profile: bool) -> None:
 
 
 def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
-    """Compare swapped components with those they replace.
+    """Show what a run says before its first step, and how swapped components compare.
 
     Raises
     ------
@@ -282,10 +282,10 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
         If the scenario cannot run with them.
     """
     from cosim.report.tables.comparison import print_dry_run
-    from cosim.scenario.swapping.swap_comparison import compare_swaps
+    from cosim.scenario.swapping.swap_comparison import dry_run
 
     with prints_to_stderr():
-        reports = compare_swaps(scenario)
+        reports = dry_run(scenario)
     print_dry_run(reports, as_json=as_json)
     if reports.refusals:
         raise UsageError("\n".join([*reports.refusals, *reports.hints]))

@@ -25,6 +25,7 @@ from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.document.swap import ports_in
@@ -56,6 +57,27 @@ def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> S
     """
     with ExitStack() as resources:
         return _SwapComparison(scenario, resources, None, unpacked).reports
+
+
+def dry_run(scenario: Scenario) -> SwapReports:
+    """Do what a run does before its first step: swaps are compared, and the coupling is checked.
+
+    Raises
+    ------
+    ScenarioError
+        If nothing of the scenario can be built.
+    """
+    with ExitStack() as resources:
+        comparison = _SwapComparison(scenario, resources, None)
+        reports = comparison.reports
+        if reports.refusals:
+            return reports
+        try:
+            experiment = with_loop_gains(comparison.experiment(), comparison.rebuilt)
+        except ScenarioError as error:
+            return replace(reports, problems=tuple(str(error).splitlines()))
+        warnings = dict.fromkeys([*reports.of_run, *experiment.warnings])
+        return replace(reports, of_run=tuple(warnings))
 
 
 def build_swapped(
@@ -226,9 +248,13 @@ class _SwapComparison:
         """
         experiment = self._initial.experiment
         if experiment is None or not self._repeats:
-            self._resources.close()
-            return self._builder().experiment()
+            return self.rebuilt()
         return replace(experiment, plan=self._initial.plan, messages=self._messages)
+
+    def rebuilt(self) -> Experiment:
+        """Return the experiment, built anew."""
+        self._resources.close()
+        return self._builder().experiment()
 
 
 def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str) -> SwapReport:

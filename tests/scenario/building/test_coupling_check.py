@@ -40,6 +40,16 @@ x0 = [1.0]
 "one.u" = "two.y"
 "two.u" = "one.y"
 """
+FAST = """
+scenario = { name = "fast", stop = 1.0, step = 0.01 }
+[components]
+u = { kind = "step", time = 0.5 }
+fast = { kind = "lag", time_constant = 0.001 }
+slow = { kind = "lag", time_constant = 0.02 }
+[connections]
+"fast.u" = "u.y"
+"slow.u" = "fast.y"
+"""
 REFUSED = "the loop of one, two: coupling 'jacobi' amplifies an error by "
 WARN = {"scenario.coupling_check": "warn"}
 
@@ -62,6 +72,20 @@ def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run
     assert "per step of 0.01 s (exact solution: 0.9762), by " in text
     assert 'coupling = "gauss-seidel" or coupling = "newton"; coupling_check = "warn"' in text
     assert not out.exists()
+
+
+def test_a_dry_run_says_of_the_coupling_and_the_step_what_a_run_does(pair, call):
+    """Refused in both, or warned of in both."""
+    code, out, err = call("run", pair, "--dry-run")
+    assert (code, out) == (2, "")
+    assert REFUSED in err
+    code, out, err = call("run", pair, "--dry-run", "--set", "scenario.coupling_check='warn'")
+    assert (code, "the scenario can run; warnings: " in out) == (0, True)
+    assert REFUSED in err
+    pair.write_text(FAST)
+    code, out, err = call("run", pair, "--dry-run")
+    assert (code, out) == (0, "dry run: the scenario can run; warnings: 1\n")
+    assert "slow.y is off by up to" in err
 
 
 def test_the_offers_of_a_refusal_run(pair):
