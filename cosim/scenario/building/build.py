@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
+from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
@@ -26,6 +27,7 @@ from cosim.errors import CosimError, RollbackError, UsageError
 from cosim.scenario.actions.stopping import check_until, until_warnings
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
+from cosim.scenario.building.recorded_connections import as_in_run
 from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
 from cosim.scenario.building.truth import check_truth
 from cosim.scenario.context.build_context import DependsOnInvalid, ScenarioBuildContext, clock_of
@@ -325,8 +327,7 @@ class Builder:
             return
         ports = Ports(layout_of(components))
         unread = ports_in(key[1] for key in invalid if key[0] == "connections")
-        connections = self.scenario.connections
-        problems = check_connections(ports, connections, self._invalid, unread)
+        problems = check_connections(ports, self._connections(), self._invalid, unread)
         for to, text in problems.items():
             origin = self.scenario.implied.get(to, to)
             if origin is None:
@@ -335,6 +336,13 @@ class Builder:
                 self._invalid.add(to.component)
             elif origin == to or origin not in problems:  # else told of what it follows from
                 self._add_connection_problem(to, origin, text)
+
+    def _connections(self) -> Mapping[Port, Connection]:
+        """Return the connections, in a replay with the conversions of its run."""
+        connections = self.scenario.connections
+        if self._recording is None:
+            return connections
+        return as_in_run(connections, self._recording, self.components)
 
     def _add_connection_problem(self, to: Port, origin: Port, text: str) -> None:
         key = ("connections", str(origin))
@@ -594,7 +602,7 @@ class Builder:
         specs = self.scenario.specs
         return Graph(
             self.components,
-            self.scenario.connections,
+            self._connections(),
             coupling=settings.coupling,
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,

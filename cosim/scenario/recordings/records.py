@@ -57,7 +57,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         run["replay"] = json.dumps(asdict(experiment.origin))
     connections = {}
     for to, connection in experiment.graph.connections.items():
-        values = _plain_connection(connection)
+        values = _plain_connection(scenario.connections.get(to, connection))
         if to in experiment.graph.conversions:
             values["conversions"] = _plain_conversions(experiment.graph, to, connection)
         connections[str(to)] = json.dumps(values)
