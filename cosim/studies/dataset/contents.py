@@ -46,7 +46,7 @@ class DatasetContents:
         self.files = PartFiles(storage, columns, description.sha256)
         self.open = OpenRows(self.layout, journal)
         # The journal first: a row that moves into a part meanwhile is in both, not in neither.
-        self.open.load(storage, len(columns))
+        self.open.load(storage, [column.name for column in columns])
         self.parts = _recorded_parts(storage, self.layout)
         self.open.forget(self.parts)
 

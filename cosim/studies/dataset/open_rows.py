@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Final
 
 from cosim.errors import DatasetError
 from cosim.log.contents.metadata import read_json
-from cosim.studies.dataset.columns import MemberRow
+from cosim.studies.dataset.columns import WARNINGS, MemberRow
 from cosim.studies.dataset.layout import PartLayout
 from cosim.studies.dataset.storage import DatasetJournal, Storage
 
@@ -31,14 +31,14 @@ class OpenRows:
         self._rows: dict[int, dict[int, MemberRow]] = {}  # by the first member of the part
         self._lines = 0
 
-    def load(self, storage: Storage, width: int) -> None:
-        """Take the rows of the journal.
+    def load(self, storage: Storage, columns: Sequence[str]) -> None:
+        """Take the rows of the journal; those of format 1 have no warnings.
 
         Parameters
         ----------
         storage : Storage
-        width : int
-            Number of columns.
+        columns : sequence of str
+            Their names.
 
         Raises
         ------
@@ -48,7 +48,7 @@ class OpenRows:
         content = storage.read(JOURNAL) or b""
         lines = content[: content.rfind(b"\n") + 1].splitlines()
         for number, line in enumerate(lines, start=1):
-            row = _row(line, width)
+            row = _row(line, columns)
             if row is None or not 0 <= row[0] < self._layout.total:
                 raise DatasetError(
                     f"{storage.label(JOURNAL)}: line {number} is damaged; remove that line and "
@@ -119,12 +119,14 @@ def _line(row: MemberRow) -> bytes:
     return (json.dumps(row) + "\n").encode()
 
 
-def _row(line: bytes, width: int) -> MemberRow | None:
+def _row(line: bytes, columns: Sequence[str]) -> MemberRow | None:
     """Return the row of a line; None: it is damaged."""
     try:
         row = read_json(line)
     except ValueError:
         return None
-    if not isinstance(row, list) or len(row) != width or type(row[0]) is not int:
+    if isinstance(row, list) and len(row) == len(columns) - 1:
+        row.insert(columns.index(WARNINGS), None)
+    if not isinstance(row, list) or len(row) != len(columns) or type(row[0]) is not int:
         return None
     return row
