@@ -316,7 +316,7 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
         main(["run", "academic", "--swap", f"plant={folder / 'other.fmu'}", "--dry-run", "--json"])
     assert left.value.code == 2
     found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"swaps", "problems", "imported"}
+    assert set(found) == {"swaps", "problems", "imported", "warnings"}
     assert set(found["swaps"]["plant"]) == {"ports", "proposals"}
     assert {frozenset(row) for row in found["swaps"]["plant"]["ports"]} == {
         frozenset({"port", "aspect", "before", "after", "verdict", "connected", "ratio", "source"})
