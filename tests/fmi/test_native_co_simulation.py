@@ -182,6 +182,8 @@ def test_usual_steps_are_compiled(path, monkeypatch, subtests):
         [case for case in USUAL if "events" not in case[1]], ["chain", "ring"]
     ):
         with subtests.test(version=version, can=can, start=start, wiring=wiring):
+            if "state" in can:
+                simulated(path, version, can, start, native=True, wiring=wiring)  # tries the state
             taken.clear()
             simulated(path, version, can, start, native=True, wiring=wiring)
             assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
