@@ -196,7 +196,7 @@ class Sensor:
         D[: len(u)] = np.eye(len(u))
         if self._delay:
             return replace(static(D), delay=int(self._delay))
-        if self._period > 1:
+        if self._holds:
             return static(D).sampled(self._period, hold=False)
         return static(D)
 

@@ -32,7 +32,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.core.gain.loop_gain import largest_part
 from cosim.core.gain.loop_map import CHANGING, LoopModel, of_stage, slices, whole_map, wiring
-from cosim.core.gain.system import ConnectedSystem, connect
+from cosim.core.gain.system import ConnectedSystem, connect, reached_by
 from cosim.core.graph import Graph
 from cosim.core.linearization import Linearized
 from cosim.core.port import Port
@@ -129,6 +129,8 @@ def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:
         is_driven = any(source.component in drivers for source in connection.sources)
         may_integrate = to.component in among and to.component in linearizable
         moves = not graph.held[to.component].all() or graph.members[to.component].takes_latest
+        if graph.input_interpolation in ("zero-order", "latest"):  # hold what is continuous
+            moves |= any(graph.variability(source) == "continuous" for source in connection.sources)
         if is_driven and may_integrate and moves:
             return True
     return False
@@ -413,6 +415,8 @@ def _responses(
         matrix_exponential(np.pad(np.hstack([system.A, system.B]) * h, ((0, n_w), (0, 0))))
         for h in (model.h, 0.5 * model.h)
     )
+    reached = reached_by(np.pad(np.hstack([system.A, system.B]), ((0, n_w), (0, 0))))
+    M, half = M * reached, half * reached  # the rest is rounding, and no response
     middle = by_x @ (half - 0.5 * (np.eye(n + n_w) + M))
     z = np.zeros((len(step), w.shape[1]))
     z[others] = w  # it is in the row only at the end of the step

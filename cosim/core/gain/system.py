@@ -41,6 +41,16 @@ class ConnectedSystem:
         return poles
 
 
+def reached_by(A: Matrix) -> Mask:
+    """Return which states, as rows, may move where each, as a column, is not zero."""
+    reached: Mask = (A != 0.0) | np.eye(len(A), dtype=np.bool_)
+    done = 1
+    while done < len(A):
+        reached = reached @ reached
+        done *= 2
+    return reached
+
+
 def connect(model: LoopModel) -> ConnectedSystem | None:
     """Connect the components in continuous time; None: their algebraic loop has no one solution."""
     outputs = model.outputs
@@ -57,9 +67,11 @@ def connect(model: LoopModel) -> ConnectedSystem | None:
         of_x[outputs[number], part] = member.C
         of_y[outputs[number]] = member.D @ model.wiring[number]
     of_w = np.eye(n_y)[:, is_other]
-    joined = solved(np.eye(n_y) - of_y, np.hstack([of_x, of_w]))
+    right = np.hstack([of_x, of_w])
+    joined = solved(np.eye(n_y) - of_y, right)
     if joined is None:
         return None
+    joined = np.where(reached_by(of_y) @ (right != 0.0), joined, 0.0)  # the rest is rounding
     C = joined[:, :n_x]
     D = joined[:, n_x:]
     A: Matrix = np.zeros((n_x, n_x))

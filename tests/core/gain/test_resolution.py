@@ -7,13 +7,15 @@ import pytest
 
 from cosim.blocks.arithmetic import gain, sum_of
 from cosim.blocks.dynamics import lag
+from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.sampled import Sampled
+from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import sine, step
 from cosim.blocks.state_space import controller
 from cosim.blocks.static import Static
 from cosim.core.clock import Clock
 from cosim.core.gain.loop_gain import LinearizedLoops
-from cosim.core.gain.resolution import LIMIT, resolution
+from cosim.core.gain.resolution import LIMIT, may_be_unresolved, resolution
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.signals import Interface, Signal
@@ -308,3 +310,40 @@ def test_a_loop_through_a_sampled_component_is_decided_only_far_below_the_limit(
         found = found_of(Graph(parts, wires))
         assert found.is_resolved
         assert found.unknown == (() if is_decided else ("p",))
+
+
+def two_states(w, x0):
+    """Return x'' = w^2 (u - x) - w x', and x + u."""
+    A = np.array([[0.0, w], [-w, -w]])
+    B = np.array([[0.0], [w]])
+    C = np.array([[1.0, 0.3]])
+    return Linear(controller(A=A, B=B, C=C, D=np.array([[1.143]]), x0=np.asarray(x0)))
+
+
+@pytest.mark.parametrize("w", [1.3, 2.7, 3.1, 4.2, 5.286, 5.9])
+def test_what_stays_at_rest_has_no_response(w):
+    """Rounding of equations solved together, and of an exponential, is none."""
+    parts = {"r": sine(rate=0.0), "rests": two_states(w, [0.0, 0.0])}
+    parts |= {"moves": two_states(6.428, [1.0, 0.5]), "slow": first_order(3.0)}
+    connections = {"rests.u": "r.y", "moves.u": "rests.y", "slow.u": "moves.y"}
+    found = found_of(Graph(parts, connections))
+    assert found.is_resolved
+    assert found.missed.signal.startswith("slow.")
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "zero-order", "latest"])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_a_run_looks_at_what_holds_by_the_scenario(coupling, interpolation):
+    lags = {"r": step(time=0.1), "fast": first_order(240.0), "slow": first_order(20.0)}
+    connections = {"fast.u": "r.y", "slow.u": "fast.y"}
+    graph = Graph(lags, connections, coupling=coupling, input_interpolation=interpolation)
+    graph.prepare(Clock(STOP, H).step_ns)
+    assert may_be_unresolved(graph, graph.components.keys())
+
+
+def test_a_sensor_with_a_period_of_one_step_holds():
+    """Its samples jump; from them the exact response of what follows is that of the run."""
+    measured = Sensor(SensorParameters(), holds=True)
+    parts = {"r": step(time=0.1), "fast": first_order(5.27), "m": measured, "g": first_order(5.52)}
+    found = found_of(Graph(parts, {"fast.u": "r.y", "m.u": "fast.y", "g.u": "m.y"}))
+    assert found.missed.error == 0.0
