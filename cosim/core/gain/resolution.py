@@ -172,10 +172,14 @@ def resolution(
 
 
 class _Compared(NamedTuple):
-    """The largest error of a response, and the outputs that leave the line over a step."""
+    """The largest error of a response, the outputs that leave the line over a step, and delays.
+
+    These are followed by what does not resolve a jump, which they need not let out.
+    """
 
     missed: Missed
     off_lines: Mask
+    delays: frozenset[str]
 
 
 class _WholeModel:
@@ -276,7 +280,7 @@ class _WholeModel:
 
     @cached_property
     def _causes(self) -> tuple[list[str], Matrix]:
-        """What excites the model, in words, and as outputs of what is cut."""
+        """What excites the model, in words, and as outputs of what is cut; a delay by its name."""
         labels = self._graph.labels()
         causes: list[str] = []
         jumping: list[int] = []
@@ -288,8 +292,9 @@ class _WholeModel:
             for signal in member.channel.interface.outputs:
                 may_jump = bool(self._graph.jumps(Port(member.name, signal.name)))
                 for _ in range(signal.size):
-                    if may_jump:
-                        causes.append(f"a jump of {labels[column]}")
+                    if may_jump or member.name in self._delays:
+                        jump = f"a jump of {labels[column]}"
+                        causes.append(jump if may_jump else member.name)
                         jumping.append(place)
                     place += 1
                     column += 1
@@ -317,16 +322,20 @@ class _WholeModel:
         errors, off_lines = _responses(
             model, step, self._system, w, base, self._clock.steps * parts
         )
+        behind = np.array([cause in self._delays for cause in causes])
+        is_missed = (errors > LIMIT).any(axis=0)
+        delays = frozenset(causes[i] for i in np.flatnonzero(is_missed & behind))
+        errors[:, behind] = 0.0
         at, column = np.unravel_index(int(errors.argmax()), errors.shape)
         missed = NONE
         if errors[at, column] > ROUNDING:
             label = self._graph.labels()[self._columns[at]]
             missed = Missed(float(errors[at, column]), label, causes[column])
-        return _Compared(missed, off_lines)
+        return _Compared(missed, off_lines, delays)
 
     def unknown(self, found: _Compared) -> list[str]:
         """Return the components that leave the error unknown."""
-        unknown = []
+        unknown = sorted(found.delays)
         if found.missed.error > LIMIT / MARGIN:  # which a loop through what is cut may multiply
             for stage in self._graph.stages:
                 names = [member.name for member in stage.members] if stage.is_loop else []

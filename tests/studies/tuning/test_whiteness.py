@@ -61,6 +61,16 @@ def test_independent_samples_are_those_of_the_closed_form():
     assert found.independent == pytest.approx(rows / 3.0, rel=0.15)
 
 
+def test_a_short_memory_in_few_samples_is_counted():
+    """AR(1) of 0.4 in 251 samples, which the tests of all lags refuse or call white."""
+    found = [checked(lfilter([1.0], [1.0, -0.4], white(seed, 251))) for seed in range(12)]
+    shares = [one.independent / 251 for one in found if not one.problem]
+    assert len(shares) > 4
+    assert np.median(shares) == pytest.approx(0.6 / 1.4, rel=0.3)
+    assert max(shares) < 0.8
+    assert checked(white(1, 251)).independent == 251
+
+
 def test_rows_between_samples_do_not_count():
     """Of straight lines between samples the rms is smaller, by 2/3 of the variance for many."""
     noise = white(1)
