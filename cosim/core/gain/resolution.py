@@ -10,13 +10,15 @@ Both are found for the whole linear model at once, whose components are lineariz
 They answer, one by one, a jump of each discrete signal, and what the model does from its beginning
 where that is not at rest. The outputs at the communication points are compared over as many steps
 as the run has, each relative to the largest value of its own response: more than ``LIMIT`` of it is
-refused. So a fast mode that nothing excites, that is not shown, or averaged out, is no error.
+refused. So a fast mode that nothing excites, that is not shown, or averaged out, is no error. What a
+jump late in the run does until its end may be less, and off by more of it.
 
 Cut are components with a period of their own and delays, which hold, or are as they were; what
-comes out of them may jump. A loop through them is not followed: there a quarter of the limit is not
-decided. What is not linear, or cannot be linearized, is not decided where its
-inputs are interpolated and differ from the lines, or where others integrate what it may do within a
-step. Of smooth signals from outside nothing is said.
+comes out of them may jump. Behind a delay, which nothing excites so, it is not decided where a jump
+would not be resolved. A loop through them is not followed: there a quarter of the limit is not
+decided. What is not linear, or cannot be linearized, is not decided where its inputs are
+interpolated and differ from the lines, or where others integrate what it may do within a step. Of
+smooth signals from outside nothing is said.
 """
 
 from __future__ import annotations
@@ -105,7 +107,7 @@ class Resolution:
             )
         if self.missed.error:
             error, signal, cause = self.missed
-            text += f"; {signal} is off by up to {error:.2g} of its response to {cause}"
+            text += f"; {signal} is off by up to {error:.2g} of its whole response to {cause}"
         if not self.is_resolved:
             text += f", more than {LIMIT:g}"
         if self.unknown:

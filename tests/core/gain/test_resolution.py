@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.blocks.arithmetic import gain, sum_of
-from cosim.blocks.dynamics import lag
+from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.sampled import Sampled
 from cosim.blocks.sensor import Sensor
@@ -347,3 +347,22 @@ def test_a_sensor_with_a_period_of_one_step_holds():
     parts = {"r": step(time=0.1), "fast": first_order(5.27), "m": measured, "g": first_order(5.52)}
     found = found_of(Graph(parts, {"fast.u": "r.y", "m.u": "fast.y", "g.u": "m.y"}))
     assert found.missed.error == 0.0
+
+
+@pytest.mark.parametrize(("rate", "unknown"), [(288.0, ("delay",)), (0.5, ())])
+def test_behind_a_delay_it_is_decided_only_where_a_jump_would_be_resolved(rate, unknown):
+    """What a slow lag sends through the delay begins with a kink, which may excite a fast mode."""
+    one = np.eye(1)
+    washout = controller(A=-rate * one, B=rate * one, C=-one, D=one, x0=np.zeros(1))
+    parts = {
+        "r": step(time=0.1),
+        "slow": first_order(5.0),
+        "delay": Delay(2),
+        "washout": Linear(washout),
+        "behind": first_order(min(rate, 20.0)),
+    }
+    names = list(parts)
+    wires = {f"{to}.u": f"{name}.y" for name, to in zip(names, names[1:], strict=False)}
+    found = found_of(Graph(parts, wires))
+    assert found.unknown == unknown
+    assert found.missed.error < LIMIT
