@@ -10,8 +10,8 @@ Both are found for the whole linear model at once, whose components are lineariz
 They answer, one by one, a jump of each discrete signal, and what the model does from its beginning
 where that is not at rest. The outputs at the communication points are compared over as many steps
 as the run has, each relative to the largest value of its own response: more than ``LIMIT`` of it is
-refused. So a fast mode that nothing excites, that is not shown, or averaged out, is no error. What a
-jump late in the run does until its end may be less, and off by more of it.
+refused. So a fast mode that nothing excites, that is not shown, or averaged out, is no error. What
+a jump late in the run does until its end may be less, and off by more of it.
 
 Cut are components with a period of their own and delays, which hold, or are as they were; what
 comes out of them may jump. Behind a delay, which nothing excites so, it is not decided where a jump

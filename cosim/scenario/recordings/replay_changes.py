@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Set
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +10,7 @@ from typing import Any, Final
 
 from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
-from cosim.errors import UsageError, command, flag, option
+from cosim.errors import ScenarioError, UsageError, command, flag, option
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document
@@ -56,11 +55,19 @@ class Swaps:
         return document.with_swaps(self.paths, self.maps) if self.paths or self.maps else document
 
     def tables(self, document: Document) -> dict[str, dict[str, Any]]:
-        """Return the tables of the components that take the places of others in a document."""
+        """Return the tables of the components that take the places of others in a document.
+
+        Raises
+        ------
+        ScenarioError
+            If a path is that of no component.
+        """
         tables = {}
         for name in self.paths:
-            with suppress(UsageError):  # a problem of the scenario, which reports it
+            try:
                 tables[name] = component_table(name, document.swaps[name])
+            except UsageError as error:
+                raise ScenarioError(f"{option('swap', name)}: {error}") from error
         return tables
 
 

@@ -1,6 +1,7 @@
 """What a step makes of the responses of a model, against runs with a shorter one, closed forms."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -362,7 +363,7 @@ def test_behind_a_delay_it_is_decided_only_where_a_jump_would_be_resolved(rate, 
         "behind": first_order(min(rate, 20.0)),
     }
     names = list(parts)
-    wires = {f"{to}.u": f"{name}.y" for name, to in zip(names, names[1:], strict=False)}
+    wires = {f"{to}.u": f"{name}.y" for name, to in pairwise(names)}
     found = found_of(Graph(parts, wires))
     assert found.unknown == unknown
     assert found.missed.error < LIMIT

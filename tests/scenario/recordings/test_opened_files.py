@@ -140,6 +140,7 @@ WRONG = [
     *[["--set", text] for text in ("filter.time_constant='a'", "filter.time_constant=[1", "=1")],
     *[["--set", text] for text in ("scenario.step=0", "scenario.stop=-1", "scenario.step=0.007")],
     *[["--swap", text] for text in ("x=bait.mcap", "filter=missing.fmu", "plant", "u=code.toml")],
+    *[["--swap", text] for text in ("own=code.toml", "own=", "own=bait.mcap#own", "plant=a.fmu#z")],
     *[["--map", text] for text in ("plant.y=z", "plant", "x.y=z")],
     ["--stop", "x"],
     ["--zzz"],
