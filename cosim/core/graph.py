@@ -101,6 +101,8 @@ class Graph:
         The inputs, or elements of them, that nothing drives, and the values that they keep.
     held : dict of component name to Mask, shape (n_u,)
         Which input elements have a zero-order hold.
+    means : frozenset of str
+        Components that get means whatever drives them, as they were given.
     latest : dict of component name to Mask, shape (n_u,)
         Which have their latest known value over a step, where they can have one only.
     initializations : int
@@ -155,7 +157,7 @@ class Graph:
         self.unconnected = self._checked.unconnected
         self._parts = self._checked.parts
         self._sources = self._checked.sources
-        self._means = frozenset(means)
+        self.means = frozenset(means)
         asked = input_interpolation is not None or substeps is not None
         asked = asked or coupling == "newton" or iterations > 1
         self._variabilities = Variabilities(
@@ -164,7 +166,7 @@ class Graph:
             self._parts,
             self._sources,
             zero_order=interpolation != "linear",
-            means=frozenset(self.components) if asked else self._means,
+            means=frozenset(self.components) if asked else self.means,
         )
         self._jumping = JumpingOutputs(self.ports.channels, self._variabilities)
         self.layout = self.layout.with_left_limits(self._columns_of(self._jumping.ports))
@@ -437,7 +439,7 @@ class Graph:
             self.connections,
             coupling=coupling,
             input_interpolation=self.input_interpolation,
-            means=self._means,
+            means=self.means,
             iterations=1 if coupling == "newton" else self.iterations,
             periods=self.periods,
             substeps=self.substeps,

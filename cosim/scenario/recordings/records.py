@@ -19,6 +19,7 @@ from cosim.core.signals import Channel
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
 from cosim.scenario.actions.settings import SETTINGS
+from cosim.scenario.building.build import asks_for_means
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.recordings.viewer_panels import viewer_panels
@@ -77,8 +78,10 @@ def _record_of(experiment: Experiment, name: str) -> dict[str, str]:
         "metadata": json.dumps(experiment.metadata.get(name, {})),
         "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
     }
-    if experiment.graph.members[name].channel.interface.one_value:
-        record[MEANS] = json.dumps(experiment.graph.mean_inputs.get(name, []))
+    graph = experiment.graph
+    as_of_old = name in graph.means and not asks_for_means(scenario.specs[name])
+    if graph.members[name].channel.interface.one_value and not as_of_old:
+        record[MEANS] = json.dumps(graph.mean_inputs.get(name, []))
     return record
 
 
