@@ -104,13 +104,14 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     for component, name in reports.imported.items():
         print_line(f"{component}: {name} was imported")
     if not reports.refusals:
-        for component, text in [*reports.of_run, *reports.warnings]:
+        warnings = [*reports.of_run, *reports.warnings]
+        for component, text in warnings:
             print_line(f"warning: {component}: {text}", error=True)
         found = "no problems found"
         if reports.different:
             found = f"the scenario can run; rows that differ: {reports.different}"
-        elif reports.of_run:
-            found = f"the scenario can run; warnings: {len(reports.of_run)}"
+        elif warnings:
+            found = f"the scenario can run; warnings: {len(warnings)}"
         print_line(f"dry run: {found}")
 
 

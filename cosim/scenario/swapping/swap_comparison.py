@@ -102,7 +102,7 @@ def replaced_interfaces(
     scenario: Scenario, unpacked: UnpackedFmus | None = None
 ) -> dict[str, Interface]:
     """Return the interfaces of the components that swaps replaced, where they are known."""
-    before = _replaced_components(scenario, unpacked)
+    before, _ = _replaced_components(scenario, unpacked)
     return {name: part.component.interface for name, part in before.items()}
 
 
@@ -195,7 +195,7 @@ class _SwapComparison:
         self._resources = resources
         self._block = block
         self._unpacked = unpacked
-        before = _replaced_components(scenario, unpacked)
+        before, unbuilt = _replaced_components(scenario, unpacked)
         self._interfaces = {name: part.component.interface for name, part in before.items()}
         builder = self._builder()
         fmus = builder.context.fmus.opened
@@ -217,7 +217,8 @@ class _SwapComparison:
             if "code" in metadata:
                 imported[name] = str(metadata["code"]["class"])
         warnings = tuple(dict.fromkeys([*builder.context.records.warnings, *of_run]))
-        self.reports = SwapReports(reports, problems, self._initial.failure, imported, warnings)
+        failure = self._initial.failure
+        self.reports = SwapReports(reports, problems, failure, imported, warnings, unbuilt)
         self._repeats = self._initial.repeats()
         for fmu in fmus.values():
             fmu.discard()
@@ -288,9 +289,13 @@ def _report(
 
 def _replaced_components(
     scenario: Scenario, unpacked: UnpackedFmus | None
-) -> dict[str, _ReplacedComponent]:
-    """Build the scenario without its swaps, as far as it can be; its problems do not matter."""
+) -> tuple[dict[str, _ReplacedComponent], dict[str, str]]:
+    """Build the scenario without its swaps, as far as it can be.
+
+    Of what is replaced and could not be built the first problem.
+    """
     components: dict[str, _ReplacedComponent] = {}
+    unbuilt: dict[str, str] = {}
     with ExitStack() as resources, suppress(CosimError):
         original, problems = read(scenario.document.unswapped(), parse)
         builder = Builder(original, resources, problems=problems, unpacked=unpacked)
@@ -300,7 +305,10 @@ def _replaced_components(
                 initial = state.signals(name)
                 component = _compared_component(builder, name, initial)
                 components[name] = _ReplacedComponent(component, initial)
-    return components
+                continue
+            own = [text for key, text in builder.problems if key[:2] == ("components", name)]
+            unbuilt |= {name: text for text in own[:1]}
+    return components, unbuilt
 
 
 def _initialize_alone(

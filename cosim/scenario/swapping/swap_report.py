@@ -20,8 +20,9 @@ from cosim.scenario.swapping.port_comparison import (
 _DIFFERS: Final = "differs from what it replaces: "
 _UNITS: Final = "units that cannot be compared with what is connected: "
 _SIZES: Final = "of another size than what it replaces: "
+_UNBUILT: Final = "cannot be compared with what it replaces, which cannot be built: "
 MOST_ENTRIES: Final = 4  # of a response, that a warning names
-SWAP_WARNINGS: Final = (_DIFFERS, _UNITS, _SIZES)  # how the warnings of a report begin
+SWAP_WARNINGS: Final = (_DIFFERS, _UNITS, _SIZES, _UNBUILT)  # how the warnings of a report begin
 
 
 @dataclass(frozen=True)
@@ -218,6 +219,8 @@ class SwapReports:
         The classes of users that were imported.
     of_run : tuple of (component, text)
         What a run warns of before its first step, whatever was swapped.
+    unbuilt : mapping of component name to str
+        Why what it replaces could not be built.
     """
 
     reports: Mapping[str, SwapReport] = field(default_factory=dict)
@@ -225,6 +228,7 @@ class SwapReports:
     failure: str = ""
     imported: Mapping[str, str] = field(default_factory=dict)
     of_run: tuple[tuple[str, str], ...] = ()
+    unbuilt: Mapping[str, str] = field(default_factory=dict)
 
     def check(self) -> None:
         """Check that the scenario can run.
@@ -260,7 +264,7 @@ class SwapReports:
     @property
     def warnings(self) -> list[tuple[str, str]]:
         """What differs or cannot be compared, by component."""
-        warnings = []
+        warnings = [(name, f"{_UNBUILT}{problem}") for name, problem in self.unbuilt.items()]
         for name, report in self.reports.items():
             for text in report.warnings:
                 warnings.append((name, text))

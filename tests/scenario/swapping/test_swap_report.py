@@ -300,12 +300,15 @@ def test_a_recording_says_what_it_does_not_know(folder):
 
 
 def test_the_replaced_component_need_not_work(folder):
-    """The scenario's own plant is broken: nothing to compare with, nothing in the way."""
+    """The scenario's own plant is broken: nothing to compare with, which is said."""
     document = find("academic")
     text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
     swapped = replace(document, text=text).with_swaps({"plant": str(folder / "plant.fmu")})
     found = compare_swaps(parse(swapped))
     assert (found.reports, found.problems) == ({}, ())
+    ((component, text),) = found.warnings
+    assert component == "plant"
+    assert "cannot be compared with what it replaces, which cannot be built: x_a0" in text
 
 
 @pytest.mark.slow
