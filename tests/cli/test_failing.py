@@ -77,7 +77,7 @@ def test_a_verdict_that_is_asked_for_and_not_made_fails(call):
     options = ("--set", "scenario.verdicts=false", "--fail-on", "inconsistent")
     code, err = call("run", "academic", *SHORT, *options)
     assert code == 1
-    assert "identifier: no verdict was made" in err
+    assert "--fail-on inconsistent: identifier: no verdict was made" in err
 
 
 @pytest.mark.slow

@@ -105,10 +105,13 @@ def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) ->
     ``quiet``: its warnings have not been printed.
     """
     lines = []
-    if {"inconsistent", "no-estimate"}.intersection(fail_on):
+    asked = [name for name in ("no-estimate", "inconsistent") if name in fail_on]
+    if asked:
         for names, verdict, reason in bad_verdicts(run):
             name = "inconsistent" if verdict == Verdict.INCONSISTENT else "no-estimate"
-            if not verdict or name in fail_on:
+            if not verdict:
+                name = asked[0]
+            if name in asked:
                 lines.append(f"{option('fail-on', name)}: {names}: {verdict or reason}")
     if "warning" in fail_on and run.warnings:
         texts = warning_texts(run.warnings) if quiet else [f"{len(run.warnings)} in all"]
