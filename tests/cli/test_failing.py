@@ -24,11 +24,13 @@ def call(tmp_path, monkeypatch, capsys):
 
 
 def test_a_warning_fails_where_it_is_to(call):
-    """And not where it is not; once, with what it says."""
+    """And not where it is not; each once, with what it says."""
     assert call("run", "academic", *SHORT, *HELD, "--no-verdicts") == (0, "")
     code, err = call("run", "academic", *SHORT, *HELD, "--no-verdicts", "--fail-on", "warning")
-    assert (code, err.count("\n")) == (1, 1)
-    assert err.startswith("cosim: --fail-on warning: observer: ")
+    assert (code, err.count("\n")) == (1, 2)
+    held, step = err.splitlines()
+    assert held.startswith("cosim: --fail-on warning: observer: ")
+    assert step.startswith("cosim: --fail-on warning: scenario.step: ")
     code, err = call("run", "academic", *SHORT, "--no-verdicts", "--fail-on", "warning")
     assert (code, err) == (0, "")
 
