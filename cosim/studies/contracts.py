@@ -142,14 +142,20 @@ class MemberRunner(Protocol):
     process that is lost, which is why members run in workers.
     """
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free what it holds."""
+        ...
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member."""

@@ -7,8 +7,7 @@ machine imports the classes of users, reads tables and logs, and loads the FMUs.
 from __future__ import annotations
 
 from contextlib import ExitStack
-from types import TracebackType
-from typing import Final, Self, final
+from typing import Final, final
 
 from cosim.errors import Interrupted
 from cosim.studies.contracts import (
@@ -28,7 +27,7 @@ TRIAL: Final = -1  # number of the member that is built only
 
 
 @final
-class TryingRunner:
+class TryingRunner(MemberRunner):
     """Runs the members of a study, and builds the one that is tried.
 
     Parameters
@@ -41,17 +40,9 @@ class TryingRunner:
         self._subject = subject
         self._runner = runner
 
-    def __enter__(self) -> Self:
-        self._runner.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._runner.__exit__(error_type, error, trace)
+    def close(self) -> None:
+        """Close the runner."""
+        self._runner.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member, or build it where it is the one that is tried."""

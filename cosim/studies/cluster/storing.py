@@ -10,12 +10,11 @@ import os
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self, final
+from typing import Final, final
 
 from cosim.errors import CosimError, UsageError
 from cosim.studies.cluster.opening import TRIAL, TryingRunner
-from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.contracts import FAILED, MemberOutcome, MemberRunner, StudyMember, StudySubject
 from cosim.studies.dataset.columns import LOG
 from cosim.studies.dataset.log_files import LOGS, log_name, unfinished_name
 from cosim.studies.dataset.storage import Storage, open_storage
@@ -59,7 +58,7 @@ def open_storing_runner(subject: StudySubject) -> TryingRunner:
 
 
 @final
-class StoringRunner:
+class StoringRunner(MemberRunner):
     """Runs members, and puts their logs where the dataset is.
 
     The details of an outcome say, as ``log``, whether its log was put; nothing of that where who
@@ -79,18 +78,10 @@ class StoringRunner:
         self._folder = shared or self._resources.enter_context(TemporaryFolder("logs"))
         self._runner = LoggingRunner(replace(subject, logs=str(self._folder)))
 
-    def __enter__(self) -> Self:
-        self._runner.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Close the runner, and remove its folder."""
         with self._resources:
-            self._runner.__exit__(error_type, error, trace)
+            self._runner.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member with a log."""

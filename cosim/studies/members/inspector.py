@@ -6,12 +6,17 @@ FMUs are loaded for that, and classes of users imported: it belongs into a worke
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from types import TracebackType
-from typing import Final, Self, final
+from typing import Final, final
 
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.building.experiment import Experiment
-from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.contracts import (
+    COMPLETE,
+    MemberOutcome,
+    MemberRunner,
+    StudyMember,
+    StudySubject,
+)
 from cosim.studies.members.designs import encode_designs
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.sources import code_digests
@@ -29,7 +34,7 @@ def open_inspector(subject: StudySubject) -> MemberInspector:
 
 
 @final
-class MemberInspector:
+class MemberInspector(MemberRunner):
     """Builds members; the details of an outcome say what a member reads.
 
     Parameters
@@ -41,15 +46,8 @@ class MemberInspector:
         self._metrics = parse_metrics(subject.metrics)
         self._builder = MemberBuilder(subject)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Free what its members were built from."""
         self._builder.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Self, final
+from typing import final
 
 from cosim.scenario.recordings.recording import Target
 from cosim.studies.contracts import (
     MemberOutcome,
+    MemberRunner,
     MetricValue,
     StudyMember,
     StudySubject,
@@ -29,7 +29,7 @@ def open_logging_runner(subject: StudySubject) -> LoggingRunner:
 
 
 @final
-class LoggingRunner:
+class LoggingRunner(MemberRunner):
     """Runs members of a study and writes their logs to a folder.
 
     A run that fails leaves its log up to there; so does one that crashes, without its last second.
@@ -47,15 +47,8 @@ class LoggingRunner:
         self._subject = subject
         self._folder = Path(subject.logs)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Free what its members were built from."""
         self._builder.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from types import TracebackType
-from typing import Self, final
+from typing import final
 
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.preparing import build_experiment
 from cosim.studies.contracts import (
     MemberOutcome,
+    MemberRunner,
     MetricValue,
     StudyMember,
     StudySubject,
@@ -34,7 +34,7 @@ def open_lone_runner(subject: StudySubject) -> LoneRunner:
 
 
 @final
-class LoneRunner:
+class LoneRunner(MemberRunner):
     """Runs members of a study, each built afresh.
 
     Parameters
@@ -47,15 +47,7 @@ class LoneRunner:
         self._subject = replace(subject, designs="", replay_designs=())
         self._metrics = parse_metrics(subject.metrics)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         """Do nothing: each member frees what it holds."""
 
     def run(self, member: StudyMember) -> MemberOutcome:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
-from typing import Final, Self, final
+from typing import Final, final
 
 from cosim.scenario.building.common_designs import setting_designs, without
 from cosim.scenario.building.experiment import Experiment
@@ -14,6 +13,7 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import run_rows
 from cosim.studies.contracts import (
     MemberOutcome,
+    MemberRunner,
     MetricValue,
     StudyMember,
     StudySubject,
@@ -57,7 +57,7 @@ def open_runner(
 
 
 @final
-class SubjectRunner:
+class SubjectRunner(MemberRunner):
     """Runs members of one study: each with the bits that it has alone, in a process of its own.
 
     Parameters
@@ -72,15 +72,8 @@ class SubjectRunner:
         self._sink_of = sink_of
         self._builder = MemberBuilder(subject)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Free what is kept of its members."""
         self._builder.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:
