@@ -13,8 +13,7 @@ from __future__ import annotations
 from ctypes import CDLL
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self, final
+from typing import Final, final
 
 from cosim.digests import FileDigests
 from cosim.fmi.binary.library import unload
@@ -80,7 +79,7 @@ class UnpackedFmu:
 
 @final
 class UnpackedFmus:
-    """FMUs by their content; a context manager that leaves nothing behind.
+    """FMUs by their content; closed, it leaves nothing behind.
 
     What was opened has to be closed before.
 
@@ -105,17 +104,6 @@ class UnpackedFmus:
         self._most = most
         self._most_bytes = most_bytes
         self._by_hash: dict[str, UnpackedFmu] = {}  # the one that was opened last is the last
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Unload and remove all of them."""

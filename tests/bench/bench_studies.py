@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -160,7 +160,7 @@ def compare_fmu(folder: Path, members: int, edits_of: Callable[[int], Edits]) ->
     edits = [edits_of(number) for number in range(members)]
     recorder = MetricRecorder(parse_metrics(OF_FMU))
     with (
-        UnpackedFmus() as fmus,
+        closing(UnpackedFmus()) as fmus,
         open_runner(StudySubject(str(path), metrics=OF_FMU)) as runner,
     ):
         for number, changes in enumerate(edits):

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -156,7 +157,7 @@ def compare_fmu(folder: Path, members: int, rounds: int) -> None:
     for number in range(rounds):
         out = folder / f"out-fmu-{number}"
         own = study_seconds(str(scenario), table, out, OF_FMU) / members * 1e3
-        with UnpackedFmus() as fmus:
+        with closing(UnpackedFmus()) as fmus:
             plain_member(fmu, fmus, recorder, edits[0])
             plain = seconds(members, partial(_run_all, fmu, fmus, recorder, edits))
         print(

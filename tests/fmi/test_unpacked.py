@@ -2,7 +2,7 @@
 
 import pickle
 import shutil
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +49,7 @@ def test_an_fmu_is_unpacked_and_loaded_once(counting, tmp_path, temporary):
     """The instances are counted in its binary, which stays in memory until all is closed."""
     path = able(counting, tmp_path / "x.fmu", A=-1.0, C=0.0)
     before = mapped()
-    with UnpackedFmus() as fmus:
+    with closing(UnpackedFmus()) as fmus:
         assert [first_y(path, fmus) for _ in range(3)] == [0.0, 1.0, 2.0]
         assert len(list(temporary.iterdir())) == 1
         assert len(mapped() - before) == 1
@@ -60,7 +60,7 @@ def test_an_fmu_is_unpacked_and_loaded_once(counting, tmp_path, temporary):
 def test_every_opening_has_an_instance_of_its_own(counting, tmp_path):
     """Start values are those of the one opening."""
     path = able(counting, tmp_path / "x.fmu", A=-1.0)
-    with UnpackedFmus() as fmus:
+    with closing(UnpackedFmus()) as fmus:
         assert first_y(path, fmus, x=2.0, C=1.0) == 2.0
         assert first_y(path, fmus) == 0.0 + 1.0
         with opened(path, fmus) as one, opened(path, fmus, x=3.0) as other:
@@ -70,7 +70,7 @@ def test_every_opening_has_an_instance_of_its_own(counting, tmp_path):
 def test_a_binary_for_one_instance_is_loaded_for_each(counting, tmp_path):
     """What it knows of the one before is gone with it; and there is one at a time."""
     path = able(counting, tmp_path / "x.fmu", "once", A=-1.0, C=0.0)
-    with UnpackedFmus() as fmus:
+    with closing(UnpackedFmus()) as fmus:
         assert [first_y(path, fmus) for _ in range(3)] == [0.0, 0.0, 0.0]
         with (
             opened(path, fmus),
@@ -86,7 +86,7 @@ def test_files_of_equal_content_are_one_fmu_by_two_names(counting, tmp_path, tem
     path = able(counting, tmp_path / "x.fmu", A=-1.0)
     copy = tmp_path / "copy.fmu"
     shutil.copy(path, copy)
-    with UnpackedFmus() as fmus:
+    with closing(UnpackedFmus()) as fmus:
         with opened(path, fmus) as one:
             assert one.metadata["path"] == str(path)
         with opened(copy, fmus) as other:
@@ -98,7 +98,7 @@ def test_files_of_equal_content_are_one_fmu_by_two_names(counting, tmp_path, tem
 def test_a_file_that_was_changed_is_another_fmu(counting, tmp_path):
     """It is known by its content."""
     path = able(counting, tmp_path / "x.fmu", A=-1.0)
-    with UnpackedFmus() as fmus:
+    with closing(UnpackedFmus()) as fmus:
         with opened(path, fmus) as one:
             assert one.description["x"].start == (0.0,)
         path.unlink()
@@ -111,7 +111,7 @@ def test_of_many_fmus_the_oldest_are_removed_but_never_an_open_one(counting, tmp
     """Those that stay are loaded still; one that was removed is unpacked again."""
     before = mapped()
     paths = [able(counting, tmp_path / f"{n}.fmu", A=-1.0, C=0.0, x=float(n)) for n in range(6)]
-    with UnpackedFmus(most=2) as fmus, opened(paths[0], fmus) as held:
+    with closing(UnpackedFmus(most=2)) as fmus, opened(paths[0], fmus) as held:
         for path in paths[1:]:
             assert first_y(path, fmus) == 0.0
             assert first_y(path, fmus) == 1.0
@@ -128,7 +128,7 @@ def test_of_many_fmus_the_oldest_are_removed_but_never_an_open_one(counting, tmp
 def test_unpacked_fmus_have_a_bounded_size(counting, tmp_path, temporary):
     """The bytes of the files: here no FMU may stay while it is not open."""
     paths = [able(counting, tmp_path / f"{n}.fmu", A=-1.0, C=0.0, x=float(n)) for n in range(3)]
-    with UnpackedFmus(most_bytes=1) as fmus:
+    with closing(UnpackedFmus(most_bytes=1)) as fmus:
         for path in paths:
             first_y(path, fmus)
             assert len(list(temporary.iterdir())) == 1
@@ -137,7 +137,7 @@ def test_unpacked_fmus_have_a_bounded_size(counting, tmp_path, temporary):
 def test_a_refused_archive_leaves_no_folder(tmp_path, temporary):
     """As where it is opened alone."""
     (tmp_path / "x.fmu").write_bytes(b"no zip")
-    with UnpackedFmus() as fmus:
+    with closing(UnpackedFmus()) as fmus:
         with pytest.raises(FmuError, match="is no zip archive"):
             load(tmp_path / "x.fmu", unpacked=fmus)
         with pytest.raises(FmuError, match="there is no such file"):

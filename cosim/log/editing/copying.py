@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from io import RawIOBase
 from pathlib import Path
@@ -74,7 +75,7 @@ def write_log(
     target = UnfinishedLog(out, force=force, numbered=False)
     try:
         file = _begun(target.create(), pieces)
-        with Workers() as workers:
+        with closing(Workers()) as workers:
             for group in batches:
                 file.commit(separate_chunks(group, "zstd", workers))
         file.keep_tail()

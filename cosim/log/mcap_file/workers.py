@@ -12,8 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
 from itertools import chain, islice
 from threading import Lock
-from types import TracebackType
-from typing import Final, Generic, Self, TypeVar, final
+from typing import Final, Generic, TypeVar, final
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -106,14 +105,3 @@ class Workers:
         if "_executor" in self.__dict__:
             self._executor.shutdown(cancel_futures=True)
             del self._executor
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -10,6 +10,7 @@ import os
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import closing
 from functools import cached_property, partial
 from io import BufferedReader, BytesIO
 from itertools import cycle
@@ -176,7 +177,7 @@ class Container:
             if self._may_have(span, channel_ids, first_ns, last_ns):
                 wanted.append(span)
         memories = cycle([_Memory() for _ in range(AHEAD if self._is_compressed else 1)])
-        with self.open() as stream, Workers(THREADS_AHEAD) as workers:
+        with self.open() as stream, closing(Workers(THREADS_AHEAD)) as workers:
             pieces = (self._piece(stream, span, next(memories)) for span in wanted)
             if self._is_compressed:
                 yield from workers.ahead(pieces)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self, cast, final
+from typing import Any, Final, cast, final
 
 from cosim.studies.contracts import RECORDING, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import StudyColumn, json_value, pyarrow
@@ -18,7 +17,7 @@ _OUTCOME: Final = ("member", "status", "reason", "warnings", "steps")
 
 @final
 class TuningDataset:
-    """The outcomes of a tuning; a context manager that closes it.
+    """The outcomes of a tuning.
 
     Parameters
     ----------
@@ -47,15 +46,8 @@ class TuningDataset:
         if not new and StudyDataset.is_at(place):
             self._dataset = StudyDataset.open_or_create(place, identity)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Close the dataset, if there is one."""
         if self._dataset is not None:
             self._dataset.close()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -163,7 +163,7 @@ def tune_task(
         for warning in plan.study.sources.warnings:
             notice(f"warning: {warning}")
     with ExitStack() as resources:
-        dataset = resources.enter_context(TuningDataset(out, plan.identity(), new=new))
+        dataset = resources.enter_context(closing(TuningDataset(out, plan.identity(), new=new)))
         plan = replace(plan, study=plan.study.with_designs(dataset.identity))
         pool = WorkerPool(RUNNER, plan.study.subject, count, timeout=task.timeout)
         run: RunTrials = in_pool(pool)

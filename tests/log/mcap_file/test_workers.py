@@ -1,6 +1,7 @@
 """Work in threads comes back in its order, and its errors too."""
 
 import threading
+from contextlib import closing
 
 import pytest
 
@@ -9,7 +10,7 @@ from cosim.log.mcap_file.workers import AHEAD, Workers
 
 def test_results_come_in_the_order_of_the_work():
     """Of any number."""
-    with Workers() as workers:
+    with closing(Workers()) as workers:
         for count in (0, 1, 2, 3, 50):
             works = ((lambda i=i: i * i) for i in range(count))
             assert list(workers.ahead(works)) == [i * i for i in range(count)]
@@ -28,7 +29,7 @@ def test_the_consumer_runs_jobs_instead_of_waiting():
         names.append(threading.current_thread().name)
         others_are_done.set()
 
-    with Workers(1) as workers:
+    with closing(Workers(1)) as workers:
         begun = threading.Event()
         held = workers.start(lambda: (begun.set(), first()))
         assert begun.wait(60)
@@ -46,7 +47,7 @@ def test_a_job_starts_only_when_earlier_results_are_released():
             taken.append(number)
             yield lambda number=number: number
 
-    with Workers() as workers:
+    with closing(Workers()) as workers:
         for result in workers.ahead(works()):
             assert len(taken) <= result + AHEAD
 
@@ -57,7 +58,7 @@ def test_an_error_comes_in_its_place():
     def fail():
         raise ValueError("the third")
 
-    with Workers() as workers:
+    with closing(Workers()) as workers:
         results = workers.ahead(iter([int, int, fail, int]))
         assert [next(results), next(results)] == [0, 0]
         with pytest.raises(ValueError, match="the third"):
@@ -66,7 +67,7 @@ def test_an_error_comes_in_its_place():
 
 def test_little_work_starts_no_thread():
     """One piece is done by who asks for it."""
-    with Workers() as workers:
+    with closing(Workers()) as workers:
         (name,) = workers.ahead(iter([lambda: threading.current_thread().name]))
         assert name == threading.current_thread().name
         assert workers.map(lambda _: threading.current_thread().name, [1]) == [name]
@@ -75,7 +76,7 @@ def test_little_work_starts_no_thread():
 def test_threads_end_with_the_block():
     """Also where not all results were taken."""
     before = threading.active_count()
-    with Workers() as workers:
+    with closing(Workers()) as workers:
         next(workers.ahead(iter([int] * 10)))
         assert threading.active_count() > before
     assert threading.active_count() == before

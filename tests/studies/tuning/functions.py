@@ -71,7 +71,7 @@ def tried(place, columns, ask, function=lambda point: float(len(repr(point))), *
     """
     pool = CountingPool(function, most)
     identity = StudyIdentity("x", "", {}, (*columns, metric_column("objective")), 100)
-    with TuningDataset(place, identity) as dataset:
+    with contextlib.closing(TuningDataset(place, identity)) as dataset:
         run = in_pool(pool)
         with contextlib.suppress(KeyboardInterrupt):
             ask(TrialMembers(run, run, _member_of, dataset, members=100))
