@@ -23,7 +23,7 @@ from cosim.report.plots.estimates import draw_truth, limit_to_settled, limit_to_
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import difference, element_names, has_signal, units_of
 from cosim.scenario.recorded_metadata import truth_of
-from cosim.units import units_text
+from cosim.units import units_text, with_unit
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison
@@ -82,8 +82,7 @@ def _draw_estimates(
     for run, recording in recordings.items():
         if has_signal(recording, estimate):
             _draw_elements(panel, curves_of(recording, estimate, options), styles[run])
-    unit = _unit_of(recordings, estimate)
-    panel.set_ylabel(f"{estimate} [{unit}]" if unit else estimate)
+    panel.set_ylabel(with_unit(estimate, _unit_of(recordings, estimate) or None))
 
 
 def _draw_differences(

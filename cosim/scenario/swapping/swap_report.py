@@ -16,6 +16,7 @@ from cosim.scenario.swapping.port_comparison import (
     port_label,
     shown,
 )
+from cosim.units import with_unit
 
 _DIFFERS: Final = "differs from what it replaces: "
 _UNITS: Final = "units that cannot be compared with what is connected: "
@@ -160,9 +161,7 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
     if not first.port:
         texts = [f"{aspect} {shown(value)}" for aspect, value in values.items()]
         return replace(first, aspect="as a whole", before=", ".join(texts))
-    text = f"size {values['size']}, {values['type']}"
-    if values["unit"]:
-        text += f" [{values['unit']}]"
+    text = with_unit(f"size {values['size']}, {values['type']}", values["unit"])
     if first.before == "output":
         text += f", {feedthrough_text('output', values['feedthrough'])}"
         text += f", initial output {shown(values['initial output'])}"

@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import FAILED
+from cosim.units import with_unit
 
 _OUTCOME = ("member", "status", "reason", "warnings", "wall_time")
 
@@ -97,8 +98,7 @@ class StudyResults:
 
     def with_unit(self, column: str) -> str:
         """Return the name of a column with its unit: ``rms [m]``."""
-        unit = self.units.get(column)
-        return f"{column} [{unit}]" if unit else column
+        return with_unit(column, self.units.get(column))
 
 
 def results_of_study(study: StudyTable, layout: StudyLayout) -> StudyResults:
