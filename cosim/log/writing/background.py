@@ -208,14 +208,13 @@ class BackgroundWriter:
             buffer = self._filling
             if buffer is None or not self._full.empty():
                 return  # what was full before it has to be written first
-        rows = self._under_way
-        if rows is not None:
-            self._append_under_way(buffer, rows)
-            while buffer.is_full:  # the run is not there to hand it over
-                self._write(buffer)
-                with self._copying:
-                    buffer.clear_rows()
-                self._append_under_way(buffer, rows)
+        while self._under_way is not None:
+            self._append_under_way(buffer, self._under_way)
+            if not buffer.is_full:
+                break
+            self._write(buffer)  # the run is not there to hand it over
+            with self._copying:
+                buffer.clear_rows()
         self._write(buffer)
 
     def _write(self, buffer: RowBuffer) -> None:
