@@ -111,7 +111,6 @@ def feasible_interval(
     problem: BoundedDisturbance,
     recorded: RecordedOutputs,
     starts: Matrix,
-    box: Matrix | None = None,
     watch: Watch | None = None,
 ) -> FeasibleInterval:
     """Compute the interval of each theta that the data and the bounds allow.
@@ -123,32 +122,29 @@ def feasible_interval(
     starts : Matrix
         Where the searches begin, shape ``(k, n_p)``, as of `starts_around` the estimate. The first
         one sets the scale of the steps.
-    box : Matrix, optional
-        Limits within which theta is known to lie, shape ``(n_theta, 2)``.
     watch : callable, optional
         Is told after every linear program how many have been solved.
     """
     n_theta = problem.n_theta
     program = FeasibleProgram(problem, recorded, watch)
-    limits = np.tile([-np.inf, np.inf], (n_theta, 1)) if box is None else box
+    anywhere = np.tile([-np.inf, np.inf], (n_theta, 1))
     half_width = _half_width(problem, recorded, starts[0])
     vertices = np.zeros((0, n_theta))
     unsolved = 0
     for start in starts:
-        search = _Search(program, start, limits, half_width)
+        search = _Search(program, start, anywhere, half_width)
         is_feasible = search.restore()
         unsolved += search.is_unsolved
         if is_feasible and not _encloses(vertices, search.origin[:n_theta]):
             vertices = _with_ends(vertices, search, n_theta)
     if unsolved:
-        return FeasibleInterval(limits[:, 0], limits[:, 1], vertices, unsolved)
+        return FeasibleInterval(anywhere[:, 0], anywhere[:, 1], vertices, unsolved)
     if not len(vertices):
         nothing = np.full(n_theta, NAN)
         return FeasibleInterval(nothing, nothing.copy(), vertices)
     missed = MISSED * half_width
-    lower = np.maximum(vertices.min(axis=0) - missed, limits[:, 0])
-    upper = np.minimum(vertices.max(axis=0) + missed, limits[:, 1])
-    return FeasibleInterval(lower, upper, vertices)
+    lower = vertices.min(axis=0) - missed
+    return FeasibleInterval(lower, vertices.max(axis=0) + missed, vertices)
 
 
 def _with_ends(vertices: Matrix, search: _Search, n_theta: int) -> Matrix:

@@ -397,16 +397,6 @@ def test_a_signal_within_the_bound_has_no_upper_end():
     assert interval.lower[1] == -np.inf
 
 
-def test_a_box_cuts_the_interval(exact_data):
-    """Theta is known to lie in it; an end beyond it is its end."""
-    problem, recorded, free = exact_data
-    box = np.array([[-1.0, 0.0], [-0.31, 0.0]])
-    cut = feasible_interval(problem, recorded, TRUTH[np.newaxis], box)
-    assert cut.lower[1] == pytest.approx(-0.31, abs=1e-12)
-    assert cut.upper[1] == pytest.approx(free.upper[1], rel=1e-6)
-    assert cut.lower[0] >= free.lower[0]
-
-
 def test_the_interval_scales_with_the_bound_where_the_first_order_holds():
     """Ten times less d, ten times less width, to the size of the second order."""
     model = example(h=8e-2)
