@@ -42,9 +42,7 @@ class TrialProblem(NamedTuple):
     kind: ProblemKind = "other"
 
 
-def find_rollback_problems(
-    archive: Archive, interface_type: InterfaceType, *, timeout: float = TIMEOUT
-) -> tuple[str, ...]:
+def find_rollback_problems(archive: Archive, interface_type: InterfaceType) -> tuple[str, ...]:
     """Return why get and set FMU state of an FMU cannot be relied on; empty where they can.
 
     The trial starts a child, which takes about a second, so its result is kept: for the life of the
@@ -56,23 +54,19 @@ def find_rollback_problems(
     archive : Archive
     interface_type : {"me", "cs"}
         One whose capabilities say that it can (``saves_state``).
-    timeout : float
-        Of the trial [s].
     """
     if CHILD_VARIABLE in os.environ:
         return ()
-    return _try_rollback(archive.path.resolve(), archive.sha256, interface_type, timeout)
+    return _try_rollback(archive.path.resolve(), archive.sha256, interface_type)
 
 
 @lru_cache(maxsize=256)
-def _try_rollback(
-    path: Path, sha256: str, interface_type: InterfaceType, timeout: float
-) -> tuple[str, ...]:
+def _try_rollback(path: Path, sha256: str, interface_type: InterfaceType) -> tuple[str, ...]:
     """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
     known_texts = read_problems("rollback", sha256, interface_type)
     if known_texts is not None:
         return known_texts
-    problems = try_fmu("rollback", path, interface_type, timeout=timeout)
+    problems = try_fmu("rollback", path, interface_type)
     texts = tuple(problem.text for problem in problems)
     # A hang or a missing library may belong to this moment and this machine.
     if all(problem.kind in OF_STATE for problem in problems):
