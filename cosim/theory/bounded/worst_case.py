@@ -16,23 +16,15 @@ Weighted least squares on y is to first order a linear functional of it: its err
 node delta_0(tau) is the entry of `s_i = L' F_i`, which one simulation of the adjoint system gives
 for all tau. The largest error is `d sum |s_i|`, reached by the bang-bang signal `d sign(s_i)`.
 
-Beyond the first order
-----------------------
-The error of the nonlinear estimate is a smooth function of delta_0 on a box. Where it is largest,
-each node stands at the end of its range that the gradient points to, unless the gradient is zero
-there: a maximum is a fixed point of `delta_0 = d sign(s(delta_0))`, s the sensitivity at the
-estimate from `g(p) + L delta_0`, now with the curvature of g in place of `J' W J` alone.
-`worst_error` iterates this map, a refit each time, from any number of initial signals.
-
-Neither is a statement about a given estimate: the worst error belongs to a truth, and the first
-order errs by `departure`. In the example (40 s, 1 ms) it gives 3.86 d for theta2; the worst
-error found exceeds that by 0.1 % for d = 0.0002, 1.1 % for 0.002 and 41 % for 0.02.
+That is no statement about a given estimate: the error belongs to a truth. Nor is it the largest
+one: in the example (40 s, 1 ms) it is 3.86 d for theta2, and an error was found that exceeds it by
+0.1 % for d = 0.0002, 1.1 % for 0.002 and 41 % for 0.02.
 
 From an estimate back to the truth
 ----------------------------------
 An estimate p_hat satisfies `F (y - g(p_hat)) = 0` with F at p_hat, so the truth is one of the p
 with `F (g(p) + L delta_0 - g(p_hat)) = 0` for an admissible delta_0. `interval_around` finds the
-largest and the smallest theta_i of these p as above: bang-bang by the sign of
+largest and the smallest theta_i of these p: bang-bang by the sign of
 `L' F' (F J(p))^-T e_i`, then p by Newton's method, until neither changes, for a bound that grows
 from none: delta_0 = 0 is admissible, so the estimate is one of these p. It contains the truth
 where the first order, evaluated at the estimate instead of at the truth, misses it by a little;
@@ -56,13 +48,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold, linear_step
 
-MOST_STEPS = 60  # refits of one search, and Gauss-Newton steps of one refit
-HALVINGS = 30  # of a Gauss-Newton step that does not lower the residual
-REFIT_CHANGE = 1e-10  # change of the output by a step, relative to the residual, that ends a refit
-ROUNDING = 1e-14  # the same, relative to the output
-# relative, of a residual that counts as none: rounding hides the fall of the last steps
-RISE = 1e-10
-DIFFERENCE = 1e-5  # relative step of the differences that give the curvature
+MOST_STEPS = 60  # of the search of an end, and of Newton's method in each
+NEWTON_CHANGE = 1e-10  # relative change of the output by a step that ends Newton's method
 REACH = 100.0  # first-order half widths; what goes further has no end
 GROWTH_STEPS = 4  # of the bound, from none to all, in which an end is followed
 MATCHED = 1e-8  # of the reach; gain that ends the search of an end, and is added to it
@@ -209,30 +196,6 @@ class FirstOrder:
         half_width: Vector = by_channel @ bound
         return half_width
 
-    def worst(self, parameter: int, bound: Vector) -> Matrix:
-        """Return the delta_0 that raises theta of index ``parameter`` most, ``(N, n_d)``."""
-        worst: Matrix = bound * np.sign(self.sensitivity[parameter])
-        return worst
-
-
-@dataclass(frozen=True, eq=False)
-class WorstError:
-    """The largest error found of one theta of the nonlinear estimate.
-
-    Attributes
-    ----------
-    error : float
-        Estimate minus truth, signed.
-    delta_0 : Matrix
-        What causes it, shape ``(N, n_d)``.
-    estimate : Vector
-        p estimated under it.
-    """
-
-    error: float
-    delta_0: Matrix
-    estimate: Vector
-
 
 def least_squares_functional(
     jacobian: NDArray[np.float64], weight: Matrix, count: int
@@ -282,88 +245,6 @@ def first_order(problem: BoundedDisturbance, p: Vector) -> FirstOrder:
     functionals = least_squares_functional(prediction.jacobian, problem.weight, problem.n_theta)
     sensitivities = [problem.response.adjoint(row) for row in functionals]
     return FirstOrder(np.array(sensitivities), functionals)
-
-
-def refit(problem: BoundedDisturbance, y: Matrix, start: Vector) -> Vector:
-    """Estimate p from y by weighted least squares, Gauss-Newton from ``start``.
-
-    Raises
-    ------
-    AssumptionError
-        If it does not converge.
-    """
-    root = _root(problem.weight)
-    p = start
-    prediction = problem.model(p)
-    rounding = ROUNDING * float(np.linalg.norm(y @ root))
-    for _ in range(MOST_STEPS):
-        residual = (y - prediction.output) @ root
-        J = _whitened(prediction.jacobian, root)
-        solution = np.linalg.lstsq(J, residual.ravel())
-        step: Vector = solution[0].astype(np.float64)
-        change = float(np.linalg.norm(J @ step))
-        if change <= REFIT_CHANGE * float(np.linalg.norm(residual)) + rounding:
-            return p + step
-        cost = _cost(problem, y, prediction)
-        p, prediction = _descend(problem, y, p, step, cost)
-    raise AssumptionError(
-        f"output error from p = {start.tolist()} did not converge in {MOST_STEPS} steps"
-    )
-
-
-def worst_error(
-    problem: BoundedDisturbance,
-    p: Vector,
-    parameter: int,
-    direction: int,
-    start: Matrix | None = None,
-) -> WorstError:
-    """Search the delta_0 under which the estimate of one theta errs most.
-
-    A local search: a lower bound of the largest error, whatever it starts from.
-
-    Parameters
-    ----------
-    problem : BoundedDisturbance
-    p : Vector
-        The truth, shape ``(n_p,)``.
-    parameter : int
-        Index of theta.
-    direction : int
-        1 for the largest, -1 for the smallest estimate.
-    start : Matrix, optional
-        First delta_0, shape ``(N, n_d)``; by default the first-order worst.
-    """
-    exact = problem.model(p).output
-    delta_0 = start
-    if delta_0 is None:
-        delta_0 = direction * first_order(problem, p).worst(parameter, problem.bound)
-    worst = _error_under(problem, p, parameter, delta_0)
-    for _ in range(MOST_STEPS):
-        y = exact + problem.response.respond(worst.delta_0)
-        sensitivity = _curved_sensitivity(problem, y, worst.estimate, parameter)
-        delta_0 = direction * problem.bound * np.sign(sensitivity)
-        candidate = _error_under(problem, p, parameter, delta_0)
-        if direction * candidate.error <= direction * worst.error:
-            return worst
-        worst = candidate
-    return worst
-
-
-def departure(problem: BoundedDisturbance, p: Vector) -> Vector:
-    """Compute by how much the first order is wrong for each theta, ``(n_theta,)``.
-
-    The largest relative difference of the nonlinear worst error, in both directions, from the
-    first-order half width at p.
-    """
-    half_width = first_order(problem, p).half_width(problem.bound)
-    departures = np.zeros(problem.n_theta)
-    for parameter in range(problem.n_theta):
-        up = worst_error(problem, p, parameter, 1).error
-        down = worst_error(problem, p, parameter, -1).error
-        ratios = np.array([up, -down]) / half_width[parameter]
-        departures[parameter] = np.abs(ratios - 1.0).max()
-    return departures
 
 
 def interval_around(problem: BoundedDisturbance, estimate: Vector) -> Matrix:
@@ -449,7 +330,7 @@ def _matched(
         step: Vector = np.einsum("pky,ky->p", rows, y - prediction.output)
         p = p + step
         change = prediction.jacobian @ step
-        if np.linalg.norm(change) <= REFIT_CHANGE * np.linalg.norm(prediction.output):
+        if np.linalg.norm(change) <= NEWTON_CHANGE * np.linalg.norm(prediction.output):
             return p
     return None
 
@@ -478,76 +359,3 @@ def _whitened(jacobian: NDArray[np.float64], root: Matrix) -> Matrix:
     n_p = jacobian.shape[2]
     rows: Matrix = np.einsum("kyp,yw->kwp", jacobian, root)
     return rows.reshape(-1, n_p)
-
-
-def _descend(
-    problem: BoundedDisturbance, y: Matrix, p: Vector, step: Vector, cost: float
-) -> tuple[Vector, Prediction]:
-    """Take a step, or as much of it as does not raise the weighted residual."""
-    for _ in range(HALVINGS):
-        trial = p + step
-        with np.errstate(over="ignore", invalid="ignore"):
-            prediction = problem.model(trial)
-            reached = _cost(problem, y, prediction)
-        if reached <= cost * (1.0 + RISE):
-            break
-        step = step / 2.0
-    return trial, prediction
-
-
-def _cost(problem: BoundedDisturbance, y: Matrix, prediction: Prediction) -> float:
-    residual = y - prediction.output
-    weighted = residual @ problem.weight
-    return float(np.vdot(residual, weighted))
-
-
-def _error_under(
-    problem: BoundedDisturbance, p: Vector, parameter: int, delta_0: Matrix
-) -> WorstError:
-    exact = problem.model(p).output
-    y = exact + problem.response.respond(delta_0)
-    estimate = refit(problem, y, p)
-    error = float(estimate[parameter] - p[parameter])
-    return WorstError(error, delta_0, estimate)
-
-
-def _curved_sensitivity(
-    problem: BoundedDisturbance, y: Matrix, estimate: Vector, parameter: int
-) -> Matrix:
-    """Compute the derivative of one theta of the estimate by delta_0, shape ``(N, n_d)``.
-
-    The gradient `-J' W (y - g)` vanishes at the estimate; its derivative by p is
-    `J' W J - sum r W d2g`, the implicit function theorem gives the rest.
-    """
-    prediction = problem.model(estimate)
-    J = prediction.jacobian
-    weighted_J = np.einsum("kyp,yw->kwp", J, problem.weight)
-    normal = np.einsum("kyp,kyq->pq", weighted_J, J)
-    residual_size = np.sqrt(_cost(problem, y, prediction))
-    like_residual = residual_size / np.sqrt(np.diag(normal))
-    scale = np.maximum(np.abs(estimate), like_residual)
-    weighted_residual = (y - prediction.output) @ problem.weight
-    curvature = _curvature(problem, estimate, weighted_residual, DIFFERENCE * scale)
-    unit = np.zeros(len(estimate))
-    unit[parameter] = 1.0
-    direction = np.linalg.solve(normal - curvature, unit)
-    functional = weighted_J @ direction
-    return problem.response.adjoint(functional)
-
-
-def _curvature(problem: BoundedDisturbance, p: Vector, functional: Matrix, steps: Vector) -> Matrix:
-    """Compute the second derivatives of `functional' g` by central differences of the Jacobian.
-
-    g is linear in the nuisance parameters, so that only the rows and columns of theta are not zero.
-    """
-    curvature = np.zeros((len(p), len(p)))
-    for column in range(problem.n_theta):
-        shift = np.zeros_like(p)
-        shift[column] = steps[column]
-        ahead = problem.model(p + shift).jacobian
-        behind = problem.model(p - shift).jacobian
-        change = (ahead - behind) / (2.0 * steps[column])
-        curved = np.einsum("kyp,ky->p", change, functional)
-        curvature[:, column] = curved
-        curvature[column, :] = curved
-    return curvature

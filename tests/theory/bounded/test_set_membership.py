@@ -29,10 +29,9 @@ from cosim.theory.bounded.worst_case import (
     Prediction,
     first_order,
     irregular_response,
-    refit,
-    worst_error,
 )
 from tests.theory.academic import alpha
+from tests.theory.bounded.worst_error import refit, worst_error
 from tests.theory.exponential_plant import TRUTH, direct, example
 
 NO_NOISE = np.zeros(1)
