@@ -56,6 +56,7 @@ _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdap
 )
 _COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)  # deferred by its config
 _CERTIFICATE: TypeAdapter[CertificateRecord] = TypeAdapter(CertificateRecord)  # the same
+MEANS: Final = "means"  # of a component: its inputs that get the mean of both ends of a step
 # keys among the results of a run
 CERTIFICATE: Final = "certificate"
 REAL_TIME: Final = "real_time"

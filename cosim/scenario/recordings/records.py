@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +22,8 @@ from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.build import asks_for_means
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.recorded_metadata import MEANS
 from cosim.scenario.recordings.viewer_panels import viewer_panels
-
-MEANS: Final = "means"  # inputs that get the mean of both ends of a step
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
