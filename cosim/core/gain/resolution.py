@@ -117,7 +117,7 @@ class Resolution:
     @property
     def cure(self) -> str:
         """What can be done."""
-        return "" if self.step_ns is None else f"use step = {self.step_ns / NANOSECONDS:g}"
+        return "" if self.step_ns is None else f"use step = {self.step_ns / NANOSECONDS!r}"
 
 
 def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:

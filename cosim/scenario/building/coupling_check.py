@@ -227,7 +227,7 @@ def _refusal(gain: LoopGain, loops: LinearizedLoops, number: int) -> str:
     ways_out = []
     step_ns = loops.step_for(number)
     if step_ns is not None:
-        ways_out.append(f"step = {step_ns / NANOSECONDS:g}")
+        ways_out.append(f"step = {step_ns / NANOSECONDS!r}")
     for coupling in loops.couplings_for(number):
         offer = f'coupling = "{coupling}"'
         if coupling == "newton" and loops.graph.iterations > 1:  # it takes as many as it needs

@@ -76,6 +76,13 @@ def test_the_step_that_is_offered_is_enough_and_the_next_longer_one_is_not():
     assert not found_of(graph, h=2.0 * h).is_resolved
 
 
+def test_the_step_that_is_offered_is_written_to_the_nanosecond():
+    """1/512 s has seven digits; with six it is no part of the step."""
+    found = found_of(cascade(step(time=0.125), 240.0, 200.0), h=1 / 64)
+    assert found.step_ns == 1_953_125
+    assert found.cure == "use step = 0.001953125"
+
+
 def test_an_initial_state_that_is_not_at_rest_excites_modes_as_a_jump_does():
     """An input that stays at 0, and a state that begins at 1; at rest there is no error."""
     for initial in (1.0, 0.0):
