@@ -548,7 +548,7 @@ def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
         if found[name].problem:
             yield name, Verdict.NO_ESTIMATE, found[name].problem
         labels: dict[tuple[str, str], list[str]] = {}
-        for parameter in _parameters(recording, name, _own_estimate(record, found[name])):
+        for parameter in _parameters(name, _own_estimate(record, found[name])):
             if parameter.verdict == Verdict.INCONSISTENT or parameter.value is None:
                 key = (parameter.verdict, parameter.reason)
                 labels.setdefault(key, []).append(parameter.estimate)
@@ -580,8 +580,8 @@ def _identification(
         eigenvalues,
         sentence,
         (*record.notes, *_extent(recording, component, record, identification)),
-        parameters=_parameters(recording, component, _own_estimate(record, identification)),
-        reference=_parameters(recording, component, others),
+        parameters=_parameters(component, _own_estimate(record, identification)),
+        reference=_parameters(component, others),
         amplitudes=tuple(amplitudes),
         undetected=tuple(error.text for error in identification.undetected),
         deviation=identification.deviation,
@@ -634,9 +634,7 @@ def _own_estimate(
     return identification.parameters if is_output_error else identification.estimate
 
 
-def _parameters(
-    recording: Recording, component: str, records: Sequence[ParameterRecord]
-) -> tuple[ParameterSummary, ...]:
+def _parameters(component: str, records: Sequence[ParameterRecord]) -> tuple[ParameterSummary, ...]:
     names = element_names(f"{component}.theta", len(records))
     pairs = zip(names, records, strict=True)
     return tuple(_parameter(name, record) for name, record in pairs)
