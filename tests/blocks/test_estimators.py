@@ -9,10 +9,9 @@ from cosim.blocks.estimator import Estimator
 from cosim.core.contracts import Stopped
 from cosim.errors import UsageError
 from cosim.testing import check_component
-from cosim.theory.estimators.drem import drem
-from cosim.theory.estimators.gradient import gradient
 from tests.blocks.examples import EXAMPLES, STEP_NS, H
 from tests.blocks.stepping import drive
+from tests.theory.estimators.passes import drem, gradient
 
 LAWS = ("gradient", "drem")
 

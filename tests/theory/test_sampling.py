@@ -9,12 +9,9 @@ from cosim.errors import AssumptionError
 from cosim.theory.bounded.irregular_part import bounded_problem
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import expand
-from cosim.theory.estimators.augmented_kalman import smoothed_disturbance
-from cosim.theory.estimators.drem import drem
-from cosim.theory.estimators.extended_kalman import extended_kalman
-from cosim.theory.estimators.gradient import gradient
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.sampling import distinct_steps, equal_step
+from tests.theory.estimators.passes import drem, extended_kalman, gradient, smoothed_disturbance
 from tests.theory.lag import FAMILY, lag, record
 
 

@@ -23,23 +23,11 @@ them with the amplitudes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.estimation.kalman import AugmentedKalmanConstants, AugmentedKalmanStep
 from cosim.native.numerics.linear import first_order_hold
-from cosim.theory.disturbances.families import Family
-from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, white_noise
-from cosim.theory.estimators.defaults import (
-    AUGMENTED_DEVIATION,
-    AUGMENTED_INTENSITY,
-    KALMAN_SIZE,
-)
-from cosim.theory.estimators.output_error import OutputErrorFit
-from cosim.theory.estimators.projection import project
-from cosim.theory.sampling import equal_step
+from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel
 
 
 def augmented_model(
@@ -93,88 +81,6 @@ def augmented_model(
         "W": W,
         "noise": rows,
     }
-
-
-def smoothed_disturbance(
-    t: Vector,
-    y: Matrix,
-    u: Matrix,
-    plant: DisturbedPlant,
-    *,
-    deviation: float = AUGMENTED_DEVIATION,
-    size: float = KALMAN_SIZE,
-    intensity: float = AUGMENTED_INTENSITY,
-) -> Vector:
-    """Reconstruct delta from all samples of y and u, shape (N,).
-
-    Where the plant has an invariant zero in the left half plane, delta has its mode as a transient.
-
-    Parameters
-    ----------
-    t : Vector, shape (N,)
-        Equally spaced instants [s].
-    y : Matrix, shape (N, n_y)
-    u : Matrix, shape (N, n_u)
-    plant : DisturbedPlant
-    deviation : float
-        Of the noise of y.
-    size : float
-        Deviation of x, delta and its derivative at first.
-    intensity : float
-        Spectral density of the second derivative of delta.
-    """
-    h = equal_step(t)
-    n_y, n = plant.C.shape
-    free = np.zeros(u.shape[1], np.bool_)
-    model = augmented_model(plant, h, noise=white_noise(n_y), intensity=intensity, held=free)
-    constants = AugmentedKalmanConstants(
-        **model,
-        first_spread=first_spread(n, size),
-        deviation=deviation,
-        capacity=len(t),
-        projection=None,
-    )
-    kernel = AugmentedKalmanStep(constants)
-    kernel.initialize()
-    ends = np.append(t, t[-1] + h)  # a step takes the sample at its beginning
-    rows = np.hstack([y, u])
-    kernel.step.advance(ends, h, np.vstack([rows, rows[-1]]))
-    return kernel.smooth(len(t))
-
-
-def augmented_kalman(
-    t: Vector,
-    y: Matrix,
-    u: Matrix,
-    alpha: Matrix,
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    theta: Vector,
-    *,
-    A: Matrix | None = None,
-    c: Vector | None = None,
-    deviation: float = AUGMENTED_DEVIATION,
-    size: float = KALMAN_SIZE,
-    intensity: float = AUGMENTED_INTENSITY,
-) -> OutputErrorFit:
-    """Estimate theta by variable projection on the smoothed delta, from a start.
-
-    Parameters
-    ----------
-    t, y, u, plant, deviation, size, intensity
-        As of :func:`smoothed_disturbance`.
-    alpha : Matrix, shape (N, components)
-        The known factors.
-    families : sequence of Family
-    theta : Vector, shape (P,)
-        Start.
-    A, c : optional
-        Modes that delta has as transients, as for :func:`project`.
-    """
-    delta = smoothed_disturbance(
-        t, y, u, plant, deviation=deviation, size=size, intensity=intensity
-    )
-    return project(t, delta, alpha, families, theta, A=A, c=c)
 
 
 def first_spread(states: int, size: float) -> Vector:

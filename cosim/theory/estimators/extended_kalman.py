@@ -16,34 +16,10 @@ explains its component.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
-from cosim.native.estimation.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
-from cosim.native.numerics.expression import compile_expression
-from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
-from cosim.theory.disturbed_plant import DisturbedPlant, discretize, white_noise
-from cosim.theory.estimators.defaults import EXTENDED_DEVIATION, KALMAN_SIZE
-from cosim.theory.estimators.output_error import presence_threshold
-from cosim.theory.sampling import equal_step
-
-
-@dataclass(frozen=True, eq=False)
-class FilteredTheta:
-    """theta after every sample but the last.
-
-    Parameters
-    ----------
-    theta : Matrix, shape (N - 1, P)
-        NaN: no value.
-    standard_error : Matrix, shape (N - 1, P)
-    """
-
-    theta: Matrix
-    standard_error: Matrix
+from cosim.arrays import Vector
+from cosim.theory.disturbances.families import SearchBox
 
 
 def first_theta(box: SearchBox) -> Vector:
@@ -51,58 +27,3 @@ def first_theta(box: SearchBox) -> Vector:
     step = box.step
     start: Vector = np.clip(0.0, box.lower + step, box.upper - step)
     return start
-
-
-def extended_kalman(
-    t: Vector,
-    y: Matrix,
-    u: Matrix,
-    alphas: Sequence[str],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    deviation: float = EXTENDED_DEVIATION,
-    size: float = KALMAN_SIZE,
-    box: SearchBox | None = None,
-) -> FilteredTheta:
-    """Filter samples of y and u.
-
-    Parameters
-    ----------
-    t : Vector, shape (N,)
-        Equally spaced instants [s].
-    y : Matrix, shape (N, n_y)
-    u : Matrix, shape (N, n_u)
-    alphas : sequence of str
-        The known factor of every component, an expression in t.
-    plant : DisturbedPlant
-    families : sequence of Family
-    deviation : float
-        Of the noise of y.
-    size : float
-        Deviation of x and beta at first.
-    box : SearchBox, optional
-        Of theta, which begins in it with the deviation of its step; by default that of the record.
-    """
-    h = equal_step(t)
-    span = float(t[-1] - t[0])
-    searched = box or search_box(families, span=span, shortest=span / 40.0)
-    noise = white_noise(len(plant.C))
-    model, known = discretize(plant, generators(families), step=np.array([h]), noise=noise)
-    programs = [compile_expression(alpha) for alpha in alphas]
-    constants = ExtendedKalmanConstants(
-        terms=0,
-        model=model,
-        known=known,
-        alphas=programs,
-        deviation=deviation,
-        size=size,
-        theta=first_theta(searched),
-        spread=searched.step,
-        threshold=presence_threshold(model.generators.size, 1),
-    )
-    kernel = ExtendedKalmanStep(constants)
-    kernel.initialize()
-    rows = kernel.step.advance(np.ascontiguousarray(t), h, np.hstack([y, u]))
-    parameters = model.generators.parameters
-    return FilteredTheta(rows[:, :parameters], rows[:, parameters:])

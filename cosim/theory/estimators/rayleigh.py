@@ -14,16 +14,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
-from cosim.errors import AssumptionError
-from cosim.native.estimation.output_error import NO_INFORMATION
-from cosim.native.estimation.rayleigh import RayleighConstants, RayleighModel
-from cosim.native.numerics.householder import triangle
+from cosim.native.estimation.rayleigh import RayleighConstants
 from cosim.theory.disturbances.families import (
     AlphaGroup,
     Family,
@@ -33,23 +29,6 @@ from cosim.theory.disturbances.families import (
 )
 from cosim.theory.disturbances.regression import Term
 from cosim.theory.estimators.start_grid import grid_points
-
-
-@dataclass(frozen=True, eq=False)
-class RayleighEstimate:
-    """theta at the minimum of the quotient.
-
-    Parameters
-    ----------
-    theta : Vector, shape (P,)
-    converged : bool
-    variance : float
-        The quotient: an estimate of the variance of the noise in delta.
-    """
-
-    theta: Vector
-    converged: bool
-    variance: float
 
 
 def rayleigh_constants(
@@ -116,54 +95,3 @@ def shortest_delay(delays: Sequence[float]) -> float:
     """Return the smallest difference of two delays [s]."""
     gaps = np.diff(np.sort(np.asarray(delays, np.float64)))
     return float(gaps.min())
-
-
-def noise_covariance(terms: Sequence[Term], alpha_products: Matrix) -> Matrix:
-    """Compute N, shape ``(q + 1, q + 1)``, for rows of alpha products, shape ``(rows, q + 1)``."""
-    signs = np.array([term.sign for term in terms], np.float64)
-    rows = np.array([term.row for term in terms])
-    signed = alpha_products * signs
-    shares_row = rows[:, np.newaxis] == rows
-    covariance: Matrix = (signed.T @ signed) * shares_row
-    return covariance
-
-
-def means(rows: Matrix, count: int) -> Matrix:
-    """Return the means of ``count`` successive rows; those at the end that make none are left out.
-
-    The regression (25) is linear in mu, so it holds for means of mu as it does for mu, and the
-    noise of a derivative nearly cancels in them. The products of the alphas are averaged with mu.
-    """
-    whole = len(rows) // count
-    grouped = rows[: whole * count].reshape(whole, count, rows.shape[1])
-    averaged: Matrix = grouped.mean(axis=1)
-    return averaged
-
-
-def rayleigh(
-    constants: RayleighConstants, mu: Matrix, N: Matrix, *, theta: Vector | None = None
-) -> RayleighEstimate:
-    """Estimate theta from rows of the regression.
-
-    Parameters
-    ----------
-    constants : RayleighConstants
-    mu : Matrix, shape (rows, q + 1)
-    N : Matrix, shape (q + 1, q + 1)
-        :func:`noise_covariance` of the same rows.
-    theta : Vector, shape (P,), optional
-        Where to start; by default where a search on a grid finds the smallest quotients.
-
-    Raises
-    ------
-    AssumptionError
-        If the quotient has no value, for which alphas that vanish are a reason.
-    """
-    model = RayleighModel(constants)
-    status, minimizer, variance = model.minimize(triangle(mu), N, theta)
-    if status == NO_INFORMATION:
-        raise AssumptionError(
-            "the quotient of the regression has no value; the alphas vanish on this window, "
-            "or delta is not finite"
-        )
-    return RayleighEstimate(minimizer, status == 0, variance)

@@ -29,16 +29,12 @@ from cosim.theory.disturbances.families import (
 )
 from cosim.theory.disturbances.regression import chi, expand
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
-from cosim.theory.estimators.extended_kalman import extended_kalman
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.estimators.rayleigh import (
-    noise_covariance,
-    rayleigh,
-    rayleigh_constants,
-)
+from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.estimators.start_grid import start_grid
 from tests.native.estimation.online import H, online
 from tests.theory.closed_forms import static_plant
+from tests.theory.estimators.passes import extended_kalman, noise_covariance, rayleigh
 
 T = np.arange(1001) * H
 

@@ -13,19 +13,14 @@ from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import alpha_products, expand
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.estimators.projection import project
-from cosim.theory.estimators.rayleigh import (
-    means,
-    noise_covariance,
-    rayleigh,
-    rayleigh_constants,
-)
+from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.observers import observer
 from cosim.theory.observers.observer import design
 from cosim.theory.plants.descriptor import reduce
 from tests.scenario.online import COARSE, noisy
 from tests.theory.academic import DELAYS, THETA, academic, alpha, delayed
+from tests.theory.estimators.passes import means, noise_covariance, project, rayleigh
 
 FAMILIES = (Exponential(), Exponential())
 AXIS = np.linspace(-3.0, 0.3, 7)

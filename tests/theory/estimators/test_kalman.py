@@ -10,10 +10,9 @@ import pytest
 from cosim.native.numerics.linear import first_order_hold
 from cosim.theory.disturbances.families import Exponential, SearchBox, Sine
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
-from cosim.theory.estimators.augmented_kalman import augmented_kalman, smoothed_disturbance
-from cosim.theory.estimators.extended_kalman import extended_kalman
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
+from tests.theory.estimators.passes import augmented_kalman, extended_kalman, smoothed_disturbance
 
 H = 1e-2
 ALPHAS = ("1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)")

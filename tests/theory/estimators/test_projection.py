@@ -5,8 +5,9 @@ import pytest
 
 from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.disturbances.families import Exponential, Sine
-from cosim.theory.estimators.projection import project, reconstruction_model
+from cosim.theory.estimators.projection import reconstruction_model
 from tests.theory.academic import THETA, alpha, delta
+from tests.theory.estimators.passes import project
 
 FAMILIES = (Exponential(), Exponential())
 T = np.arange(2001) * 0.01

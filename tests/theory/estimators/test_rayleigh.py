@@ -7,14 +7,9 @@ from cosim.errors import AssumptionError
 from cosim.theory.disturbances.families import Exponential, Sine, group_by_alpha
 from cosim.theory.disturbances.regression import alpha_products, expand, mu
 from cosim.theory.estimators.least_squares import least_squares, plan, recover
-from cosim.theory.estimators.rayleigh import (
-    means,
-    noise_covariance,
-    rayleigh,
-    rayleigh_box,
-    rayleigh_constants,
-)
+from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 from tests.theory.academic import DELAYS, THETA, delayed
+from tests.theory.estimators.passes import means, noise_covariance, rayleigh
 
 FAMILIES = (Exponential(), Exponential())
 TERMS = expand((1, 1))

@@ -19,7 +19,7 @@ from cosim.theory.disturbances.families import (
 from cosim.theory.disturbances.regression import alpha_products, chi, expand, mu
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.least_squares import least_squares, plan, recover, trapezoid_weights
-from cosim.theory.estimators.rayleigh import means, noise_covariance, rayleigh, rayleigh_constants
+from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.experiment_design.bound import accuracy_bound
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.minors import Minors
@@ -27,6 +27,7 @@ from cosim.theory.experiment_design.predictions import RegressionExperiment
 from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNoise
 from cosim.theory.experiment_design.regression_noise import NoisyRegression
 from tests.theory.academic import THETA, alpha, delta
+from tests.theory.estimators.passes import means, noise_covariance, rayleigh
 
 H = 0.02
 T = np.arange(1500) * H
