@@ -5,7 +5,7 @@ A chunk's entry is encoded once; only the statistics and the places are new each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias, final
 
@@ -27,10 +27,6 @@ class EncodedSummary(NamedTuple):
 
     data: bytes
     offset_start: int  # where its summary offsets begin, in the file
-
-
-# Encodes a summary that begins at a position of the file.
-SummaryEncoder: TypeAlias = Callable[[int], EncodedSummary]
 
 
 @dataclass(frozen=True, slots=True)
