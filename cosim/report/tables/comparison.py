@@ -104,14 +104,14 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     for component, name in reports.imported.items():
         print_line(f"{component}: {name} was imported")
     if not reports.refusals:
-        warnings = [*reports.of_run, *reports.warnings]
-        for component, text in warnings:
+        found_before = [*reports.of_run, *reports.warnings]
+        for component, text in found_before:
             print_line(f"warning: {component}: {text}", error=True)
         found = "no problems found"
         if reports.different:
             found = f"the scenario can run; rows that differ: {reports.different}"
-        elif warnings:
-            found = f"the scenario can run; warnings: {len(warnings)}"
+        elif found_before:
+            found = f"the scenario can run; warnings: {len(found_before)}"
         print_line(f"dry run: {found}")
 
 

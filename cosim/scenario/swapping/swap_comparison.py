@@ -306,8 +306,9 @@ def _replaced_components(
                 component = _compared_component(builder, name, initial)
                 components[name] = _ReplacedComponent(component, initial)
                 continue
-            own = [text for key, text in builder.problems if key[:2] == ("components", name)]
-            unbuilt |= {name: text for text in own[:1]}
+            for key, text in builder.problems:
+                if key[:2] == ("components", name):
+                    unbuilt.setdefault(name, text)
     return components, unbuilt
 
 
