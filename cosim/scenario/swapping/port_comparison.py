@@ -37,6 +37,7 @@ PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
 
 _WORST_FIRST: Final[tuple[PortVerdict, ...]] = ("error", "differs", "unknown", "ok")
 SAME = 1e-9  # relative difference up to which two numbers are the same
+ROUNDING = 1e-6  # numbers below are compared as if they were as large: what rounding leaves of 0
 SAME_SIZE = 10.0  # factor up to which two numbers are of one size
 
 
@@ -482,7 +483,7 @@ def _numbers(
     converted: Sequence[float] | Vector | None,
 ) -> Aspect:
     """Compare numbers; ``converted`` are those after in the unit of those before."""
-    verdict = _same_values(before, converted)
+    verdict = _same_values(before, converted, least=ROUNDING)
     return Aspect(aspect, before, after, verdict, _ratio(before, converted))
 
 
@@ -583,20 +584,26 @@ def _in_unit_of(
 
 
 def _same_values(
-    old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None, error: float = SAME
+    old: Sequence[float] | Vector | None,
+    new: Sequence[float] | Vector | None,
+    error: float = SAME,
+    *,
+    least: float = 1.0,
 ) -> PortVerdict:
     if old is None or new is None:
         return "ok" if old is new else "unknown"
-    return "ok" if _close(old, new, error) else "differs"
+    return "ok" if _close(old, new, error, least) else "differs"
 
 
-def _close(old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: float) -> bool:
+def _close(
+    old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: float, least: float = 1.0
+) -> bool:
     if len(old) != len(new):
         return False
     old_values = np.array(old)
     new_values = np.array(new)
     largest = np.nanmax(np.abs(old_values), initial=0.0)
-    tolerance = error * max(1.0, largest)
+    tolerance = error * max(least, largest)
     return bool(np.allclose(old_values, new_values, rtol=0.0, atol=tolerance, equal_nan=True))
 
 

@@ -80,6 +80,18 @@ def test_values_are_compared_in_one_unit():
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "verdict"),
+    [(1e-10, 5e-10, "differs"), (1e-10, 1e-10 * (1 + 1e-12), "ok"), (0.0, 1e-17, "ok")],
+)
+def test_small_values_are_compared_by_their_size(before, after, verdict):
+    """Capacitances in F are no rounding; what that leaves of 0 is no difference."""
+    old, new = (
+        ComparedComponent(BEFORE, ABLE, start={"u": np.array([u])}) for u in (before, after)
+    )
+    assert verdicts(old, new)["u", "start value"] == verdict
+
+
 def test_each_element_is_compared_in_its_unit():
     """2 m and 1 s are 2000 mm and 1 s; an element of another kind is an error or differs."""
 
