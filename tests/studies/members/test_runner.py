@@ -241,7 +241,7 @@ def test_the_warnings_of_a_member_are_those_of_its_run(rate, tmp_path):
     member = StudyMember(1, set={"observer.filter_rate": rate})
     run = cosim.run("academic", set={**edits, **member.set})
     texts = [f"{warning.source}: {warning.text}" for warning in run.warnings]
-    assert len(texts) == (1 if rate > 100.0 else 0)
+    assert len(texts) == (2 if rate > 100.0 else 0)
     logged = replace(subject, logs=str(tmp_path))
     for opener, given in (
         (open_runner, subject),

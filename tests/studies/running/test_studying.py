@@ -412,7 +412,7 @@ def test_empty_cells_of_a_table_of_cases_are_noticed(tmp_path):
 
 
 def test_what_members_warn_of_is_a_column_and_a_warning(tmp_path):
-    """By number, by line, and in Python once for all members."""
+    """By number, by line, and in Python once for each text of all members."""
     held = {"scenario.input_interpolation": "zero-order", "observer.filter": "first-order"}
     with pytest.warns(cosim.CosimWarning, match=r"1 of 2 members warns, 1: observer: ") as shown:
         study = cosim.study(
@@ -423,11 +423,11 @@ def test_what_members_warn_of_is_a_column_and_a_warning(tmp_path):
             out=tmp_path / "study",
             workers=1,
         )
-    assert len(shown) == 1
-    ((number, (text,)),) = study.warnings.items()
-    assert number == 1
-    assert text.endswith("do not trust delta")
-    assert study.table(["warnings"])["warnings"].to_pylist() == [None, text]
+    assert len(shown) == 3
+    (own,), (held_inputs, step) = study.warnings.values()
+    assert own.startswith("scenario.step: ")
+    assert held_inputs.endswith("do not trust delta")
+    assert study.table(["warnings"])["warnings"].to_pylist() == [own, f"{held_inputs}\n{step}"]
 
 
 @pytest.mark.parametrize(
