@@ -90,10 +90,11 @@ def _events_text(difference: EventsDifference) -> str:
 
 def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     """Print how swapped components compare with those that they replace."""
+    found_before = [*reports.of_run, *reports.warnings]
     if as_json:
         swaps = {name: report.to_dict() for name, report in reports.reports.items()}
         imported = dict(reports.imported)
-        warnings = [{"of": name, "text": text} for name, text in reports.of_run]
+        warnings = [{"of": name, "text": text} for name, text in found_before]
         problems = reports.refusals
         print_json(
             {"swaps": swaps, "problems": problems, "imported": imported, "warnings": warnings}
@@ -104,7 +105,6 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     for component, name in reports.imported.items():
         print_line(f"{component}: {name} was imported")
     if not reports.refusals:
-        found_before = [*reports.of_run, *reports.warnings]
         for component, text in found_before:
             print_line(f"warning: {component}: {text}", error=True)
         found = "no problems found"

@@ -299,7 +299,7 @@ def test_a_recording_says_what_it_does_not_know(folder):
     assert verdicts(found, "ok")["y", "initial output"] == "ok"
 
 
-def test_the_replaced_component_need_not_work(folder):
+def test_the_replaced_component_need_not_work(folder, capsys):
     """The scenario's own plant is broken: nothing to compare with, which is said."""
     document = find("academic")
     text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
@@ -309,6 +309,8 @@ def test_the_replaced_component_need_not_work(folder):
     ((component, text),) = found.warnings
     assert component == "plant"
     assert "cannot be compared with what it replaces, which cannot be built: x_a0" in text
+    print_dry_run(found, as_json=True)
+    assert {"of": "plant", "text": text} in json.loads(capsys.readouterr().out)["warnings"]
 
 
 @pytest.mark.slow
