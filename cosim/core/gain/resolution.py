@@ -347,13 +347,12 @@ class _WholeModel:
             interface = self._members[number].channel.interface
             ports = [Port(name, signal.name) for signal in interface.outputs]
             is_open = any(self._graph.variability(port) == "continuous" for port in ports)
-            if not (interface.n_u and is_open) or (own is not None and not own.is_local):
+            is_known = own is not None and not own.is_local
+            if name in unknown or is_known or not (interface.n_u and is_open):
                 continue
             has_no_states = own is not None or name in self._delays
             may_integrate = not (has_no_states or interface.continuous)  # own ones take samples
             is_off_line = bool(self._moving(name)[:, found.off_lines].any())
-            if name in unknown:
-                continue
             if (is_off_line and may_integrate) or (
                 (is_off_line or not has_no_states) and self._drives(name)
             ):
@@ -422,12 +421,9 @@ def _responses(
     own, others = order
     rows = slice(states[-1].stop, states[-1].stop + len(base))
     by_x = np.hstack([system.C, system.D])
-    M, half = (
-        matrix_exponential(np.pad(np.hstack([system.A, system.B]) * h, ((0, n_w), (0, 0))))
-        for h in (model.h, 0.5 * model.h)
-    )
-    reached = reached_by(np.pad(np.hstack([system.A, system.B]), ((0, n_w), (0, 0))))
-    M, half = M * reached, half * reached  # the rest is rounding, and no response
+    rates = np.pad(np.hstack([system.A, system.B]), ((0, n_w), (0, 0)))
+    reached = reached_by(rates)  # the rest is rounding, and no response
+    M, half = (matrix_exponential(rates * h) * reached for h in (model.h, 0.5 * model.h))
     middle = by_x @ (half - 0.5 * (np.eye(n + n_w) + M))
     z = np.zeros((len(step), w.shape[1]))
     z[others] = w  # it is in the row only at the end of the step

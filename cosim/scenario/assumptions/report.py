@@ -274,7 +274,7 @@ class _Check:
         return verdicts
 
     def _resolution(self) -> AssumptionVerdict:
-        """Return what linear interpolation over a step does to the modes of the model."""
+        """Return whether a run with this step follows the exact solution of the model."""
         found = self._beginning.resolution()
         values = {"step": found.h, "fastest_rate": found.rate, "error": found.missed.error}
         if not found.is_resolved:

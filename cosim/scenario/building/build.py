@@ -148,6 +148,9 @@ class Builder:
             self._build(name, spec)
         self._drop_repeated_problems()
         self._invalid |= self._names() - self.components.keys()
+        self._connections: Mapping[Port, Connection] = scenario.connections
+        if recording is not None:  # with the conversions of its run
+            self._connections = as_in_run(scenario.connections, recording, self.components)
         self._check_connections()
         self._truth, truth_problems = check_truth(
             scenario.file, self.components, self._invalid, self.context.warn
@@ -327,7 +330,7 @@ class Builder:
             return
         ports = Ports(layout_of(components))
         unread = ports_in(key[1] for key in invalid if key[0] == "connections")
-        problems = check_connections(ports, self._connections(), self._invalid, unread)
+        problems = check_connections(ports, self._connections, self._invalid, unread)
         for to, text in problems.items():
             origin = self.scenario.implied.get(to, to)
             if origin is None:
@@ -336,13 +339,6 @@ class Builder:
                 self._invalid.add(to.component)
             elif origin == to or origin not in problems:  # else told of what it follows from
                 self._add_connection_problem(to, origin, text)
-
-    def _connections(self) -> Mapping[Port, Connection]:
-        """Return the connections, in a replay with the conversions of its run."""
-        connections = self.scenario.connections
-        if self._recording is None:
-            return connections
-        return as_in_run(connections, self._recording, self.components)
 
     def _add_connection_problem(self, to: Port, origin: Port, text: str) -> None:
         key = ("connections", str(origin))
@@ -602,7 +598,7 @@ class Builder:
         specs = self.scenario.specs
         return Graph(
             self.components,
-            self._connections(),
+            self._connections,
             coupling=settings.coupling,
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
