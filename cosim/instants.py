@@ -6,6 +6,18 @@ than half a nanosecond from what they stand for, so that each of them stands for
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Vector
+
+StepNs: TypeAlias = int | Fraction  # of a whole number of nanoseconds an int
+Numbers = TypeVar("Numbers", int, NDArray[np.int64])
+
 NANOSECONDS = 1_000_000_000  # in a second
 
 
@@ -32,3 +44,76 @@ def duration(begin: float, end: float) -> float:
     """Return the time between two times [s]: between two on the grid it is on the grid, too."""
     whole = whole_duration(begin, end)
     return end - begin if whole is None else whole
+
+
+def step_seconds(step_ns: StepNs) -> float:
+    """Return a step as the double next to it [s]."""
+    return float(step_ns / NANOSECONDS)
+
+
+def step_part(step_ns: StepNs, count: int) -> StepNs:
+    """Return one of ``count`` equal parts of a step [ns]."""
+    part = Fraction(step_ns) / count
+    return part if part.denominator > 1 else part.numerator
+
+
+def step_value(step_ns: StepNs) -> float | str:
+    """Return a step as a scenario has it [s]: ``0.001``, ``"1/60"``."""
+    seconds = step_ns / NANOSECONDS
+    return str(seconds) if isinstance(seconds, Fraction) else seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Points at equal distances: the stamp of a point, and the number of a stamp.
+
+    Numbers and stamps may be integers or arrays of them.
+
+    >>> Grid(0, Fraction(50_000_000, 3)).stamp(2)  # 2/60 s
+    33333333
+
+    Parameters
+    ----------
+    start_ns : int
+        Stamp of the point of number 0 [ns].
+    step_ns : int or Fraction
+        Between two points [ns]; of a fraction every multiple is a point.
+    """
+
+    start_ns: int
+    step_ns: StepNs
+
+    def stamp(self, number: Numbers) -> Numbers:
+        """Return the whole nanosecond next to a point."""
+        step_ns = self.step_ns
+        if isinstance(step_ns, int):
+            return self.start_ns + number * step_ns
+        numerator, denominator = step_ns.as_integer_ratio()
+        multiple = self._first + number
+        return (2 * numerator * multiple + denominator) // (2 * denominator)
+
+    def number(self, stamp: Numbers) -> Numbers:
+        """Return the last point whose stamp is not after this one."""
+        step_ns = self.step_ns
+        if isinstance(step_ns, int):
+            return (stamp - self.start_ns) // step_ns
+        return _multiple(stamp, step_ns) - self._first
+
+    def time(self, numbers: NDArray[np.int64]) -> Vector:
+        """Return the doubles next to points [s]."""
+        if isinstance(self.step_ns, int):
+            return self.stamp(numbers) / NANOSECONDS
+        numerator, denominator = (self.step_ns / NANOSECONDS).as_integer_ratio()
+        return (self._first + numbers) * numerator / denominator
+
+    @property
+    def _first(self) -> int:
+        """Which multiple of a fraction the point of number 0 is."""
+        assert isinstance(self.step_ns, Fraction)
+        return _multiple(self.start_ns, self.step_ns)
+
+
+def _multiple(stamp: Numbers, step_ns: Fraction) -> Numbers:
+    """Return the last multiple of a fraction whose stamp is not after this one."""
+    numerator, denominator = step_ns.as_integer_ratio()
+    return ((2 * stamp + 1) * denominator - 1) // (2 * numerator)

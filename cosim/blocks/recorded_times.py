@@ -57,6 +57,7 @@ class RegularTimes:
 
     def last_not_after(self, t: Vector) -> RowNumbers:
         """Return the number of the last row that is not after each time [s]; -1: there is none."""
+        t = _stamped(t)
         last = self._count - 1
         guesses = np.floor((t * NANOSECONDS - self._first_ns) / self._period_ns)
         numbers: RowNumbers = np.clip(guesses, -1, last).astype(np.int64)
@@ -98,7 +99,7 @@ class GivenTimes:
 
     def last_not_after(self, t: Vector) -> RowNumbers:
         """Return the number of the last row that is not after each time [s]; -1: there is none."""
-        numbers: RowNumbers = np.searchsorted(self._time, t, side="right") - 1
+        numbers: RowNumbers = np.searchsorted(self._time, _stamped(t), side="right") - 1
         return numbers
 
     def span(self, begin: int, stop: int) -> tuple[int, int]:
@@ -106,6 +107,12 @@ class GivenTimes:
         first = np.searchsorted(self._time_ns, self._time_ns[begin])
         last = np.searchsorted(self._time_ns, self._time_ns[stop - 1], side="right")
         return int(first), int(last)
+
+
+def _stamped(t: Vector) -> Vector:
+    """Return times [s] as a row at them is stamped, where that is later: to the nanosecond."""
+    stamped: Vector = np.maximum(t, np.rint(t * NANOSECONDS) / NANOSECONDS)
+    return stamped
 
 
 @final

@@ -138,7 +138,7 @@ def run_in_child(
     raise typer.Exit(result.exit_code)
 
 
-def given_values(values: Mapping[str, float | None]) -> dict[str, float]:
+def given_values(values: Mapping[str, float | str | None]) -> dict[str, float | str]:
     """Return the values of the options that were given."""
     return {key: value for key, value in values.items() if value is not None}
 
@@ -184,7 +184,7 @@ def read_numbers(texts: list[str] | None, name: str) -> dict[str, float] | None:
 
 
 def read_edits(
-    texts: list[str] | None, options: Mapping[str, float | None] | None = None
+    texts: list[str] | None, options: Mapping[str, float | str | None] | None = None
 ) -> dict[str, Any]:
     """Read the pairs of --set, whose values are TOML where they can be, and add those of options.
 

@@ -65,8 +65,12 @@ RunOutOption = Annotated[
 ]
 
 StepOption = Annotated[
-    float | None,
-    typer.Option(help="Communication step [s]; the same as --set scenario.step=..."),
+    str | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Communication step [s], or a fraction such as 1/60; the same as --set "
+        "scenario.step=...",
+    ),
 ]
 
 ProfileOption = Annotated[
@@ -197,7 +201,7 @@ def run(
     if dry_run:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         numbers = given_values({"--stop": stop, "--step": step})
-        options |= {name: [repr(number)] for name, number in numbers.items()}
+        options |= {name: [str(number)] for name, number in numbers.items()}
         run_in_child(["run", scenario, "--dry-run"], options, as_json=as_json)
     imported = perf_counter()
     with prints_to_stderr():
@@ -208,7 +212,7 @@ def run(
                 changes,
                 {
                     "scenario.stop": stop,
-                    "scenario.step": step,
+                    "scenario.step": None if step is None else _number_or_text(step),
                     "scenario.verdicts": False if no_verdicts else None,
                 },
             ),
@@ -271,6 +275,14 @@ def _check_rotated(plot: Path | None, *, profile: bool) -> None:
     if plot is not None or profile:
         name = "--profile" if plot is None else "--plot"
         raise UsageError(f"{name} needs a log in one file; omit it or --rotate")
+
+
+def _number_or_text(step: str) -> float | str:
+    """Return a step as it would be in a file: a fraction is a text there."""
+    try:
+        return float(step)
+    except ValueError:
+        return step
 
 
 def _dry_run(scenario: Scenario, *, as_json: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from cosim.core.contracts import Component, Design
 from cosim.core.recording import Recorder
 from cosim.core.signals import Interface
 from cosim.errors import GraphError, UsageError, nearest, quoted
+from cosim.instants import StepNs
 
 THREADS: Final = (1, 2)
 RECORDER_METHODS = ("__enter__", "__exit__", "begin", "write", "message", "event", "result")
@@ -150,7 +152,7 @@ def checked_periods(
     return dict(periods)
 
 
-def check_step(step_ns: int) -> None:
+def check_step(step_ns: StepNs) -> None:
     """Check a communication step [ns].
 
     Raises
@@ -158,7 +160,7 @@ def check_step(step_ns: int) -> None:
     GraphError
         If it is no whole number from 1 on.
     """
-    if type(step_ns) is not int or step_ns < 1:
+    if type(step_ns) not in (int, Fraction) or step_ns < 1:
         raise GraphError(f"step_ns: expected an integer >= 1 [ns], got {kind_of(step_ns)}")
 
 

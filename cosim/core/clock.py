@@ -1,4 +1,9 @@
-"""The communication grid: integer nanoseconds, and blocks of steps."""
+"""The communication grid: its points in nanoseconds and in seconds, and blocks of steps.
+
+A step is a whole number of nanoseconds, or a fraction such as 1/60 s. Then the points are the
+multiples of it from 0 s on: components get the double next to k/60, and the stamp of a row is the
+whole nanosecond next to it, from which k follows again.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +20,16 @@ from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.arguments import kind_of
 from cosim.core.contracts import Block
 from cosim.errors import ClockError, quoted
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Grid, StepNs, step_part, step_seconds, step_value
 
 LARGEST_NS = 2**63 - 1
+LARGEST_DENOMINATOR = 1_000_000  # of a fraction that a double may have meant
 LARGEST_EXPONENT = 400  # of ten: beyond every double
 BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
 
 
-def nanoseconds(seconds: float | str) -> int:
+def nanoseconds(seconds: float | str | Fraction) -> int:
     """Convert seconds to nanoseconds, exactly.
 
     Raises
@@ -31,10 +37,38 @@ def nanoseconds(seconds: float | str) -> int:
     ClockError
         If ``seconds`` is not a number, not a whole number of nanoseconds, or beyond 292 years.
     """
+    exact = exact_nanoseconds(seconds)
+    if isinstance(exact, int):
+        return exact
+    smallest = 1 if exact > 0 else -1
+    nearest = (round(exact) or smallest) / NANOSECONDS
+    raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {nearest} s")
+
+
+def exact_nanoseconds(seconds: float | str | Fraction) -> int | Fraction:
+    """Convert seconds to nanoseconds; a fraction only where they are no whole number.
+
+    Raises
+    ------
+    ClockError
+        If ``seconds`` is not a number, or beyond 292 years.
+    """
     return _of_float(seconds) if type(seconds) is float else _exactly(seconds)
 
 
-def _exactly(seconds: float | str) -> int:
+def _exactly(seconds: float | str | Fraction) -> int | Fraction:
+    exact = seconds if isinstance(seconds, Fraction) else _decimal(seconds)
+    exact *= NANOSECONDS
+    if abs(exact) > LARGEST_NS:
+        raise ClockError(
+            f"{seconds} s does not fit into 64-bit nanoseconds; at most "
+            f"{LARGEST_NS / NANOSECONDS:.3e} s"
+        )
+    return step_part(exact, 1)
+
+
+def _decimal(seconds: float | str) -> Fraction:
+    """Return a number as it is written."""
     try:
         decimal = Decimal(str(seconds))
     except (InvalidOperation, ValueError) as error:  # no number
@@ -45,18 +79,7 @@ def _exactly(seconds: float | str) -> int:
         # As a fraction it could have more digits than there is memory.
         limit = f"1e-{LARGEST_EXPONENT} to 1e{LARGEST_EXPONENT}"
         raise ClockError(f"{kind_of(seconds)} s is not within {limit} s")
-    exact = Fraction(decimal) * NANOSECONDS
-    whole = round(exact)
-    if exact != whole:
-        smallest = 1 if exact > 0 else -1
-        nearest = (whole or smallest) / NANOSECONDS
-        raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {nearest} s")
-    if abs(whole) > LARGEST_NS:
-        raise ClockError(
-            f"{seconds} s does not fit into 64-bit nanoseconds; at most "
-            f"{LARGEST_NS / NANOSECONDS:.3e} s"
-        )
-    return whole
+    return Fraction(decimal)
 
 
 _of_float = lru_cache(1024)(_exactly)  # the times of a scenario are asked for many times
@@ -88,17 +111,21 @@ def seconds(ns: Nanoseconds) -> Vector:
     return ns / NANOSECONDS
 
 
-def whole_steps(time: float | str, step_ns: int, what: str, *, start_ns: int = 0) -> int:
+def whole_steps(time: float | str, step_ns: StepNs, what: str, *, start_ns: int = 0) -> int:
     """Return a duration, or an instant after ``start_ns``, in communication steps.
+
+    Where the step is no whole number of nanoseconds, it is the time next to a point that counts.
 
     Parameters
     ----------
     time : float or str
         Seconds.
-    step_ns, start_ns : int
-        Communication step, and the start of the run where ``time`` is an instant [ns].
+    step_ns : int or Fraction
+        Communication step [ns].
     what : str
         Names the time in the message.
+    start_ns : int
+        The start of the run where ``time`` is an instant [ns].
 
     Raises
     ------
@@ -106,17 +133,17 @@ def whole_steps(time: float | str, step_ns: int, what: str, *, start_ns: int = 0
         If it is not a whole number of them, or no time at all.
     """
     try:
-        ns = nanoseconds(time) - start_ns
+        exact = nanoseconds(time) if isinstance(step_ns, int) else exact_nanoseconds(time)
     except ClockError as error:
         raise ClockError(f"{what}: {error}") from error
-    steps, rest = divmod(ns, step_ns)
-    if rest:
-        nearest_steps = max(1, round(ns / step_ns))
-        nearest = (start_ns + nearest_steps * step_ns) / NANOSECONDS
-        step = step_ns / NANOSECONDS
+    grid = Grid(start_ns, step_ns)
+    steps = grid.number(round(exact))
+    if grid.stamp(steps) != round(exact):
+        nearest = grid.stamp(max(1, round((exact - start_ns) / step_ns))) / NANOSECONDS
         since = f" after the start at {start_ns / NANOSECONDS} s" if start_ns else ""
         raise ClockError(
-            f"{what}: {time} s is not a whole number of {step} s steps{since}; nearest: {nearest} s"
+            f"{what}: {time} s is not a whole number of {step_value(step_ns)} s steps{since}; "
+            f"nearest: {nearest} s"
         )
     return steps
 
@@ -127,9 +154,11 @@ class Clock:
 
     Parameters
     ----------
-    stop, step : float
-        End of the run and communication step [s], whole nanoseconds; ``stop`` a whole number of
-        steps after ``start_time``.
+    stop : float
+        End of the run [s], a whole number of steps after ``start_time``.
+    step : float or Fraction
+        Communication step [s]: whole nanoseconds, or a fraction, such as ``Fraction(1, 60)``. Then
+        ``stop`` and ``start_time`` become the doubles next to the multiples that they stand for.
     block : int or None
         Communication steps in one block; None: as many as make about 50 ms of work. Results do not
         depend on it.
@@ -143,7 +172,7 @@ class Clock:
     """
 
     stop: float
-    step: float
+    step: float | Fraction
     block: int | None = None
     start_time: float = 0.0
 
@@ -154,30 +183,88 @@ class Clock:
                 raise ClockError(f"{key}: expected a number of seconds, got {quoted(value)}")
         if self.step_ns <= 0:
             raise ClockError(f"step: expected a time > 0, got {self.step} s")
-        if nanoseconds(self.stop) <= self.start_ns:
+        if exact_nanoseconds(self.stop) <= self.start_ns:
             needed = f"a time after start_time = {self.start_time} s"
             if self.start_ns == 0:
                 needed = "a time > 0"
             raise ClockError(f"stop: expected {needed}, got {self.stop} s")
-        self.steps_until(self.stop, "stop")
+        if isinstance(self.step_ns, Fraction):
+            self._check_fraction(self.step_ns)
+        steps = self.steps_until(self.stop, "stop")
+        if isinstance(self.step_ns, Fraction):
+            for key, number in (("start_time", 0), ("stop", steps)):
+                object.__setattr__(self, key, float(self.grid.time(np.array([number]))[0]))
         if self.block is not None and (type(self.block) is not int or self.block < 1):
             found = kind_of(self.block)
             raise ClockError(f"block: expected a number of steps >= 1, or None, got {found}")
 
+    def _check_fraction(self, step_ns: Fraction) -> None:
+        """Check that points differ as whole nanoseconds, and that 64 bits are enough for them.
+
+        Raises
+        ------
+        ClockError
+            If not.
+        """
+        longest = LARGEST_NS // (4 * step_ns.denominator)
+        if step_ns < 1 or exact_nanoseconds(self.stop) > longest:
+            raise ClockError(
+                f"step: expected a fraction from 1e-9 s on whose points up to stop are told apart "
+                f"in 64 bits, got {self.step} s, with which stop is at most "
+                f"{longest / NANOSECONDS:g} s"
+            )
+
     @cached_property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
-        return nanoseconds(self.step)
+        return self.step_of(self.step)
+
+    @staticmethod
+    def step_of(step: float | Fraction) -> StepNs:
+        """Return a communication step in nanoseconds.
+
+        Raises
+        ------
+        ClockError
+            If it is a double that is no whole number of them.
+        """
+        if isinstance(step, Fraction):
+            return exact_nanoseconds(step)
+        try:
+            return nanoseconds(step)
+        except ClockError as error:
+            fraction = Fraction(step).limit_denominator(LARGEST_DENOMINATOR) if step else None
+            if fraction is None or float(fraction) != step:
+                raise
+            raise ClockError(f'{error}; or the fraction "{fraction}"') from error
+
+    @cached_property
+    def h(self) -> float:
+        """Communication step, the double next to it [s]."""
+        return step_seconds(self.step_ns)
 
     @cached_property
     def start_ns(self) -> int:
-        """First communication point [ns]."""
-        return start_nanoseconds(self.start_time)
+        """Stamp of the first communication point [ns]."""
+        if isinstance(self.step_ns, int):
+            return start_nanoseconds(self.start_time)
+        multiple = whole_steps(self.start_time, self.step_ns, "start_time")
+        return start_nanoseconds(Grid(0, self.step_ns).stamp(multiple) / NANOSECONDS)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Its communication points, which go on beyond its stop."""
+        return Grid(self.start_ns, self.step_ns)
 
     @cached_property
     def steps(self) -> int:
         """Number of communication steps of the run."""
-        return (nanoseconds(self.stop) - self.start_ns) // self.step_ns
+        return self.steps_until(self.stop, "stop")
+
+    @property
+    def points(self) -> Vector:
+        """All communication points of the run, shape (steps + 1,) [s]."""
+        return self.grid.time(np.arange(self.steps + 1))
 
     def steps_until(self, time: float | str, what: str) -> int:
         """Return the number of the communication point at an instant [s].
@@ -191,30 +278,30 @@ class Clock:
 
     def nearest_points(self, times: Vector) -> Vector:
         """Return the communication point nearest to each instant [s], also outside the run."""
-        numbers = np.rint((times * NANOSECONDS - self.start_ns) / self.step_ns)
-        return seconds(self.start_ns + numbers.astype(np.int64) * self.step_ns)
+        numbers = np.rint((times * NANOSECONDS - self.start_ns) / float(self.step_ns))
+        return self.grid.time(numbers.astype(np.int64))
 
     def is_point(self, times: Vector) -> Mask:
         """Return which instants are communication points, but for the rounding of doubles."""
-        rounding = 4.0 * np.spacing(np.maximum(np.abs(times), self.step_ns / NANOSECONDS))
+        rounding = 4.0 * np.spacing(np.maximum(np.abs(times), self.h))
         on_grid: Mask = np.abs(self.nearest_points(times) - times) <= rounding
         return on_grid
 
     def points_around(self, time: float) -> tuple[float, float]:
         """Return the communication points before and after an instant [s] that is none."""
-        (nearest,) = self.nearest_points(np.array([time]))
-        step = self.step_ns if nearest < time else -self.step_ns
-        other = (round(nearest * NANOSECONDS) + step) / NANOSECONDS
-        first, second = sorted((float(nearest), other))
-        return first, second
+        number = round((time * NANOSECONDS - self.start_ns) / float(self.step_ns))
+        around = self.grid.time(np.array([number - 1, number, number + 1]))
+        before = 0 if around[1] >= time else 1
+        return float(around[before]), float(around[before + 1])
 
     def block_at(self, index: int, steps: int) -> Block:
         """Return some communication steps, from the point of number ``index`` on."""
-        ns = np.arange(index, index + steps + 1, dtype=np.int64) * self.step_ns + self.start_ns
-        time = seconds(ns)
+        numbers = np.arange(index, index + steps + 1, dtype=np.int64)
+        ns = self.grid.stamp(numbers)
+        time = self.grid.time(numbers)
         for array in (ns, time):
             array.setflags(write=False)  # components see them
-        return Block(index, ns, time, self.step_ns / NANOSECONDS)
+        return Block(index, ns, time, self.h)
 
     def blocks(self, limit: int, work: float = BLOCK_WORK) -> Iterator[Block]:
         """Yield the blocks of the run, none longer than ``limit`` steps.

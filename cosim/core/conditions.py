@@ -20,7 +20,7 @@ from cosim.core.contracts import Stopped
 from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Layout
 from cosim.errors import ClockError, UnknownSignalError, UsageError, quoted
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, StepNs
 from cosim.native.numerics.expression import compile_condition
 from cosim.native.numerics.programs import RowProgram
 
@@ -55,7 +55,7 @@ class Condition:
         duration is no whole number of communication steps.
     """
 
-    def __init__(self, text: str, layout: Layout, step_ns: int) -> None:
+    def __init__(self, text: str, layout: Layout, step_ns: StepNs) -> None:
         compiled = compile_condition(text)
         start = f"condition {quoted(text)}"
         columns = signal_columns(compiled.program.signals, layout, start)
@@ -241,7 +241,7 @@ def signal_columns(signals: Sequence[str], layout: Layout, start: str) -> list[i
     return columns
 
 
-def _duration_steps(duration_ns: int, step_ns: int, start: str) -> int:
+def _duration_steps(duration_ns: int, step_ns: StepNs, start: str) -> int:
     """Return a duration in communication steps."""
     try:
         return whole_steps(str(Decimal(duration_ns) / NANOSECONDS), step_ns, "for")

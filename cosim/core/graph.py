@@ -43,6 +43,7 @@ from cosim.core.structure.order import Coupling
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, nearest
+from cosim.instants import StepNs, step_seconds
 from cosim.native.numerics.program_cache import ProgramCaches
 from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
@@ -217,7 +218,7 @@ class Graph:
         """Say to a component what drives its inputs, as ``prepare`` does."""
         self._members[name].component.take_wiring(self._wiring[name])
 
-    def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
+    def prepare(self, step_ns: StepNs, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that.
 
         Parameters
@@ -244,7 +245,7 @@ class Graph:
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
-    def exchange(self, components: Mapping[str, Component], step_ns: int) -> dict[str, Design]:
+    def exchange(self, components: Mapping[str, Component], step_ns: StepNs) -> dict[str, Design]:
         """Put other components in the places of some, and prepare those; return their designs.
 
         Parameters
@@ -274,7 +275,7 @@ class Graph:
             designs[name] = self.prepare_one(name, step_ns, {})
         return designs
 
-    def prepare_one(self, name: str, step_ns: int, recorded: Design) -> Design:
+    def prepare_one(self, name: str, step_ns: StepNs, recorded: Design) -> Design:
         """Prepare a component in its place; return its design.
 
         Parameters
@@ -291,7 +292,7 @@ class Graph:
         self,
         name: str,
         component: Component,
-        step_ns: int,
+        step_ns: StepNs,
         recorded: Design,
         *,
         transfers: bool = False,
@@ -325,14 +326,14 @@ class Graph:
         return self._prepare(name, GuardedComponent(channel, component), step_ns, recorded)
 
     def _prepare(
-        self, name: str, guarded: GuardedComponent, step_ns: int, recorded: Design
+        self, name: str, guarded: GuardedComponent, step_ns: StepNs, recorded: Design
     ) -> Design:
         """Prepare a component that is in a place, or may come there."""
         guarded.take_wiring(self._wiring[name])
         lengths = self._lengths(name, step_ns)
-        return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
+        return guarded.prepare(step_seconds(step_ns), self.held[name], recorded, lengths)
 
-    def _lengths(self, name: str, step_ns: int) -> tuple[float, ...]:
+    def _lengths(self, name: str, step_ns: StepNs) -> tuple[float, ...]:
         """Return the lengths of the substeps that a component may have to take [s]."""
         for control in self.substep_controls:
             if name in control.components:

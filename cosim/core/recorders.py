@@ -29,6 +29,7 @@ from cosim.core.recording import (
 )
 from cosim.core.signals import Channel
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
+from cosim.instants import StepNs
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +198,7 @@ class Memory(RecordedRun):
         """Do nothing: all rows are in memory."""
 
     @property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
         return self.plan.step_ns
 

@@ -15,7 +15,7 @@ from cosim.core.contracts import Block, Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import PartialChannels, PartialRecord
 from cosim.core.signals import Channel, FaultKind, Layout
-from cosim.instants import duration, last_nanosecond
+from cosim.instants import Grid, StepNs, duration, last_nanosecond
 
 EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
@@ -32,7 +32,7 @@ class Plan:
     Parameters
     ----------
     layout : Layout
-    step_ns : int
+    step_ns : int or Fraction
         Communication step [ns].
     designs : mapping of component name to Design
     held : mapping of component name to Mask
@@ -45,7 +45,7 @@ class Plan:
     """
 
     layout: Layout
-    step_ns: int
+    step_ns: StepNs
     designs: Mapping[str, Design]
     held: Mapping[str, Mask]
     schedule: tuple[str, ...]
@@ -320,8 +320,13 @@ class CompleteRecording(Recording, Protocol):
     """A recording with the scenario of its run, which can be built again from it."""
 
     @property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
+        ...
+
+    @property
+    def grid(self) -> Grid:
+        """The communication points: number 0 is that at which the run began."""
         ...
 
     @property

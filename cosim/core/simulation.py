@@ -110,7 +110,7 @@ class Simulation:
         self._columns = SignalColumns(graph.layout, clock)
         self._states = States(graph, clock, plan, identity)
         self._jumps = Jumps(graph, are_recorded=self._is_recorded)
-        self._varying = VaryingFaults(graph, clock.step)
+        self._varying = VaryingFaults(graph, clock.h)
         self._agenda = Agenda(actions)
         self._reactions = Reactions(reactions)
         texts = self._reactions.texts
@@ -118,7 +118,7 @@ class Simulation:
         self._components = dict(graph.components)  # those that actions may exchange
         self._width = graph.layout.row_width
         self._times = StepTimes(clock)
-        self._h = clock.step
+        self._h = clock.h
         self._thread = get_ident()
         self._closed = False
         self._begin()
@@ -156,12 +156,12 @@ class Simulation:
     @property
     def t_ns(self) -> int:
         """The time that is reached [ns]."""
-        return self._clock.start_ns + self.index * self._clock.step_ns
+        return self._clock.grid.stamp(self.index)
 
     @property
     def t(self) -> float:
         """The time that is reached [s]."""
-        return self.t_ns / 1e9
+        return float(self._clock.grid.time(np.array([self.index]))[0])
 
     @property
     def steps_left(self) -> int:

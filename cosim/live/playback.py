@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from math import ceil
 from typing import Final, final
 
 import numpy as np
@@ -126,7 +127,7 @@ class Playback:
             If the log is damaged.
         """
         self._pace.begin()
-        length_ns = self._log.end_ns - self._start_ns + self._log.step_ns
+        length_ns = self._log.end_ns - self._start_ns + ceil(self._log.step_ns)
         shift_ns = 0
         while True:
             self._play_once(shift_ns)

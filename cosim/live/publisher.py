@@ -8,6 +8,7 @@ from typing import Final, final
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.signals import Channel
+from cosim.instants import StepNs
 from cosim.live.connection import LiveTopic, ViewerConnection
 from cosim.live.selection import selected
 from cosim.log.contents.layout import Part, blank_records, group_columns, split_channel
@@ -53,7 +54,7 @@ class Publisher:
         channels: Mapping[str, Channel],
         *,
         kinds: Mapping[str, str],
-        step_ns: int,
+        step_ns: StepNs,
         names: Sequence[str],
         source: str,
     ) -> None:

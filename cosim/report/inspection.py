@@ -18,6 +18,7 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Channel, Signal
+from cosim.instants import step_value
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
 from cosim.report.tables.certificate import notes, search_rows, share_text
@@ -57,7 +58,7 @@ def describe_log(path: str) -> Section:
 
     log = open_log(path)
     end = log.end_ns / 1e9
-    step = log.step_ns / 1e9
+    step = step_value(log.step_ns)
     run = run_metadata(log)
     window = recorded_window(log)
     start = recorded_start(log) if window is None else window[0]

@@ -177,11 +177,10 @@ def parts_beside_truth(
     ports = [estimate, *true_ports]
     channels = [recording.channels[Port.parse(port).component] for port in ports]
     # What is interpolated at a time has the rows around it.
-    margin_ns = max(channel.period for channel in channels) * recording.step_ns
+    margin_ns = ceil(max(channel.period for channel in channels) * recording.step_ns)
     before_ns = margin_ns + ceil(max(lag_of(recording, estimate), 0.0) * NANOSECONDS)
-    span_ns = _PART_STEPS * recording.step_ns
-    end_ns = recording.end_ns
-    for begin_ns in range(end_ns - recording.steps * recording.step_ns, end_ns + 1, span_ns):
+    span_ns = ceil(_PART_STEPS * recording.step_ns)
+    for begin_ns in range(recording.grid.start_ns, recording.end_ns + 1, span_ns):
         last_ns = begin_ns + span_ns - 1
         part = RecordedWindow(recording, begin_ns - before_ns, last_ns + margin_ns)
         time_ns, own, true = beside_truth(part, estimate, true_ports)
@@ -194,7 +193,7 @@ def last_row(recording: Recording, component: str) -> Vector | None:
     channel = recording.channels[component]
     last: Vector | None = None
     if isinstance(recording, RecordedRun):
-        first_ns = recording.end_ns - channel.period * recording.step_ns
+        first_ns = recording.end_ns - ceil(channel.period * recording.step_ns)
         for _, rows in recording.blocks(component, first_ns=first_ns):
             last = rows[-1].copy() if len(rows) else last
     if last is None:

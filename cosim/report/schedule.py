@@ -12,7 +12,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
-from cosim.instants import NANOSECONDS
+from cosim.instants import step_seconds
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling
@@ -180,7 +180,7 @@ def schedule_of(name: str) -> GraphSchedule:
         for member in stage.members:
             components.append(_component(described, graph, member, stage.number))
     connections = tuple(_connections(described, graph))
-    step = described.clock.step_ns / NANOSECONDS
+    step = described.clock.h
     title = described.scenario.name
     return GraphSchedule(title, step, stages, tuple(components), connections)
 
@@ -217,8 +217,8 @@ def _component(
     step_ns = described.clock.step_ns
     sampling = _sampling(described, name)
     steps = channel.period if sampling is None else sampling.period
-    period = steps * step_ns / NANOSECONDS if steps > 1 else None
-    offset = 0.0 if sampling is None else sampling.offset * step_ns / NANOSECONDS
+    period = step_seconds(steps * step_ns) if steps > 1 else None
+    offset = 0.0 if sampling is None else step_seconds(sampling.offset * step_ns)
     kind = described.scenario.specs[name].kind
     return ScheduledComponent(name, kind, stage, period, offset, _feedthrough(channel.interface))
 

@@ -30,11 +30,12 @@ from cosim.core.linearization import Linearized
 from cosim.core.stages.coupling import Stage
 from cosim.core.structure.order import Coupling
 from cosim.errors import GraphError
-from cosim.instants import NANOSECONDS
+from cosim.instants import StepNs, step_part
 
 REFUSED: Final = 10.0
 NOTED: Final = 1.01
 FAR: Final = 10  # a fine step that is so much smaller than one that is not refused is not offered
+MOST_PARTS: Final = 10_000  # of a step that is a fraction
 NESTED: Final = "some of its components take substeps, and some do not"
 TOO_FAST: Final = "it grows beyond all numbers within a step"
 NO_SOLUTION: Final = "its algebraic loop has no one solution at the start"
@@ -153,7 +154,7 @@ class LinearizedLoops:
         """Return the gain of every loop."""
         return tuple(self._gain(loop) for loop in self.graph.stages if loop.is_loop)
 
-    def step_for(self, number: int) -> int | None:
+    def step_for(self, number: int) -> StepNs | None:
         """Return a communication step [ns] at which a loop would run; None: none found.
 
         It divides the present one, so that it divides all that the present one does. Of such the
@@ -171,7 +172,7 @@ class LinearizedLoops:
             return allowed
         return fine if FAR * fine >= allowed else allowed
 
-    def _largest_step(self, model: LoopModel, verdicts: Sequence[GainVerdict]) -> int | None:
+    def _largest_step(self, model: LoopModel, verdicts: Sequence[GainVerdict]) -> StepNs | None:
         return largest_part(
             self.clock.step_ns, lambda parts: self._verdict(model, parts) in verdicts
         )
@@ -196,7 +197,7 @@ class LinearizedLoops:
 
     def _model(self, loop: Stage) -> LoopModel:
         width = self.graph.layout.width
-        h = self.clock.step_ns / NANOSECONDS
+        h = self.clock.h
         masks = (self.graph.held, self.graph.latest)
         model = loop_model(loop, self.linearized, *masks, h=h, width=width)
         parts = self._substeps(loop)
@@ -214,7 +215,7 @@ class LinearizedLoops:
         missing = [name for name in names if name not in self.linearized]
         unknown = tuple(undeclared or missing)
         coupling = self.graph.coupling
-        h = self.clock.step_ns / NANOSECONDS
+        h = self.clock.h
         if unknown:
             return LoopGain(names, coupling, h, self.clock.steps, unknown=unknown)
         if loop.nested is not None and (loop.controls or loop.torn is not None):
@@ -249,14 +250,18 @@ def _gain_of(model: LoopModel, names: tuple[str, ...], coupling: str, steps: int
     return LoopGain(names, coupling, model.h, steps, rho, None if rate == -math.inf else rate)
 
 
-def largest_part(step_ns: int, fits: Callable[[int], bool]) -> int | None:
+def largest_part(step_ns: StepNs, fits: Callable[[int], bool]) -> StepNs | None:
     """Return the largest part of a step [ns] that fits, by bisection; None: none found.
 
     ``fits`` is asked for the number of parts that the step is divided into.
     """
-    counts = [count for count in _divisors(step_ns) if count > 1]
+    counts: Sequence[int] = range(2, MOST_PARTS)
+    if isinstance(step_ns, int):  # so are its parts
+        counts = [count for count in _divisors(step_ns) if count > 1]
     number = bisect_left(counts, True, key=fits)
-    return step_ns // counts[number] if number < len(counts) else None
+    if number == len(counts):
+        return None
+    return step_part(step_ns, counts[number])
 
 
 def _divisors(number: int) -> list[int]:

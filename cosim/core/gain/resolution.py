@@ -40,7 +40,7 @@ from cosim.core.linearization import Linearized
 from cosim.core.port import Port
 from cosim.core.stages.member import Member
 from cosim.errors import listing
-from cosim.instants import NANOSECONDS
+from cosim.instants import StepNs, step_value
 from cosim.native.numerics.linear import matrix_exponential
 
 LIMIT: Final = 0.01  # of a response
@@ -87,7 +87,7 @@ class Resolution:
     rate: float
     unknown: tuple[str, ...]
     missed: Missed
-    step_ns: int | None
+    step_ns: StepNs | None
 
     @property
     def is_resolved(self) -> bool:
@@ -117,7 +117,7 @@ class Resolution:
     @property
     def cure(self) -> str:
         """What can be done."""
-        return "" if self.step_ns is None else f"use step = {self.step_ns / NANOSECONDS!r}"
+        return "" if self.step_ns is None else f"use step = {step_value(self.step_ns)!r}"
 
 
 def may_be_unresolved(graph: Graph, among: Collection[str]) -> bool:
@@ -154,7 +154,7 @@ def resolution(
     linearized : mapping of component name to Linearized
         Those that can be linearized.
     """
-    h = clock.step_ns / NANOSECONDS
+    h = clock.h
     model = _WholeModel(graph, clock, row, linearized)
     with_states = tuple(name for name, own in model.linear.items() if len(own.A))
     found = None if model.is_too_large else model.compared(1)
@@ -228,7 +228,7 @@ class _WholeModel:
             (*widened, np.zeros((0, n_y + 1))),
             (*held, np.zeros(0, np.bool_)),
             (),
-            clock.step_ns / NANOSECONDS,
+            clock.h,
             latest=(*(member.takes_latest for member in self._members), False),
             left=(*map(self._left, self._members), np.zeros(n_y + 1, np.bool_)),
         )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import floor
 from typing import Protocol, final
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from cosim.arrays import NAN, Matrix, Nanoseconds
 from cosim.core.recorded.selection import SelectedColumn
 from cosim.core.signals import Channel
+from cosim.instants import StepNs
 
 _INSTANT = np.dtype([("time", "<i8"), ("count", "<i8")])
 
@@ -66,7 +68,7 @@ class TableSource(Protocol):
         ...
 
     @property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
         ...
 
@@ -90,7 +92,7 @@ def joined_rows(run: TableSource, columns: Sequence[SelectedColumn]) -> Iterator
     places = [_places(columns, name) for name in components]
     pending: dict[str, _PendingRows] = {}
     for name in components:
-        pending[name] = _PendingRows(run.channels[name].period * run.step_ns)
+        pending[name] = _PendingRows(floor(run.channels[name].period * run.step_ns))
     taken_before = -np.inf
     for name, times, rows in run.blocks_of(components):
         pending[name].add(times, rows)

@@ -24,7 +24,7 @@ from cosim.core.recorded.signals import RecordedSignals, RunMessage, find_channe
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UsageError, quoted
-from cosim.instants import NANOSECONDS, first_nanosecond, last_nanosecond
+from cosim.instants import NANOSECONDS, Grid, StepNs, first_nanosecond, last_nanosecond
 
 if TYPE_CHECKING:
     import pandas
@@ -60,8 +60,13 @@ class RecordedRun(RecordedSignals):
 
     @property
     @abstractmethod
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
+
+    @property
+    def grid(self) -> Grid:
+        """The communication points: number 0 is that at which the run began."""
+        return Grid(Grid(self.end_ns, self.step_ns).stamp(-self.steps), self.step_ns)
 
     @abstractmethod
     def events(self) -> list[SignalEvent]:
@@ -348,7 +353,7 @@ class RecordedWindow(RecordedRun):
         return self._run.held
 
     @property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
         return self._run.step_ns
 
@@ -372,9 +377,8 @@ class RecordedWindow(RecordedRun):
         """Number of communication steps between the last point here and that of the run."""
         if self._last_ns is None:
             return 0
-        later_ns = self._run.end_ns - self._last_ns
-        left_out = -(-later_ns // self.step_ns)  # a step is left out where its end is
-        return min(max(left_out, 0), self._run.steps)
+        last = Grid(self._run.end_ns, self.step_ns).number(self._last_ns)
+        return min(max(-last, 0), self._run.steps)
 
     @property
     def steps(self) -> int:
@@ -384,7 +388,7 @@ class RecordedWindow(RecordedRun):
     @property
     def end_ns(self) -> int:
         """The last communication point here [ns]."""
-        return self._run.end_ns - self._steps_left_out * self.step_ns
+        return Grid(self._run.end_ns, self.step_ns).stamp(-self._steps_left_out)
 
     def rows(self, component: str) -> Matrix:
         """Return the rows of a component here: applied inputs, then outputs; shape (N, width)."""

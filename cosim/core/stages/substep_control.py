@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final, final
 
 import numpy as np
@@ -16,7 +17,7 @@ from cosim.core.stages.divided_step import OutsideColumns
 from cosim.core.stages.member import Member
 from cosim.core.stages.spans import Span, StepPart
 from cosim.errors import GraphError, LogError
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, StepNs, step_value
 
 SUBSTEP_COUNTS: Final = "substeps"  # result: how many each loop took
 EASY: Final = 0.5  # of the tolerance: below it a part twice as long is tried
@@ -56,7 +57,7 @@ class SubstepTolerance:
         if type(self.min_ns) is not int or self.min_ns < 1:
             raise GraphError(f"min_ns: expected an integer >= 1 [ns], got {self.min_ns!r}")
 
-    def finest_level(self, step_ns: int) -> int:
+    def finest_level(self, step_ns: StepNs) -> int:
         """Return the last level whose parts are not shorter than the shortest substep.
 
         Raises
@@ -64,6 +65,11 @@ class SubstepTolerance:
         GraphError
             If not even half a communication step is.
         """
+        if isinstance(step_ns, Fraction):
+            raise GraphError(
+                "substeps: expected a step of whole nanoseconds, which their parts are, too; got "
+                f"{step_value(step_ns)} s"
+            )
         level = (step_ns // self.min_ns).bit_length() - 1
         if level < 1:
             shortest = self.min_ns / NANOSECONDS
@@ -74,10 +80,12 @@ class SubstepTolerance:
             )
         return level
 
-    def lengths(self, step_ns: int) -> tuple[float, ...]:
+    def lengths(self, step_ns: StepNs) -> tuple[float, ...]:
         """Return the lengths of all substeps that there may be [s], the longest first."""
         lengths: list[int] = []
-        for level in range(1, self.finest_level(step_ns) + 1):
+        finest = self.finest_level(step_ns)
+        assert isinstance(step_ns, int)
+        for level in range(1, finest + 1):
             shorter = step_ns >> level
             longer = -(-step_ns >> level)
             lengths += [longer, shorter] if longer > shorter else [shorter]

@@ -124,8 +124,8 @@ def repeat(
 
 def _point(clock: Clock, time_ns: int) -> int:
     """Return the communication point of an event."""
-    index, rest = divmod(time_ns - clock.start_ns, clock.step_ns)
-    if rest or index < 0:
+    index = clock.grid.number(time_ns)
+    if index < 0 or clock.grid.stamp(index) != time_ns:
         raise LogError(f"the event at t = {time_ns / 1e9} s is not at a communication point")
     return index
 

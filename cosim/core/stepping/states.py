@@ -159,7 +159,7 @@ class States:
                 f"same values), got one of another graph ({state.graph[:12]})"
             )
         if state.index > self._clock.steps:
-            time = (self._clock.start_ns + state.index * self._clock.step_ns) / 1e9
+            time = self._clock.grid.stamp(state.index) / 1e9
             raise UsageError(
                 f"state: expected a time before the stop at {self._clock.stop} s, got {time} s; "
                 "set a later stop"

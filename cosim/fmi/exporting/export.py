@@ -352,7 +352,7 @@ def _constants(specification: ExportSpecification, description: Description, sta
     lines.append(f'const char *const model_token = "{description.token}";')
     lines.append(f"const double model_stamp = {float(stamp).hex()};")
     lines.append(f"const int32_t model_n = {n}, model_m = {m}, model_p = {p};")
-    lines.append(f"const int64_t model_step_ns = INT64_C({specification.step_ns});")
+    lines.append(f"const double model_step = {specification.step!r};")
     lines.append(integer("model_has_derivatives", int("me" in description.capabilities)))
     lines.append(f"const int32_t model_memory = {memory}, model_work = {work};")
     lines.append(integers("model_size", sizes))

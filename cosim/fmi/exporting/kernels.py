@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface
+from cosim.instants import StepNs
 from cosim.native.blocks.control import PidConstants
 from cosim.native.blocks.window import WindowConstants
 from cosim.native.estimation.alphas import PastAlphas, elements_of
@@ -70,7 +71,7 @@ class DiscreteModel:
     ----------
     interface : Interface
     kernel : Kernel
-    step_ns : int
+    step_ns : int or Fraction
         Its communication step [ns]; 0: any.
     reason : str
         Why it is for co-simulation only.
@@ -83,7 +84,7 @@ class DiscreteModel:
 
     interface: Interface
     kernel: Kernel
-    step_ns: int
+    step_ns: StepNs
     reason: str
     steps_per_sample: int = 1
     zero_order_hold: bool = False

@@ -27,7 +27,7 @@ from cosim.fmi.description import (
 )
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 from cosim.fmi.variable import Variable
-from cosim.instants import NANOSECONDS
+from cosim.instants import step_seconds, step_value
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 
@@ -84,7 +84,7 @@ class ExportSpecification:
     constants: tuple[str, ...]
     numbers: Mapping[str, Matrix]
     equations: str
-    step_ns: int = 0
+    step: float = 0.0
     constant: bool = True
     reason: str = ""
     n_residuals: int = 0
@@ -258,7 +258,7 @@ def _descriptor_equations(model: DescriptorModel) -> str:
 def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
     m = model.interface.n_u
     p = model.interface.n_y
-    step = model.step_ns / NANOSECONDS if model.step_ns else None
+    step = step_seconds(model.step_ns) if model.step_ns else None
     able = replace(
         CO_SIMULATION,
         variable_step=step is None,
@@ -277,6 +277,8 @@ def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
     constants.append(integers("model_state_of", [-1] * p))
     constants.append(doubles("model_X0", []))
     constants.append(integer("model_steps_per_sample", model.steps_per_sample))
+    period = step_seconds(model.step_ns * model.steps_per_sample)
+    constants.append(f"const double model_period = {period!r};")
     constants.append(integer("model_is_zero_order_hold", int(model.zero_order_hold)))
     constants.append(integer("kernel_memory", kernel.memory))
     constants += kernel.constants
@@ -291,7 +293,7 @@ def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
         constants=tuple(constants),
         numbers={},
         equations=_discrete_equations(model),
-        step_ns=model.step_ns,
+        step=step or 0.0,
         constant=kernel.linear,
         reason=model.reason,
     )
@@ -312,7 +314,7 @@ def _discrete_initial_dependencies(model: DiscreteModel) -> VariableDependencies
 def _discrete_equations(model: DiscreteModel) -> str:
     step = ""
     if model.step_ns:
-        step = f"Its communication step is {model.step_ns / NANOSECONDS} s, and no other. "
+        step = f"Its communication step is {step_value(model.step_ns)} s, and no other. "
     period = ""
     if model.steps_per_sample > 1:
         period = (

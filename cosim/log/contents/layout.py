@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from fractions import Fraction
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix
 from cosim.core.signals import Channel, Interface, Signal, element_names
 from cosim.errors import quoted
+from cosim.instants import StepNs
 from cosim.log.contents.metadata import (
     add_checksum,
     compact,
@@ -63,7 +65,7 @@ class Part:
         The component.
     kind : str
         Kind of the component, as the scenario calls it.
-    step_ns : int
+    step_ns : int or Fraction
         Communication step [ns].
     columns : slice
         Which columns of the component's row.
@@ -71,7 +73,7 @@ class Part:
 
     channel: Channel
     kind: str
-    step_ns: int
+    step_ns: StepNs
     columns: slice
 
     @property
@@ -97,7 +99,7 @@ class Part:
         channel = self.channel
         items = {"cosim.component": channel.name, "cosim.kind": self.kind}
         items["cosim.step_ns"] = str(self.step_ns)
-        items["cosim.period_ns"] = str(self.step_ns * channel.period)
+        items["cosim.period_ns"] = str(self.step_ns * channel.period)  # may be a/b, as the step
         items["cosim.start"] = str(channel.start)
         items["cosim.columns"] = f"{self.columns.start}:{self.columns.stop}"
         items["cosim.signals"] = signals_json(channel.interface)
@@ -120,7 +122,7 @@ class Part:
         return add_checksum(_CHECKSUM_NAME, items)
 
 
-def split_channel(channel: Channel, *, kind: str, step_ns: int) -> list[Part]:
+def split_channel(channel: Channel, *, kind: str, step_ns: StepNs) -> list[Part]:
     """Split a component into parts of at most 4096 elements.
 
     A component without signals has one empty part, so that it is in the log all the same.
@@ -146,10 +148,10 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     name = items["cosim.component"]
     if not name or "." in name:
         raise ValueError(f"expected a component name without a dot, got {quoted(name)}")
-    step_ns = read_number(items["cosim.step_ns"])
-    period_ns = read_number(items["cosim.period_ns"])
+    step_ns = _read_step(items["cosim.step_ns"])
+    period_ns = _read_step(items["cosim.period_ns"])
     start, stop = map(read_number, items["cosim.columns"].split(":"))
-    is_periodic = step_ns >= 1 and period_ns >= step_ns and period_ns % step_ns == 0
+    is_periodic = step_ns >= 1 and period_ns >= step_ns and not period_ns % step_ns
     if not is_periodic or not 0 <= stop - start <= MOST_ELEMENTS:
         raise ValueError(
             f"period {period_ns} ns, step {step_ns} ns and columns {start}:{stop} are inconsistent"
@@ -174,6 +176,14 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     period = period_ns // step_ns
     channel = Channel(name, interface, first_column, period)
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
+
+
+def _read_step(text: str) -> StepNs:
+    """Read a time between rows [ns], a whole number or two: ``50000000/3``."""
+    numerator, *denominator = map(read_number, text.split("/"))
+    if not denominator:
+        return numerator
+    return Fraction(numerator, *denominator)
 
 
 def read_number(text: str) -> int:

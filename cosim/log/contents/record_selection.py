@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from cosim.core.recorded.partial import PartialRecord, RecordSelection
 from cosim.core.signals import Channel
+from cosim.instants import StepNs
 from cosim.log.contents.layout import Part, read_number, read_part
 from cosim.log.contents.metadata import compact, json_table, json_texts
 
@@ -30,7 +31,7 @@ def partial_metadata(partial: PartialRecord) -> dict[str, str]:
     return items
 
 
-def declaration_json(channel: Channel, kind: str, step_ns: int) -> str:
+def declaration_json(channel: Channel, kind: str, step_ns: StepNs) -> str:
     """Return the declaration of a component with all of its signals."""
     return compact(dict(Part(channel, kind, step_ns, _NO_COLUMNS).metadata))
 

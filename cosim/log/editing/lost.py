@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Nanoseconds
+from cosim.instants import Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,27 +42,28 @@ class RecoveredRows:
     lost: tuple[Interval, ...]
 
 
-def missing_rows(time_ns: Nanoseconds, period_ns: int, start_ns: int, end_ns: int) -> RecoveredRows:
-    """Return which rows of a component are missing from ``start_ns`` to ``end_ns``.
+def missing_rows(time_ns: Nanoseconds, grid: Grid, period: int, end_ns: int) -> RecoveredRows:
+    """Return which rows of a component are missing up to ``end_ns``.
 
     Parameters
     ----------
     time_ns : Nanoseconds, shape (n,)
         Of the rows that are there, ascending.
-    period_ns : int
-        Between two rows.
-    start_ns, end_ns : int
-        Of the run; the first row is at its start.
+    grid : Grid
+        The communication points of the run; the first row is at its start.
+    period : int
+        Communication steps between two rows.
+    end_ns : int
     """
-    last_due = start_ns + (end_ns - start_ns) // period_ns * period_ns
     # As if there were rows just outside: then every gap is between two.
-    bounded = np.concatenate([[start_ns - period_ns], time_ns, [last_due + period_ns]])
-    gaps = np.flatnonzero(np.diff(bounded) > period_ns)
+    outside = np.array([-1, grid.number(end_ns) // period + 1])
+    bounded = np.insert(outside, 1, grid.number(time_ns) // period)
     lost = []
-    for gap in gaps.tolist():
-        first = int(bounded[gap]) + period_ns
-        last = int(bounded[gap + 1]) - period_ns
-        lost.append(Interval(first, last, (last - first) // period_ns + 1))
+    for gap in np.flatnonzero(np.diff(bounded) > 1).tolist():
+        first = int(bounded[gap]) + 1
+        last = int(bounded[gap + 1]) - 1
+        stamps = (grid.stamp(first * period), grid.stamp(last * period))
+        lost.append(Interval(*stamps, last - first + 1))
     return RecoveredRows(len(time_ns), tuple(lost))
 
 

@@ -129,8 +129,7 @@ def _has_all_rows(spans: Sequence[_RunPart], pieces: LogPieces) -> bool:
         ]
         if not bounds:
             return False
-        period_ns = part.channel.period * part.step_ns
-        if bounds[0][0] > pieces.start_ns or bounds[-1][1] + period_ns <= int(end):
+        if bounds[0][0] > pieces.start_ns or pieces.row_after(bounds[-1][1], part) <= int(end):
             return False
     return True
 
@@ -175,19 +174,20 @@ def _check_consecutive(spans: Sequence[_RunPart]) -> None:
     LogError
         If they overlap, or some are missing between.
     """
-    step_ns = spans[0].log.step_ns
-    for name, channel in spans[0].log.channels.items():
+    pieces = spans[0].pieces
+    parts = {part.channel.name: part for part in pieces.parts.values()}
+    for name, part in parts.items():
         own = [(span.bounds[name], span.log) for span in spans if name in span.bounds]
-        period_ns = channel.period * step_ns
         for ((_, last), earlier), ((first, _), later) in pairwise(own):
             where = f"{earlier.path} has rows of {name!r} up to {last / NANOSECONDS} s"
             begins = f"{later.path} begins at {first / NANOSECONDS} s"
             if first <= last:
                 raise LogError(f"{where}, {begins}: they overlap; cut one of them first")
-            if first != last + period_ns:
+            due = pieces.row_after(last, part)
+            if first != due:
                 raise LogError(
-                    f"{where}, {begins}: the rows from {(last + period_ns) / NANOSECONDS} s on are "
-                    "missing between them"
+                    f"{where}, {begins}: the rows from {due / NANOSECONDS} s on are missing "
+                    "between them"
                 )
 
 

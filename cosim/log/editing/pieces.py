@@ -12,6 +12,7 @@ import numpy as np
 from mcap import records
 
 from cosim.errors import GraphError, LogError
+from cosim.instants import Grid
 from cosim.log.contents.layout import Part, read_part, record_dtype
 from cosim.log.contents.metadata import verify_checksum
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS, RESULT, RESULT_FILE
@@ -69,18 +70,21 @@ class LogPieces:
         return recorded_start_ns(self.metadata) or 0
 
     @property
-    def step_ns(self) -> int:
-        """Communication step [ns]."""
-        return next(iter(self.parts.values())).step_ns
+    def grid(self) -> Grid:
+        """The communication points of the run."""
+        return Grid(self.start_ns, next(iter(self.parts.values())).step_ns)
+
+    def row_after(self, time_ns: int, part: Part) -> int:
+        """Return where a component has its next row [ns]."""
+        return self.grid.stamp(self.grid.number(time_ns) + part.channel.period)
 
     def steps_to(self, time_ns: int) -> int:
         """Return the number of the communication step that ends at a time [ns]."""
-        return max((time_ns - self.start_ns) // self.step_ns, 0)
+        return max(self.grid.number(time_ns), 0)
 
     def point_before(self, time_ns: int) -> int:
         """Return the last communication point at or before a time [ns]."""
-        steps = (time_ns - self.start_ns) // self.step_ns
-        return self.start_ns + steps * self.step_ns
+        return self.grid.stamp(self.grid.number(time_ns))
 
     @property
     def kept_metadata(self) -> dict[str, Mapping[str, str]]:

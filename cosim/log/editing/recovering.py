@@ -13,7 +13,7 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.errors import GraphError, LogError
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Grid
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT
 from cosim.log.editing.batches import gathered
 from cosim.log.editing.copying import PartEnd, write_log
@@ -56,8 +56,9 @@ class RecoveredLog:
         losses = [own.lost[0].first_ns for own in self.rows.values() if own.lost]
         if not losses:
             return self.log.end_ns
-        last = min(losses) - self.log.step_ns
-        return last if last >= self.log.end_ns - self.log.steps * self.log.step_ns else None
+        grid = self.log.grid
+        last = grid.stamp(grid.number(min(losses)) - 1)
+        return last if last >= grid.start_ns else None
 
     @property
     def has_scenario(self) -> bool:
@@ -268,9 +269,9 @@ def _missing(
     rows = {}
     for part in pieces.parts.values():
         name = part.channel.name
-        period_ns = part.channel.period * part.step_ns
+        grid = Grid(start_ns, part.step_ns)
         own = times.get(name, np.empty(0, np.int64))
-        rows[name] = missing_rows(own, period_ns, start_ns, max(end_ns, last_row))
+        rows[name] = missing_rows(own, grid, part.channel.period, max(end_ns, last_row))
     return rows, end_ns, known_end.isdecimal()
 
 

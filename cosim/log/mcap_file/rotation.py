@@ -9,13 +9,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from math import ceil
 from pathlib import Path
 from typing import Final
 
 from cosim.core.clock import LARGEST_NS
 from cosim.core.signals import Channel
 from cosim.errors import UsageError, option, quoted
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, StepNs
 
 _SIZES: Final = {
     "B": 1,
@@ -51,7 +52,7 @@ class Rotation:
     span_ns: int | None
     text: str
 
-    def check(self, channels: Sequence[Channel], step_ns: int, head_bytes: int) -> None:
+    def check(self, channels: Sequence[Channel], step_ns: StepNs, head_bytes: int) -> None:
         """Check that every file has room for rows.
 
         Parameters
@@ -73,7 +74,7 @@ class Rotation:
                 f"{option('rotate')}: expected at least {2 * head_bytes}B (twice what every file "
                 f"begins with), got {self.text!r}"
             )
-        period_ns = step_ns * max((channel.period for channel in channels), default=1)
+        period_ns = ceil(step_ns * max((channel.period for channel in channels), default=1))
         if self.span_ns is not None and self.span_ns < period_ns:
             raise UsageError(
                 f"{option('rotate')}: expected at least {period_ns / NANOSECONDS} s, so that every "

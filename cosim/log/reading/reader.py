@@ -26,6 +26,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
+from cosim.instants import Grid, StepNs
 from cosim.log.contents.layout import read_number
 from cosim.log.contents.messages import decode_event, decode_log, decode_substep
 from cosim.log.contents.metadata import (
@@ -134,7 +135,7 @@ class Log(RecordedRun):
         return tuple(self._attachments)
 
     @property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
         return next(part.step_ns for part in self._parts.values())
 
@@ -165,7 +166,7 @@ class Log(RecordedRun):
         From the result, or, of an unfinished log, from the numbers of its rows.
         """
         if self._is_unfinished:
-            return self._run_start_ns + self.steps * self.step_ns if self.steps else 0
+            return self._grid.stamp(self.steps) if self.steps else 0
         return self._result_number("end_ns")
 
     @property
@@ -202,7 +203,7 @@ class Log(RecordedRun):
         read.
         """
         at_start = dict.fromkeys(self._channels, 0)
-        end_ns = self._run_start_ns + self._last_step_from(at_start) * self.step_ns
+        end_ns = self._grid.stamp(self._last_step_from(at_start))
         statistics = self._file.summary.statistics
         if statistics is None or end_ns == int(statistics.message_end_time):
             return at_start
@@ -228,7 +229,7 @@ class Log(RecordedRun):
         for name in every_step[:1] or self._channels:
             first_ns = self._first_row_ns(name)
             if first_ns is not None:
-                steps[name] = (first_ns - self._run_start_ns) // self.step_ns
+                steps[name] = self._grid.number(first_ns)
         return steps
 
     def _first_row_ns(self, component: str) -> int | None:
@@ -248,6 +249,10 @@ class Log(RecordedRun):
         """When the run began [ns]; where that is not recorded, the first instant of the file."""
         start_ns = recorded_start_ns(self._metadata)
         return self._message_start_ns if start_ns is None else start_ns
+
+    @property
+    def _grid(self) -> Grid:
+        return Grid(self._run_start_ns, self.step_ns)
 
     @property
     def begins_late(self) -> bool:

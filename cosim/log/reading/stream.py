@@ -9,6 +9,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.clock import LARGEST_NS
+from cosim.instants import NANOSECONDS, Grid
 from cosim.log.contents.layout import Part, Records, copy_values
 
 TimedRows: TypeAlias = tuple[Nanoseconds, Matrix]  # shapes (n,) and (n, width)
@@ -39,14 +40,14 @@ def check_grid(time_ns: Nanoseconds, first_ns: int, part: Part) -> None:
     ValueError
         If one is not.
     """
-    period_ns = part.channel.period * part.step_ns
-    distance = time_ns - first_ns
-    off = distance // period_ns * period_ns != distance  # much faster than a remainder
+    grid = Grid(first_ns, part.step_ns)
+    period = part.channel.period
+    off = grid.stamp(grid.number(time_ns) // period * period) != time_ns  # faster than a remainder
     if off.any():
         time = time_ns[int(off.argmax())] / 1e9
         raise ValueError(
             f"a row of {part.channel.name!r} at t = {time} s is off its grid: rows are "
-            f"{period_ns / 1e9} s apart, from {first_ns / 1e9} s on"
+            f"{float(period * part.step_ns / NANOSECONDS)} s apart, from {first_ns / 1e9} s on"
         )
 
 

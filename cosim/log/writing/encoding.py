@@ -12,6 +12,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from cosim.core.signals import Layout
+from cosim.instants import Grid
 from cosim.log.contents.content import hash_input
 from cosim.log.contents.layout import Part, Records, blank_records, group_columns, record_dtype
 from cosim.log.mcap_file.chunks import CHUNK_BYTES, MessageBatch
@@ -47,7 +48,7 @@ class MessageEncoder:
         self.row_bytes = _row_bytes([part for _, part in parts])
         self.capacity = _capacity(layout, len(parts), self.row_bytes)
 
-    def batches(self, content: RunContent, *, start_ns: int, step_ns: int) -> list[MessageBatch]:
+    def batches(self, content: RunContent, grid: Grid) -> list[MessageBatch]:
         """Return the message records, one batch per channel that has any.
 
         They share the encoder's memory: valid until the next call.
@@ -55,8 +56,8 @@ class MessageEncoder:
         Parameters
         ----------
         content : RunContent
-        start_ns, step_ns : int
-            Of the run, for the sequence of messages that are not rows.
+        grid : Grid
+            The communication points: the sequence of messages that are not rows.
         """
         selected = self._selected(content.rows)
         batches = []
@@ -69,7 +70,7 @@ class MessageEncoder:
         for message in content.messages:
             messages.setdefault(message.channel_id, []).append(message)
         for waiting in messages.values():
-            batches.append(_message_batch(waiting, start_ns=start_ns, step_ns=step_ns))
+            batches.append(_message_batch(waiting, grid))
         return batches
 
     def _batch(
@@ -130,12 +131,10 @@ def _capacity(layout: Layout, channels: int, row_bytes: float) -> int:
     return max(int(min(rows_in_flush, rows_in_buffer)), 1)
 
 
-def _message_batch(
-    messages: Sequence[WaitingMessage], *, start_ns: int, step_ns: int
-) -> MessageBatch:
+def _message_batch(messages: Sequence[WaitingMessage], grid: Grid) -> MessageBatch:
     """Return the records of messages of any size in one channel.
 
-    Their sequence is the number of the communication step since ``start_ns``.
+    Their sequence is the number of the communication step.
     """
     records = []
     times = []
@@ -143,7 +142,7 @@ def _message_batch(
     size = 0
     for channel_id, time_ns, data in messages:
         length = _MESSAGE.size - HEADER + len(data)
-        sequence = (time_ns - start_ns) // step_ns & _SEQUENCE_MASK
+        sequence = grid.number(time_ns) & _SEQUENCE_MASK
         header = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, time_ns)
         records.append(header + data)
         times.append(time_ns)

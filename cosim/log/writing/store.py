@@ -9,6 +9,7 @@ from typing import Any, Final, final
 
 from cosim.core.recorders import EndOfRun
 from cosim.core.recording import Plan
+from cosim.instants import Grid
 from cosim.log.contents.content import combine_hashes
 from cosim.log.contents.layout import Part, signals_json
 from cosim.log.contents.result import (
@@ -207,9 +208,7 @@ class LogStore:
 
     def _group(self, content: RunContent, *, is_separate: bool) -> RecordGroup:
         """Return a content as chunks, where asked for with one for every channel."""
-        batches = self._encoder.batches(
-            content, start_ns=self._start_ns, step_ns=self._plan.step_ns
-        )
+        batches = self._encoder.batches(content, Grid(self._start_ns, self._plan.step_ns))
         if not batches:
             return RecordGroup((), (), 0)
         if is_separate and self._has_few_channels:

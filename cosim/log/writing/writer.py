@@ -14,7 +14,7 @@ from cosim.core.contracts import Block
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.recording import MessageLevel, Plan, RowsUnderWay, SignalEvent, Substep
 from cosim.errors import LogError, LogWriteError, RunError
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Grid
 from cosim.interrupts import uninterrupted
 from cosim.log.contents.environment import library_name
 from cosim.log.contents.layout import Part, split_channel
@@ -264,7 +264,8 @@ class McapRecorder:
             raise LogWriteError(f"{self.path}: expected a time >= 0, got {block.time_ns[0]} ns")
         is_first = not self._file.published
         if is_first:
-            start_ns = int(block.time_ns[0]) - block.index * self._plan.step_ns
+            first = Grid(int(block.time_ns[0]), self._plan.step_ns)
+            start_ns = first.stamp(-block.index)
             with uninterrupted():
                 self._files.begin(start_ns)
         row = 0 if is_first and block.index == 0 else 1

@@ -184,7 +184,7 @@ class RowReductions:
         library.cosim_begin_reductions(self._address)
 
     def add(self, time_ns: Nanoseconds, rows: Matrix) -> None:
-        """Take all rows of a run at once.
+        """Go on over the next rows of a run; at once where it is known as a whole.
 
         Parameters
         ----------
@@ -192,8 +192,7 @@ class RowReductions:
         rows : Matrix, shape (N, width)
             May be strided; the elements of a row may not.
         """
-        assert not self._n_rows
-        self._instants = time_ns
+        self._instants = np.concatenate([self._instants, time_ns]) if self._n_rows else time_ns
         self._reduce(time_ns / NANOSECONDS, rows, pointer(time_ns), 0, 0)
 
     def add_regular(self, first_ns: int, step_ns: int, t: Vector, rows: Matrix) -> None:

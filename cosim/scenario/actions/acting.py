@@ -427,7 +427,7 @@ def _late_steps(delay: float, clock: Clock) -> int:
     CosimError
         If it is no whole number of them, from 1 on.
     """
-    if delay < clock.step:
+    if delay < clock.h:
         raise UsageError(
             f"delay: expected at least one communication step ({clock.step} s), got {delay} s"
         )

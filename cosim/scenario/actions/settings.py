@@ -23,6 +23,7 @@ from cosim.core.recording import Recording, SignalEvent
 from cosim.core.stepping.actions import AT_CONDITION, NO_VARIANTS, ActedOn, Action, Setting
 from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted
+from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.scenario.context.build_context import ScenarioBuildContext
 from cosim.scenario.document.problems import Problem, TableProblems, problems_of
@@ -307,7 +308,7 @@ def recorded_settings(
 
 def prepare_settings(
     graph: Graph,
-    step_ns: int,
+    step_ns: StepNs,
     settings: Mapping[tuple[int, str], Action],
     recorded: Mapping[str, Design],
 ) -> dict[str, str]:

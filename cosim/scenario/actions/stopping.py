@@ -11,6 +11,7 @@ from cosim.core.port import Port
 from cosim.core.stages.looking_ahead import bound_to_steps
 from cosim.core.structure.ports import layout_of
 from cosim.errors import CosimError, UsageError
+from cosim.instants import StepNs
 from cosim.native.numerics.expression import compile_condition
 from cosim.scenario.document.problems import Problem
 
@@ -18,7 +19,7 @@ UNTIL = ("scenario", "until")
 
 
 def check_until(
-    text: str | None, components: Mapping[str, Component], unknown: Collection[str], step_ns: int
+    text: str | None, components: Mapping[str, Component], unknown: Collection[str], step_ns: StepNs
 ) -> Iterator[Problem]:
     """Yield the problem of the condition that ends a run, if it has one.
 
@@ -38,7 +39,7 @@ def check_until(
 
 
 def condition_problem(
-    text: str, components: Mapping[str, Component], unknown: Collection[str], step_ns: int
+    text: str, components: Mapping[str, Component], unknown: Collection[str], step_ns: StepNs
 ) -> str | None:
     """Return what is wrong with a condition; parameters as of :func:`check_until`."""
     try:

@@ -108,7 +108,7 @@ class Beginning:
         self._row = row
         count = len(graph.components)
         evidence = (
-            f"{count} component(s) are prepared for steps of {clock.step_ns / 1e9:g} s and have "
+            f"{count} component(s) are prepared for steps of {clock.h:g} s and have "
             "their initial values"
         )
         changes = changed_states(graph, self._builder.given_states, row)

@@ -15,7 +15,6 @@ from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.assumptions.beginning import Beginning
-from cosim.scenario.assumptions.identification import communication_points
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.known_truth import covariance_of, noise_of
 from cosim.scenario.context.build_context import DependsOnInvalid
@@ -127,7 +126,7 @@ class CompensatorCheck:
 
     def _stability(self) -> Evidence:
         held = self.beginning.graph.held[self.name]
-        h = self.builder.clock.step_ns / 1e9
+        h = self.builder.clock.h
         certified = self._compensator.certified(h, held)
         self.beginning.designs[self.name] = self._compensator.design(certified, h)
         before = _margin("without the internal model", certified.base_rate, h)
@@ -205,7 +204,7 @@ class CompensatorCheck:
             return None
         try:
             noise, _ = noise_of(builder.scenario, identifier, identified.observer)
-            t = communication_points(builder.clock)
+            t = builder.clock.points
             alpha = identified.alpha(t)
         except UsageError:
             return None
@@ -269,7 +268,7 @@ class CompensatorCheck:
         ends = np.cumsum([len(family.parameters) for family in families])
         theta = np.split(self.theta, ends[:-1])
         plant, _ = self._plant_and_gain
-        h = self.builder.clock.step_ns / 1e9
+        h = self.builder.clock.h
         return steady_input(plant, KnownDisturbance(families, theta, self.delta, h))
 
 

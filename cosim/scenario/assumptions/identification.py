@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.clock import Clock
 from cosim.errors import AssumptionError
 from cosim.native.numerics.householder import triangle
 from cosim.scenario.assumptions.attempts import Evidence, attempted
@@ -89,7 +88,7 @@ class IdentifierCheck:
     def _step(self) -> Evidence:
         source = self._source
         source.check_step()
-        step = self.builder.context.step_ns / 1e9
+        step = self.builder.context.h
         if not source.regression.known.known:
             return "the alphas are signals of the run, interpolated linearly between its points", {
                 "step": step
@@ -131,7 +130,7 @@ class IdentifierCheck:
             raise DependsOnInvalid(f"method {self.kind.method!r} does not support these terms")
         mu = self._regression(design)
         clock = self.builder.clock
-        step = clock.step_ns / 1e9
+        step = clock.h
         if self.kind.method in LINEAR:
             return self._linear(information(mu[:, 1:], step))
         return _nonlinear(design, triangle(mu), self.theta)
@@ -142,7 +141,7 @@ class IdentifierCheck:
         assert self.theta is not None
         if design.known.unknown:
             raise AssumptionError("the alphas are known only during the run")
-        t = communication_points(self.builder.clock)
+        t = self.builder.clock.points
         of_groups = design.known(t)
         alpha = np.empty((len(t), len(design.families)))
         for b, group in enumerate(design.groups):
@@ -187,19 +186,14 @@ class IdentifierCheck:
         clock = self.builder.clock
         delta = self.delta
         T_id = start_time(self.kind.start, self._source, self.builder.context)
-        begin = round((T_id - clock.start_time) * 1e9 / clock.step_ns)
+        begin = round((T_id - clock.start_time) / clock.h)
         steps = np.array(design.steps)
         if len(delta) - begin < 2:
             raise AssumptionError(f"the run ends before T_id = {T_id:g} s")
         places = np.arange(begin, len(delta))[:, np.newaxis] - steps
-        t = communication_points(clock)
+        t = clock.points
         alpha = design.known(t)
         return regression.mu(design.terms, delta[places], alpha[places])
-
-
-def communication_points(clock: Clock) -> Vector:
-    """Return the communication points [s]."""
-    return (clock.start_ns + clock.step_ns * np.arange(clock.steps + 1)) / 1e9
 
 
 def _nonlinear(design: RegressorDesign, R: Matrix, theta: Vector) -> Evidence:

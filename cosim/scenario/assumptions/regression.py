@@ -11,7 +11,6 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, UsageError
-from cosim.instants import NANOSECONDS
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext
@@ -90,7 +89,7 @@ class RegressorCheck:
         regression.check_delays(delays, longest + 1)
         steps = self.kind.delay_steps(self.context)
         common_steps = math.gcd(*(count - steps[0] for count in steps))
-        divisor = common_steps * self.context.step_ns / NANOSECONDS
+        divisor = common_steps * self.context.h
         values: dict[str, Any] = {"delays": list(delays), "common_divisor": divisor}
         evidence = f"{len(delays)} distinct delays, whole multiples of {divisor:g} s apart"
         limit = math.pi / divisor

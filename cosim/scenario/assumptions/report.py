@@ -20,7 +20,7 @@ from cosim.errors import AssumptionError, UsageError, listing
 from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
 from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
 from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
-from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
+from cosim.scenario.assumptions.identification import IdentifierCheck
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling_check import COUPLING, CouplingReport, gain_text, gain_values
@@ -248,12 +248,12 @@ class _Check:
         if component is None or component.interface.n_u or component.interface.n_y != 1:
             return None
         clock = self._builder.clock
-        prepare(component, clock.step_ns / 1e9, np.zeros(0, np.bool_), {})
-        t = communication_points(clock)
+        prepare(component, clock.h, np.zeros(0, np.bool_), {})
+        t = clock.points
         nothing = np.zeros((len(t), 0))
         component.initialize(float(t[0]), nothing[0])
         first = component.outputs(float(t[0]), nothing[0])
-        rows = component.advance(t, clock.step_ns / 1e9, nothing)
+        rows = component.advance(t, clock.h, nothing)
         return np.append(first, rows[:, 0])
 
     def _of_loops(self) -> list[AssumptionVerdict]:

@@ -167,7 +167,7 @@ class Builder:
         """Add the problems of the times; return the settings that are then not known."""
         settings = self.scenario.file.scenario
         checks: dict[str, Callable[[], object]] = {
-            "step": lambda: Clock(settings.step, settings.step),
+            "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
             "stop": lambda: clock_of(self.scenario),
             "substeps": lambda: check_substeps(settings),
@@ -381,7 +381,7 @@ class Builder:
         """Return what sets parameters, by time [ns] and component."""
         settings: dict[tuple[int, str], Action] = {}
         for timed in self._actions:
-            time_ns = self.clock.start_ns + timed.index * self.clock.step_ns
+            time_ns = self.clock.grid.stamp(timed.index)
             for name in timed.action.variants:
                 settings[time_ns, name] = timed.action
         for reaction in self._reactions:
@@ -566,7 +566,7 @@ class Builder:
         """Return the warnings of a component that knows what drives it."""
         inputs = self.components[name].interface.input_columns()
         held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
-        return spec.advice(name, self.context, held=held, h=self.clock.step_ns / 1e9)
+        return spec.advice(name, self.context, held=held, h=self.clock.h)
 
     def graph(self) -> Graph:
         """Return the graph of the components; what is wrong beside them does not matter.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cosim.core.contracts import Design
 from cosim.core.graph import Graph
 from cosim.errors import CosimError
+from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.experiment import Experiment
 
@@ -57,7 +58,7 @@ class CommonDesigns:
         return changed
 
     def prepare(
-        self, graph: Graph, step_ns: int, designs: Mapping[str, Design]
+        self, graph: Graph, step_ns: StepNs, designs: Mapping[str, Design]
     ) -> dict[str, Design]:
         """Prepare components of a graph again whose designs have other bits here.
 

@@ -22,7 +22,7 @@ from cosim.core.gain.resolution import may_be_unresolved, resolution
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan
 from cosim.errors import CosimError, listing
-from cosim.instants import NANOSECONDS
+from cosim.instants import step_value
 from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.problems import Key, Problem
@@ -227,7 +227,7 @@ def _refusal(gain: LoopGain, loops: LinearizedLoops, number: int) -> str:
     ways_out = []
     step_ns = loops.step_for(number)
     if step_ns is not None:
-        ways_out.append(f"step = {step_ns / NANOSECONDS!r}")
+        ways_out.append(f"step = {step_value(step_ns)!r}")
     for coupling in loops.couplings_for(number):
         offer = f'coupling = "{coupling}"'
         if coupling == "newton" and loops.graph.iterations > 1:  # it takes as many as it needs

@@ -7,6 +7,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from cosim.core.clock import exact_nanoseconds
+from cosim.instants import step_value
 from cosim.scenario.parsing import Scenario
 
 
@@ -22,7 +24,8 @@ def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
     method: list[Any] = [settings.coupling, settings.iterations]
     if settings.substeps is not None:
         method.append(settings.substeps.model_dump())
-    values = [tables, settings.step, settings.input_interpolation or "linear", *method]
+    step = step_value(exact_nanoseconds(settings.step))
+    values = [tables, step, settings.input_interpolation or "linear", *method]
     text = json.dumps(values, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

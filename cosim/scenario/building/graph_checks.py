@@ -7,6 +7,7 @@ from typing import Final
 
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.instants import StepNs, step_seconds
 from cosim.scenario.document.problems import Problem
 from cosim.scenario.parsing import Scenario
 
@@ -40,11 +41,13 @@ def _how(source: Port, jumping: Sequence[Port]) -> str:
     return f"{jumps}; linear interpolation would turn the jump into a ramp over one step"
 
 
-def held_disturbances(scenario: Scenario, graph: Graph, step_ns: int) -> Iterator[tuple[str, str]]:
+def held_disturbances(
+    scenario: Scenario, graph: Graph, step_ns: StepNs
+) -> Iterator[tuple[str, str]]:
     """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
     if graph.input_interpolation not in (None, "linear"):
         return
-    delay = 0.5 * step_ns / 1e9
+    delay = 0.5 * step_seconds(step_ns)
     for stage in graph.stages:
         loop = {member.name for member in stage.members}
         for to, connection in graph.connections.items():

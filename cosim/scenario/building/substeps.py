@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cosim.core.clock import nanoseconds
+from cosim.core.clock import Clock, nanoseconds
 from cosim.core.graph import Graph
 from cosim.core.stages.substep_control import SubstepTolerance
 from cosim.scenario.document.schema import Settings
@@ -34,7 +34,7 @@ def check_substeps(settings: Settings) -> None:
     """
     tolerance = substep_tolerance(settings)
     if tolerance is not None:
-        tolerance.finest_level(nanoseconds(settings.step))
+        tolerance.finest_level(Clock.step_of(settings.step))
 
 
 def substep_warnings(graph: Graph) -> Iterator[tuple[str, str]]:

@@ -34,7 +34,7 @@ from cosim.core.recorders import Nothing, close, end_of_run, error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, StepNs, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.scenario.document.action_tables import signals_of
@@ -79,7 +79,7 @@ class Subject:
         A time [s] of its table that leaves another part of a step over in each of the runs.
     """
 
-    step_ns: int
+    step_ns: StepNs
     steps: int
     layout: Layout
     labels: tuple[str, ...]
@@ -110,7 +110,7 @@ class Subject:
         problem : str
             Why nothing is compared; empty where something is.
         """
-        step = self.step_ns / NANOSECONDS
+        step = step_seconds(self.step_ns)
         return {
             "step": step,
             "finer_steps": [step / finer for finer in FINER],
@@ -148,7 +148,7 @@ def _subject(experiment: Experiment) -> Subject:
     scenario = experiment.scenario
     graph = experiment.graph
     step_ns = experiment.clock.step_ns
-    if step_ns % QUARTERS:
+    if isinstance(step_ns, int) and step_ns % QUARTERS:
         raise UsageError(
             f"step error: a quarter of the step {step_ns / NANOSECONDS} s is not a whole number "
             "of nanoseconds; choose a step of which it is"
@@ -177,7 +177,7 @@ def _subject(experiment: Experiment) -> Subject:
     )
 
 
-def _check_noise(scenario: Scenario, step_ns: int) -> None:
+def _check_noise(scenario: Scenario, step_ns: StepNs) -> None:
     """Check that no random number belongs to a communication step.
 
     Raises
@@ -196,7 +196,7 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
     names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
     if not names:
         return
-    settings = [option("set", f"{name}.period", f"{step_ns / NANOSECONDS}") for name in names]
+    settings = [option("set", f"{name}.period", f"{step_seconds(step_ns)}") for name in names]
     each = "draw" if len(names) > 1 else "draws"
     raise UsageError(
         f"step error: {', '.join(names)} {each} random numbers at every communication step, so "
@@ -239,7 +239,7 @@ def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
     return conditional
 
 
-def _uneven(scenario: Scenario, step_ns: int) -> dict[str, float]:
+def _uneven(scenario: Scenario, step_ns: StepNs) -> dict[str, float]:
     """Return a time [s] of each component that leaves another part of a step over in each run.
 
     Straight lines err by r (1 - r) h^2 y''/2 there, with r the part of a step h: a power of h where
@@ -304,7 +304,7 @@ def finer_run(
     Interrupted
         If the user ends it.
     """
-    step = subject.step_ns / finer / NANOSECONDS
+    step = step_value(step_part(subject.step_ns, finer))
     jumps = JumpWatch(subject.layout.width)
     rows = ThinnedRows(subject.every * finer, subject.steps * finer)
 
@@ -331,7 +331,7 @@ def finer_run(
 def _finer_experiment(
     scenario: Scenario, subject: Subject, finer: int, resources: ExitStack
 ) -> Experiment:
-    step = subject.step_ns / finer / NANOSECONDS
+    step = step_value(step_part(subject.step_ns, finer))
     try:
         changed = scenario.edit(set={**subject.changes, "scenario.step": step})
         return build_experiment(changed, resources, None)

@@ -22,7 +22,7 @@ from cosim.core.passing_recorders import Watched
 from cosim.core.recorded.signals import find_signal
 from cosim.core.recorders import Nothing
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, step_value
 from cosim.scenario.certification.certificate import Certifier, certifier_of
 from cosim.scenario.certification.thinned_rows import QUARTERS
 from cosim.scenario.parsing import Scenario
@@ -231,6 +231,11 @@ class _StepSearch:
         self.trials: list[TriedStep] = []
         with ExitStack() as resources:
             clock = build_experiment(scenario, resources, None).clock
+        if not isinstance(clock.step_ns, int):
+            raise UsageError(
+                f"{option(FIND_STEP)}: expected a scenario with a step of whole nanoseconds, which "
+                f"the steps that are tried have, too; got {step_value(clock.step_ns)} s"
+            )
         self._own_step_ns = clock.step_ns
         self._steps = _dividing_steps(clock.step_ns, clock.steps)
         self._possible: dict[int, bool] = {clock.step_ns: True}

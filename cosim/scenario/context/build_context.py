@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.blocks.replay import Replay
-from cosim.core.clock import Clock, nanoseconds, seconds
+from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.recorded.signals import find_channel
@@ -21,6 +21,7 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Interface, Signal
 from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, UsageError
+from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.context.build_records import BuildRecords, KeptAnswer, LookedUpKinds
 from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu, ScenarioFmus
 from cosim.scenario.context.named_files import NamedFiles
@@ -176,10 +177,15 @@ class ScenarioBuildContext:
     # --- what a kind may ask for ---
 
     @cached_property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
         self._need(("scenario", "step"))
-        return nanoseconds(self._scenario.file.scenario.step)
+        return Clock.step_of(self._scenario.file.scenario.step)
+
+    @property
+    def h(self) -> float:
+        """Communication step, the double next to it [s]."""
+        return step_seconds(self.step_ns)
 
     @cached_property
     def clock(self) -> Clock:
@@ -465,8 +471,8 @@ class ScenarioBuildContext:
 
         log = open_log(self.file(path))
         if log.step_ns != self.step_ns:
-            log_step = log.step_ns / 1e9
-            step = self.step_ns / 1e9
+            log_step = step_value(log.step_ns)
+            step = step_value(self.step_ns)
             raise UsageError(
                 f"log {path!r}: expected steps of {step} s as in the scenario, got {log_step} s"
             )
@@ -526,7 +532,7 @@ def _values_at(component: Component, column: int, t: Vector) -> Vector:
 
 def _interpolated(component: Component, column: int, clock: Clock) -> KnownSignal:
     """Return an output of a recorded component, between its rows by linear interpolation."""
-    points = seconds(clock.start_ns + clock.step_ns * np.arange(clock.steps + 1, dtype=np.int64))
+    points = clock.points
     values = _values_at(component, column, points)
 
     def at(t: Vector) -> Vector:

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import math
+import re
 import unicodedata
+from fractions import Fraction
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    InstanceOf,
+    PlainValidator,
+)
 
 from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
 from cosim.units import base_unit, unknown_unit
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+_FRACTION: Final = re.compile(r"\s*(?P<numerator>\d{1,15})\s*/\s*(?P<denominator>\d{1,15})\s*")
 
 
 def _check_bits(number: int) -> int:
@@ -29,6 +42,27 @@ Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
 Limit = Annotated[float, Field(strict=True)]  # inf: there is none
+
+
+def _step(value: object) -> object:
+    """Return a text that is a fraction as one, and all else as it is.
+
+    Raises
+    ------
+    ValueError
+        If it is another text.
+    """
+    if not isinstance(value, str):
+        return value
+    numbers = _FRACTION.fullmatch(value)
+    if numbers is None or not int(numbers["denominator"]):
+        raise ValueError(
+            f'expected a number, or a fraction as a string such as "1/60", got {quoted(value)}'
+        )
+    return Fraction(int(numbers["numerator"]), int(numbers["denominator"]))
+
+
+Step = Annotated[Number | InstanceOf[Fraction], BeforeValidator(_step)]
 
 
 def _pole(value: object) -> complex:
@@ -128,7 +162,7 @@ class Settings(TomlTable):
     name: Name = Field(description="name of the scenario and of its logs")
     start_time: Number = Field(0.0, description="start of the run [s], >= 0")
     stop: Number = Field(description="end of the run [s]")
-    step: Number = Field(description="communication step [s]")
+    step: Step = Field(description='communication step [s], or a fraction such as "1/60"')
     coupling: Literal["gauss-seidel", "jacobi", "newton"] = Field(
         "gauss-seidel",
         description='coupling of loops: "gauss-seidel", "jacobi", or "newton" (solves for the '

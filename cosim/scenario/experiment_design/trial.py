@@ -163,7 +163,7 @@ class _Simulation:
         delta_of_u = response.to_input(data, self._identified, self._u)
         regressor = self._builder.scenario.specs[subject.regressor]
         assert isinstance(regressor, RegressorKind)
-        h = self._builder.clock.step_ns / 1e9
+        h = self._builder.clock.h
         return Trial(
             settings=settings,
             identified=self._identified,
@@ -204,7 +204,7 @@ class _Simulation:
             names=tuple(alpha.text for alpha in identified.alphas),
             families=identified.families,
             theta=np.array(subject.theta),
-            step=builder.clock.step_ns / 1e9,
+            step=builder.clock.h,
             noise=noise,
             settled=settled,
             start=start,
@@ -332,8 +332,8 @@ def _start(builder: Builder, identifier: str, longest: float) -> tuple[int, int 
     """Return when delta has settled, and the first point that counts where that is given."""
     clock = builder.clock
     start_time = float(builder.context.records.metadata[identifier]["start_time"])
-    start = round((start_time - clock.start_time) * 1e9 / clock.step_ns)
-    settled = start - round(longest * 1e9 / clock.step_ns)
+    start = round((start_time - clock.start_time) / clock.h)
+    settled = start - round(longest / clock.h)
     kind = builder.scenario.specs[identifier]
     assert isinstance(kind, IdentifierKind)
     return settled, start if isinstance(kind.start, float) else None

@@ -19,6 +19,7 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit, Signal
+from cosim.instants import StepNs
 from cosim.scenario.document.schema import AnyUnit, Number, TomlTable
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
@@ -142,8 +143,13 @@ class BuildContext(Protocol):
         ...
 
     @property
-    def step_ns(self) -> int:
+    def step_ns(self) -> StepNs:
         """Communication step [ns]."""
+        ...
+
+    @property
+    def h(self) -> float:
+        """Communication step, the double next to it [s]."""
         ...
 
     def model(self, name: str) -> DescriptorSystem:
@@ -408,7 +414,7 @@ class Kind(TomlTable):
         return ()
 
     def decided(
-        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: StepNs
     ) -> Mapping[str, Any]:
         """Return the table with what the communication step has decided.
 
@@ -473,7 +479,7 @@ class Kind(TomlTable):
         """Return what the table says of the signal that drives the component, if anything."""
         return None
 
-    def period_steps(self, name: str, step_ns: int) -> int:
+    def period_steps(self, name: str, step_ns: StepNs) -> int:
         """Return the sample period in communication steps of ``step_ns``; 1 where there is none."""
         return 1
 
@@ -557,7 +563,7 @@ class PeriodicKind(Kind):
         description="sample period [s], a multiple of the communication step; default: one step",
     )
 
-    def period_steps(self, name: str, step_ns: int) -> int:
+    def period_steps(self, name: str, step_ns: StepNs) -> int:
         if self.period is None:
             return 1
         return whole_steps(self.period, step_ns, f"period of {name!r}")

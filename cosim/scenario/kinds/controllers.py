@@ -19,7 +19,7 @@ from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.instants import NANOSECONDS
+from cosim.instants import StepNs, step_seconds
 from cosim.native.numerics.linear import first_order_hold
 from cosim.scenario.document.schema import Number, NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import (
@@ -148,7 +148,7 @@ class ControllerKind(SampledKind, LinearKind):
             return model
         self._check_exportable()
         every = self.period_steps(name, context.step_ns)
-        period = context.step_ns * every / NANOSECONDS
+        period = step_seconds(context.step_ns * every)
         all_held = np.ones(model.interface.n_u, np.bool_)
         discretization = first_order_hold(model.A, model.B, period, all_held)
         kernel = kernels.sampled(discretization, C=model.C, D=model.D, X0=model.X0)
@@ -249,7 +249,7 @@ class PidKind(SampledKind, ExportableKind):
         )
         period = None
         if self.period is not None:
-            period = context.step_ns * self.period_steps(name, context.step_ns) / NANOSECONDS
+            period = step_seconds(context.step_ns * self.period_steps(name, context.step_ns))
         return Pid(parameters, period=period, unit=self.unit_name)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
@@ -264,7 +264,9 @@ class PidKind(SampledKind, ExportableKind):
         return _sampled_model(interface, kernel, context.step_ns, every)
 
 
-def _sampled_model(interface: Interface, kernel: Kernel, step_ns: int, every: int) -> DiscreteModel:
+def _sampled_model(
+    interface: Interface, kernel: Kernel, step_ns: StepNs, every: int
+) -> DiscreteModel:
     """Return a controller that samples and holds every so many communication steps."""
     reason = "a sampled controller is a discrete-time component"
     return DiscreteModel(

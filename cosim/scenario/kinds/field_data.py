@@ -21,12 +21,11 @@ from cosim.blocks.field_data import (
     units_of_samples,
 )
 from cosim.blocks.renaming import Renaming
-from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit, Signal, samples_of
 from cosim.errors import UsageError
-from cosim.instants import NANOSECONDS
+from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import field_data, listed_columns
 from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
@@ -113,7 +112,7 @@ class FieldDataKind(PlantKind):
         return units
 
     def decided(
-        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: StepNs
     ) -> Mapping[str, Any]:
         """Return the table with its interpolation, which has to be named with a smaller step.
 
@@ -144,10 +143,10 @@ class FieldDataKind(PlantKind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         data = context.field_data(name, lambda: self._read(name, context))
-        points = _points(context.clock)
+        points = context.clock.points
         check_covers(data, points, self.maximum_gap)
         if self._is_mcap and self.interpolation is None:
-            check_step(data, context.clock.step_ns / NANOSECONDS)
+            check_step(data, context.clock.h)
         for text in data.diagnostics:
             context.warn(name, text)
         if data.discrete and self.interpolation != "zero-order":
@@ -190,7 +189,7 @@ class FieldDataKind(PlantKind):
         if recorded is not None and SAMPLE_TIMES in recorded.by_name:
             return recorded.by_name[SAMPLE_TIMES].size
         data = context.field_data(name, lambda: self._read(name, context))
-        return max(data.most_in_a_step(_points(context.clock)), self.places or 1)
+        return max(data.most_in_a_step(context.clock.points), self.places or 1)
 
     @property
     def _is_mcap(self) -> bool:
@@ -207,7 +206,7 @@ class FieldDataKind(PlantKind):
     def _read(self, name: str, context: BuildContext) -> FieldData:
         """Read the file; samples of communication points get these as their times."""
         data = self._read_file(name, context)
-        return at_points(data, _points(context.clock))
+        return at_points(data, context.clock.points)
 
     def _read_file(self, name: str, context: BuildContext) -> FieldData:
         if self._is_mcap:
@@ -268,10 +267,3 @@ def _samples_shown(shown: Port, most: int) -> Port:
         case range() as indices:
             places = range(indices.start * most, indices.stop * most)
     return replace(shown, signal=samples_of(shown.signal), element=places)
-
-
-def _points(clock: Clock) -> Vector:
-    """Return the communication points [s]."""
-    steps = np.arange(clock.steps + 1)
-    points: Vector = (clock.start_ns + clock.step_ns * steps) / NANOSECONDS
-    return points

@@ -9,8 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import Clock, seconds
+from cosim.core.clock import Clock
 from cosim.errors import UsageError
+from cosim.instants import Grid
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.programs import evaluate_at
 
@@ -26,7 +27,7 @@ def check_finite(text: str, clock: Clock) -> None:
     UsageError
         If it is not; names the first.
     """
-    problem = _first_of_expression(text, clock.start_ns, clock.step_ns, _points(clock))
+    problem = _first_of_expression(text, clock.grid, _points(clock))
     _refuse(text, problem)
 
 
@@ -46,7 +47,7 @@ def check_finite_values(text: str, values: Callable[[Vector], Vector], clock: Cl
     UsageError
         If it is not; names the first.
     """
-    times = _times(clock.start_ns, clock.step_ns, _points(clock))
+    times = clock.grid.time(np.arange(_points(clock)))
     _refuse(text, _first_not_finite(times, values(times)))
 
 
@@ -62,18 +63,14 @@ def _points(clock: Clock) -> int:
     return min(clock.steps + 1, MOST_POINTS)
 
 
-def _times(start_ns: int, step_ns: int, points: int) -> Vector:
-    return seconds(start_ns + step_ns * np.arange(points, dtype=np.int64))
-
-
 class _Problem(NamedTuple):
     time: float
     value: float
 
 
 @lru_cache(maxsize=64)  # source and regressor of a scenario share their alphas
-def _first_of_expression(text: str, start_ns: int, step_ns: int, points: int) -> _Problem | None:
-    times = _times(start_ns, step_ns, points)
+def _first_of_expression(text: str, grid: Grid, points: int) -> _Problem | None:
+    times = grid.time(np.arange(points))
     return _first_not_finite(times, evaluate_at([compile_expression(text)], times)[:, 0])
 
 

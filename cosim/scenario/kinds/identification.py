@@ -26,6 +26,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import PortUnit
 from cosim.errors import AssumptionError, UsageError
+from cosim.instants import StepNs
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, NumberRows
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
@@ -150,7 +151,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     )
 
     def decided(
-        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: StepNs
     ) -> Mapping[str, Any]:
         """Return the table with T_id, which was computed and put on a communication point."""
         return {**table, "start": metadata["start_time"]}
@@ -371,7 +372,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         self, source: IdentifierSource, begin: float, context: BuildContext
     ) -> IdentificationSchedule:
         clock = context.clock
-        step = clock.step_ns / 1e9
+        step = clock.h
         gaps = np.diff(np.sort(np.array(source.regression.delays, np.float64)))
         half_gap = 0.5 * float(gaps.min())
         weight = 1.0 if self.forgetting is None else math.exp(-step / self.forgetting)
@@ -441,7 +442,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             if value is not None and not 0.0 < value < math.inf:
                 raise UsageError(f"{key}: expected a positive finite time, got {value} s")
 
-    def _window_steps(self, name: str, step_ns: int) -> int:
+    def _window_steps(self, name: str, step_ns: StepNs) -> int:
         if self.window is None:
             return 0
         return whole_steps(self.window, step_ns, f"window of {name!r}")
@@ -461,7 +462,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         assert isinstance(component, Estimator)
         method = component.method
         every = self.period_steps(name, context.step_ns)
-        h = context.step_ns / 1e9
+        h = context.h
         if isinstance(method, LeastSquaresMethod):
             design = method.design(h, wiring.held)
             kernel = kernels.least_squares(method.constants(wiring.held, design))

@@ -81,7 +81,7 @@ class IdentifierSource:
             known.names,
             start=clock.start_time,
             stop=clock.stop,
-            h=clock.step_ns / 1e9,
+            h=clock.h,
         )
 
     def unchecked(self, *, is_judged: bool) -> list[str]:
@@ -118,7 +118,7 @@ class IdentifierSource:
             list(zip(texts, design.elements, strict=True)),
             texts,
             bounds=bounds,
-            span=clock.steps * clock.step_ns / 1e9,
+            span=clock.steps * clock.h,
         )
 
     def missing_model(self) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
+import numpy as np
 from pydantic import Field
 
 from cosim.core.clock import LARGEST_NS, Clock
 from cosim.errors import AssumptionError, UsageError
+from cosim.instants import StepNs, step_seconds
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.document.schema import Number, TomlTable
 from cosim.scenario.kinds.base import BuildContext
@@ -65,7 +67,7 @@ def start_time(
             "fractions"
         )
     steps = math.ceil(elapsed_ns / clock.step_ns)
-    time = (clock.start_ns + steps * clock.step_ns) / 1e9
+    time = float(clock.grid.time(np.array([steps]))[0])
     context.add_metadata(source.identifier, {"start_time": time})
     return time
 
@@ -88,14 +90,14 @@ def _check_past(T_id: float, elapsed_ns: float, source: IdentifierSource, clock:
 
 
 def _check_past_of_signals(
-    T_id: float, elapsed_ns: float, needed_ns: int, source: IdentifierSource
+    T_id: float, elapsed_ns: float, needed_ns: StepNs, source: IdentifierSource
 ) -> None:
     """Check that the alphas that are signals have a value so late as delta at T_id."""
     if elapsed_ns < needed_ns:
         names = ", ".join(repr(alpha.text) for alpha in signals_among(source.regression.alphas))
         raise AssumptionError(
-            f"start: expected at least {needed_ns / 1e9:g} s after the start of the run (longest "
-            f"delay plus lag of delta), got {T_id} s; alpha {names} has no earlier value"
+            f"start: expected at least {step_seconds(needed_ns):g} s after the start of the run "
+            f"(longest delay plus lag of delta), got {T_id} s; alpha {names} has no earlier value"
         )
 
 

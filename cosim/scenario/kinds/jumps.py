@@ -15,7 +15,6 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.errors import UsageError
-from cosim.instants import NANOSECONDS
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.jumps import Jump, jumps
 from cosim.native.numerics.programs import evaluate
@@ -166,7 +165,7 @@ def unseen_rows(t: Vector, y: Matrix, clock: Clock) -> list[str]:
 def _distances_from_lines(t: Vector, y: Matrix, between: Mask, clock: Clock) -> Vector:
     """Return how far rows between communication points are from the line, of their range."""
     times = t[between]
-    h = clock.step_ns / NANOSECONDS
+    h = clock.h
     steps_before = np.floor((times - clock.start_time) / h)
     before = clock.start_time + steps_before * h
     farthest = np.zeros(len(times))

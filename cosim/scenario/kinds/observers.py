@@ -18,7 +18,7 @@ from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
-from cosim.instants import NANOSECONDS
+from cosim.instants import StepNs, step_seconds
 from cosim.scenario.document.schema import (
     Flag,
     Number,
@@ -184,7 +184,7 @@ class UnknownInputObserverKind(ExportableKind):
     )
 
     def decided(
-        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: StepNs
     ) -> Mapping[str, Any]:
         """Return the table with the window that was chosen."""
         if self.filter != "auto":
@@ -192,7 +192,7 @@ class UnknownInputObserverKind(ExportableKind):
         window = metadata["choice"]["result"]
         of_auto = ("noise", "noise_from", "amplitude", "bandwidth")
         kept = {key: value for key, value in table.items() if key not in of_auto}
-        half_width = window["half_width_steps"] * step_ns / NANOSECONDS
+        half_width = step_seconds(window["half_width_steps"] * step_ns)
         chosen = {"filter": "savitzky-golay", "half_width": half_width, "order": window["order"]}
         return {**kept, **chosen}
 
@@ -267,7 +267,7 @@ class UnknownInputObserverKind(ExportableKind):
         model, design = self.design(name, context)
         averaged = self._averaged_model(model, design)
         component = averaging_observer(averaged, model.reduced, reconstruction)
-        design_arrays = component.design(context.step_ns / NANOSECONDS, wiring.held)
+        design_arrays = component.design(context.h, wiring.held)
         kernel = averaging_kernel(design_arrays)
         reason = (
             "delta is an average over communication steps, so the observer is a discrete-time "
@@ -338,7 +338,7 @@ class UnknownInputObserverKind(ExportableKind):
         if self._is_unfiltered(self.design(name, context).design):
             return DirectReconstruction()
         self._check_needed()
-        step = context.step_ns / NANOSECONDS
+        step = context.h
         if self.filter == "auto":
             return self._chosen(name, context)
         if self.filter == "savitzky-golay":
@@ -425,7 +425,7 @@ class UnknownInputObserverKind(ExportableKind):
         n_y = len(model.reduced.C3)
         self._check_noise(n_y)
         spectrum = self._spectrum(name, context)
-        step = context.step_ns / NANOSECONDS
+        step = context.h
         request = {
             "noise": self.noise,
             "noise_from": self.noise_from,
@@ -512,7 +512,7 @@ class UnknownInputObserverKind(ExportableKind):
     ) -> None:
         """Record what the design is, and what its delta costs."""
         gains: dict[str, list[float]] = {}
-        step = context.step_ns / NANOSECONDS
+        step = context.h
         for key, held in (("noise_gain", False), ("noise_gain_held", True)):
             of_y = noise_gains(model.reduced, design, reconstruction, h=step, held=held)
             gains[key] = of_y.ravel().tolist()

@@ -17,7 +17,7 @@ from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.core.recording import SignalEvent, Substep
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Grid
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import (
     BuildContext,
@@ -319,15 +319,16 @@ class RecordingKind(PlantKind):
         begin_ns = int(recording.time_ns(self.component)[0])
         begin = begin_ns / NANOSECONDS
         end = recording.end_ns / NANOSECONDS
-        if begin_ns > clock.start_ns or end < clock.stop:
+        if begin_ns > clock.start_ns or recording.end_ns < clock.grid.stamp(clock.steps):
             raise UsageError(
                 f"log {self.log!r}: expected rows from {clock.start_time} s to {clock.stop} s (the "
                 f"run), got {begin} s to {end} s"
             )
-        if (clock.start_ns - begin_ns) % clock.step_ns:
+        recorded = Grid(begin_ns, clock.step_ns)
+        if recorded.stamp(recorded.number(clock.start_ns)) != clock.start_ns:
             raise UsageError(
                 f"log {self.log!r}: expected a row at start_time, {clock.start_time} s, got rows "
-                f"at {begin} s and multiples of {clock.step_ns / NANOSECONDS} s after it"
+                f"at {begin} s and multiples of {clock.h} s after it"
             )
         lags = component_record(recording, self.component).lags
         if lags:

@@ -18,7 +18,6 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
-from cosim.instants import NANOSECONDS
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.native.estimation.regression import RegressorConstants
@@ -435,7 +434,7 @@ class RegressorKind(ExportableKind):
             list(zip(texts, elements, strict=True)),
             texts,
             bounds={},
-            span=clock.steps * clock.step_ns / 1e9,
+            span=clock.steps * clock.h,
         )
 
     def _check_elements(
@@ -485,7 +484,7 @@ def _rms_and_rate(alpha: KnownAlphas, clock: Clock) -> tuple[float, float]:
     times: Vector = np.arange(512.0) * (math.sqrt(2.0) / 7.0)  # no period divides them
     h = 1e-4
     if not alpha.are_expressions:
-        h = clock.step_ns / NANOSECONDS
+        h = clock.h
         times = np.linspace(clock.start_time + h, clock.stop - h, SAMPLES)
     before = alpha(times - h)[:, 0]
     now = alpha(times)[:, 0]

@@ -14,6 +14,7 @@ from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
 from cosim.core.signals import samples_of
 from cosim.errors import UsageError
+from cosim.instants import StepNs
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
 
@@ -140,8 +141,8 @@ class SensorKind(PeriodicKind):
         )
 
 
-def _steps(key: str, time: float, step_ns: int) -> float:
+def _steps(key: str, time: float, step_ns: StepNs) -> float:
     """Return a time [s] in communication steps, also parts of a step."""
     if time < 0.0:
         raise UsageError(f"{key}: expected a time >= 0 s, got {time} s")
-    return nanoseconds(time) / step_ns
+    return float(nanoseconds(time) / step_ns)

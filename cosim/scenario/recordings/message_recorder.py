@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from math import ceil
 from types import TracebackType
 from typing import TYPE_CHECKING, final
 
@@ -114,7 +115,7 @@ class MessageRecorder(PassingRecorder):
         Where the run ended early, FMUs may be ahead of its end: of them there are the messages up
         to the end of the step that was not completed.
         """
-        self._record_messages(self._reached_ns + self._experiment.clock.step_ns)
+        self._record_messages(self._reached_ns + ceil(self._experiment.clock.step_ns))
         if error is not None:
             # past the warnings: the status says how it ended
             self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))

@@ -8,6 +8,7 @@ from typing import Final
 from cosim.core.clock import Clock
 from cosim.core.recording import CompleteRecording
 from cosim.errors import LogError
+from cosim.instants import Grid
 from cosim.log import Log
 from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.scenario.recorded_metadata import recorded_window, replay_origin
@@ -40,7 +41,7 @@ def check_whole(source: CompleteRecording) -> None:
 
 def _has_all_rows(source: CompleteRecording) -> bool:
     """Return whether every component has its rows from the start of the run to the end here."""
-    start_ns = source.end_ns - source.steps * source.step_ns
+    start_ns = source.grid.start_ns
     for name, channel in source.channels.items():
         times = source.time_ns(name)
         if len(times) != source.steps // channel.period + 1 or int(times[0]) != start_ns:
@@ -68,7 +69,7 @@ def check_end(source: CompleteRecording) -> None:
             last_ns = int(time_ns[-1])
             is_first = False
     is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
-    if end_ns != first_ns + source.steps * source.step_ns or not is_last:
+    if end_ns != Grid(first_ns, source.step_ns).stamp(source.steps) or not is_last:
         raise LogError(
             f"{source.label}: recorded end {end_ns / 1e9} s after {source.steps} steps, but the "
             f"rows of {channel.name!r} end at {last_ns / 1e9} s"
@@ -83,8 +84,8 @@ def check_clock(clock: Clock, source: CompleteRecording) -> None:
     LogError
         If it has not.
     """
-    first_ns = source.end_ns - source.steps * source.step_ns
-    if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
+    first_ns = source.grid.start_ns
+    if clock.grid != source.grid:
         raise LogError(
             f"{source.label}: the scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
             f"ns on, but the rows have steps of {source.step_ns} ns from {first_ns} ns on"

@@ -40,7 +40,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "edits": scenario.document.edits(),
         "start_time": repr(settings.start_time),
         "stop": repr(settings.stop),
-        "step": repr(settings.step),
+        "step": str(settings.step),
         "truth": json.dumps(experiment.truth),
         "first_order_loops": json.dumps(loops),
         "warnings": json.dumps(experiment.warnings),

@@ -11,6 +11,7 @@ from typing import Any, Final
 from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
 from cosim.errors import ScenarioError, UsageError, command, flag, option
+from cosim.instants import step_value
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document
@@ -86,7 +87,7 @@ def replay_changes(source: CompleteRecording, wanted: Mapping[str, Any]) -> dict
     """
     changes = {short(key): value for key, value in wanted.items()}
     if "scenario.step" in changes:
-        recorded_step = source.step_ns / 1e9
+        recorded_step = step_value(source.step_ns)
         raise UsageError(
             f"scenario.step: expected the recorded {recorded_step} s, got "
             f"{changes['scenario.step']} s; run the scenario to change it"

@@ -24,6 +24,7 @@ from cosim.core.recording import (
     Substep,
 )
 from cosim.errors import UsageError, quoted
+from cosim.instants import step_value
 
 _ENDS: Final = 2  # of a window
 
@@ -78,17 +79,14 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
         raise UsageError(
             f"window: expected its begin and end [s], such as (2.0, 4.0), got {quoted(ends)}"
         )
-    step_ns = source.step_ns
-    last_ns = source.end_ns
-    first_ns = last_ns - source.steps * step_ns
+    stamp = source.grid.stamp
     begin, end = ends
     index = 0 if begin is None else _point(source, begin, "begins")
     last = source.steps if end is None else _point(source, end, "ends")
     if index >= last:
         raise UsageError(
-            f"the window from {(first_ns + index * step_ns) / 1e9} s to "
-            f"{(first_ns + last * step_ns) / 1e9} s: expected at least one communication step, "
-            f"{step_ns / 1e9} s"
+            f"the window from {stamp(index) / 1e9} s to {stamp(last) / 1e9} s: expected at least "
+            f"one communication step, {step_value(source.step_ns)} s"
         )
     for name, channel in source.channels.items():
         if index % channel.period:
@@ -96,16 +94,16 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
             raise UsageError(
                 f"the window begins at {begin} s, where {name!r} has no row: it has one every "
                 f"{channel.period} communication steps; nearest before: "
-                f"{(first_ns + before * step_ns) / 1e9} s"
+                f"{stamp(before) / 1e9} s"
             )
-    return ReplayWindow(first_ns + index * step_ns, first_ns + last * step_ns, index)
+    return ReplayWindow(stamp(index), stamp(last), index)
 
 
 def _point(source: CompleteRecording, time: object, verb: str) -> int:
     """Return the number of a communication point of a recording."""
     if isinstance(time, bool) or not isinstance(time, int | float):
         raise UsageError(f"the window {verb} at {quoted(time)}; expected a time [s]")
-    first_ns = source.end_ns - source.steps * source.step_ns
+    first_ns = source.grid.start_ns
     if not first_ns / 1e9 <= time <= source.end_ns / 1e9:
         raise UsageError(
             f"the window {verb} at {time} s; expected a time within the recording, "

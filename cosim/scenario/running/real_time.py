@@ -131,4 +131,4 @@ def pace_of(factor: object, name: str = "realtime") -> float:
 
 def block_steps(clock: Clock, factor: float) -> int:
     """Return the communication steps of a block, as many as last about ``BLOCK``."""
-    return max(1, round(BLOCK * factor / clock.step))
+    return max(1, round(BLOCK * factor / clock.h))

@@ -328,7 +328,7 @@ def _initialize_alone(
             u[columns] = values
     held = np.zeros(len(u), np.bool_)
     with suppress(CosimError):
-        prepare(component, builder.clock.step_ns / 1e9, held, {})
+        prepare(component, builder.clock.h, held, {})
         component.initialize(builder.clock.start_time, u)
         y = component.outputs(builder.clock.start_time, u)
         return _InitialSignals.of(interface, u, y)

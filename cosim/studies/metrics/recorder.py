@@ -11,6 +11,7 @@ from cosim.core.contracts import Block
 from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan
 from cosim.core.signals import Layout
+from cosim.instants import StepNs
 from cosim.native.numerics.reductions import KeptValues
 from cosim.native.step import DOUBLE
 from cosim.studies.metrics.binding import BoundReductions, bind_layout
@@ -31,7 +32,7 @@ class MetricRecorder(Nothing):
     def __init__(self, metrics: Metrics) -> None:
         self._metrics = metrics
         self._layout: Layout | None = None
-        self._step_ns = 0
+        self._step_ns: StepNs = 0
         self._bound: list[BoundReductions] = []
         self._has_rows = False
 
@@ -66,10 +67,13 @@ class MetricRecorder(Nothing):
             begin = first + -(block.index + first) % period
             if begin > block.steps:
                 continue
-            first_ns = int(block.time_ns[begin])
-            step_ns = period * self._step_ns
             rows = slice(begin, None, period)
-            group.rows.add_regular(first_ns, step_ns, block.time[rows], signals[rows])
+            step_ns = period * self._step_ns
+            if isinstance(step_ns, int):
+                first_ns = int(block.time_ns[begin])
+                group.rows.add_regular(first_ns, step_ns, block.time[rows], signals[rows])
+            else:  # as of its log
+                group.rows.add(np.ascontiguousarray(block.time_ns[rows]), signals[rows])
 
     def values(self) -> dict[str, float | None]:
         """Return the metrics of the rows so far; None: one has no value, or no run has begun."""

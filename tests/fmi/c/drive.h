@@ -43,6 +43,6 @@ static double *some(size_t count, double scale)
     return values;
 }
 
-static double step_size(void) { return model_step_ns ? (double)model_step_ns / 1e9 : 0.1; }
+static double step_size(void) { return model_step > 0.0 ? model_step : 0.1; }
 
 #endif

@@ -182,7 +182,7 @@ static void co_simulation(void)
     REFUSED(fmi2DoStep(c, now, -h, 0));
     REFUSED(fmi2DoStep(c, now, (double)NAN, 0));
     REFUSED(fmi2DoStep(c, now + 0.5 * h, h, 0));
-    if (model_step_ns)
+    if (model_step > 0.0)
         REFUSED(fmi2DoStep(c, now, 0.5 * h, 0));
     else
         DONE(fmi2DoStep(c, now, 0.5 * h, 0));

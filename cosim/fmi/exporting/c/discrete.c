@@ -41,14 +41,12 @@ void model_derivatives(const double *memory, double t, const double *u, double *
 static const char *step(const parts *s, double t0, double t1, double h, const double *u0,
                         const double *u1, double *y)
 {
-    const double exact =
-        model_step_ns > 0 ? (double)model_step_ns / 1e9 : h; /* h is that up to rounding */
+    const double exact = model_step > 0.0 ? model_step : h; /* h is that up to rounding */
     if (!model_is_zero_order_hold)
         return kernel_step(s->kernel, t0, t1, exact, u0, u1, y);
     if (*s->steps + 1.0 < model_steps_per_sample)
         return NULL;
-    return kernel_step(s->kernel, *s->sample_time, t1,
-                       (double)(model_step_ns * model_steps_per_sample) / 1e9, s->sample_u, u1, y);
+    return kernel_step(s->kernel, *s->sample_time, t1, model_period, s->sample_u, u1, y);
 }
 
 const char *model_advance(double *memory, double *work, double t0, double t1, double h,

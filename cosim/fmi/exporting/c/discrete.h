@@ -12,6 +12,7 @@
 
 extern const int32_t kernel_memory;          /* doubles of `memory` */
 extern const int32_t model_steps_per_sample; /* communication steps between two samples */
+extern const double model_period;            /* between two samples [s]; 0: any step */
 /* It samples its inputs too and holds them, as a digital controller does: all steps between two
  * samples are one. Else it takes every communication step. */
 extern const int32_t model_is_zero_order_hold;

@@ -345,7 +345,6 @@ void instance_initialize(instance *i) { update(i); }
 
 const char *instance_begin_step(instance *i, double t, double h)
 {
-    const double needed = (double)model_step_ns / 1e9;
     const double tolerance = 1e-6 * h + 1e-12 * fabs(t);
     if (!(isfinite(t) && isfinite(h) && h > 0.0))
         return "the communication step size must be positive and finite";
@@ -354,11 +353,11 @@ const char *instance_begin_step(instance *i, double t, double h)
                  "the step begins at %.17g s, but the FMU is at %.17g s", t, *i->time);
         return i->message;
     }
-    if (model_step_ns > 0 && fabs(h - needed) > 1e-6 * needed) {
+    if (model_step > 0.0 && fabs(h - model_step) > 1e-6 * model_step) {
         snprintf(
             i->message, sizeof i->message,
             "a communication step of %.17g s was asked for; needed %.10g s, the step of this FMU",
-            h, needed);
+            h, model_step);
         return i->message;
     }
     update_states(i); /* initializes, if nothing was read before the first step */

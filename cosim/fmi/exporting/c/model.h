@@ -26,7 +26,7 @@ extern const int32_t model_size[];
 extern const int32_t model_is_exact[]; /* (n) the start value of this state may be set */
 extern const int32_t model_state_of[]; /* (p) the state that this output is, or -1 */
 extern const double model_X0[];        /* (n) start values of the states; those of inputs are 0 */
-extern const int64_t model_step_ns;    /* the only communication step [ns]; 0: any */
+extern const double model_step;        /* the only communication step [s]; 0: any */
 /* it may be exchanged as a model; else co-simulation only */
 extern const int32_t model_has_derivatives;
 extern const int32_t model_memory; /* doubles of it; the first n are the states */
