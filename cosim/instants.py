@@ -6,6 +6,7 @@ than half a nanosecond from what they stand for, so that each of them stands for
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TypeAlias, TypeVar
@@ -19,6 +20,7 @@ StepNs: TypeAlias = int | Fraction  # of a whole number of nanoseconds an int
 Numbers = TypeVar("Numbers", int, NDArray[np.int64])
 
 NANOSECONDS = 1_000_000_000  # in a second
+LARGEST_DENOMINATOR = 1_000_000  # of a fraction that a double may have meant
 
 
 def last_nanosecond(t: float) -> int:
@@ -55,6 +57,14 @@ def step_part(step_ns: StepNs, count: int) -> StepNs:
     """Return one of ``count`` equal parts of a step [ns]."""
     part = Fraction(step_ns) / count
     return part if part.denominator > 1 else part.numerator
+
+
+def written_step(step: float) -> float | str:
+    """Return a step [s] as a scenario takes it: a fraction, where it is one, of parts of 1 ns."""
+    if not math.isfinite(step) or round(step * NANOSECONDS) / NANOSECONDS == step:
+        return step
+    fraction = Fraction(step).limit_denominator(LARGEST_DENOMINATOR)
+    return str(fraction) if float(fraction) == step else step
 
 
 def step_value(step_ns: StepNs) -> float | str:

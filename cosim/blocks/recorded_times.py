@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeAlias, final
+from typing import Protocol, TypeAlias, TypeGuard, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Nanoseconds, Vector
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import Recording
 from cosim.instants import NANOSECONDS
 
@@ -21,6 +22,10 @@ class RecordedTimes(Protocol):
 
     def nanoseconds(self, begin: int, stop: int) -> Nanoseconds:
         """Return those of the rows from ``begin`` to ``stop`` [ns]."""
+        ...
+
+    def seconds(self, begin: int, stop: int) -> Vector:
+        """Return those of the rows from ``begin`` to ``stop`` [s]."""
         ...
 
     def last_not_after(self, t: Vector) -> RowNumbers:
@@ -55,9 +60,12 @@ class RegularTimes:
         """Return those of the rows from ``begin`` to ``stop`` [ns]."""
         return self._first_ns + self._period_ns * np.arange(begin, stop, dtype=np.int64)
 
+    def seconds(self, begin: int, stop: int) -> Vector:
+        """Return those of the rows from ``begin`` to ``stop`` [s]."""
+        return self.nanoseconds(begin, stop) / NANOSECONDS
+
     def last_not_after(self, t: Vector) -> RowNumbers:
         """Return the number of the last row that is not after each time [s]; -1: there is none."""
-        t = _stamped(t)
         last = self._count - 1
         guesses = np.floor((t * NANOSECONDS - self._first_ns) / self._period_ns)
         numbers: RowNumbers = np.clip(guesses, -1, last).astype(np.int64)
@@ -84,11 +92,14 @@ class GivenTimes:
     Parameters
     ----------
     time_ns : Nanoseconds, shape (N,)
+        Their stamps.
+    time : Vector, shape (N,)
+        What these stand for [s].
     """
 
-    def __init__(self, time_ns: Nanoseconds) -> None:
+    def __init__(self, time_ns: Nanoseconds, time: Vector) -> None:
         self._time_ns = time_ns
-        self._time: Vector = time_ns / NANOSECONDS
+        self._time = time
 
     def __len__(self) -> int:
         return len(self._time)
@@ -97,9 +108,13 @@ class GivenTimes:
         """Return those of the rows from ``begin`` to ``stop`` [ns]."""
         return self._time_ns[begin:stop]
 
+    def seconds(self, begin: int, stop: int) -> Vector:
+        """Return those of the rows from ``begin`` to ``stop`` [s]."""
+        return self._time[begin:stop]
+
     def last_not_after(self, t: Vector) -> RowNumbers:
         """Return the number of the last row that is not after each time [s]; -1: there is none."""
-        numbers: RowNumbers = np.searchsorted(self._time, _stamped(t), side="right") - 1
+        numbers: RowNumbers = np.searchsorted(self._time, t, side="right") - 1
         return numbers
 
     def span(self, begin: int, stop: int) -> tuple[int, int]:
@@ -109,10 +124,18 @@ class GivenTimes:
         return int(first), int(last)
 
 
-def _stamped(t: Vector) -> Vector:
-    """Return times [s] as a row at them is stamped, where that is later: to the nanosecond."""
-    stamped: Vector = np.maximum(t, np.rint(t * NANOSECONDS) / NANOSECONDS)
-    return stamped
+def instants_of(recording: Recording, time_ns: Nanoseconds) -> Vector:
+    """Return what the stamps of communication points stand for [s].
+
+    Where the step is a fraction, such as 1/60 s, they are the whole nanoseconds next to that.
+    """
+    if _has_fractions(recording):
+        return recording.grid.time(recording.grid.number(time_ns))
+    return time_ns / NANOSECONDS
+
+
+def _has_fractions(recording: Recording) -> TypeGuard[RecordedRun]:
+    return isinstance(recording, RecordedRun) and not isinstance(recording.step_ns, int)
 
 
 @final
@@ -141,6 +164,8 @@ class TimesFinder:
 
     def times(self, recording: Recording, component: str) -> RecordedTimes:
         """Return the times of all rows of a component, when they have been added."""
-        if self._is_regular and (self._period_ns or self._count < 2):
+        is_regular = self._is_regular and (self._period_ns or self._count < 2)
+        if is_regular and not _has_fractions(recording):
             return RegularTimes(self._first_ns, max(self._period_ns, 1), self._count)
-        return GivenTimes(recording.time_ns(component))
+        time_ns = recording.time_ns(component)
+        return GivenTimes(time_ns, instants_of(recording, time_ns))

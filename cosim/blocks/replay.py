@@ -9,7 +9,13 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.recorded_rows import RecordedRows
-from cosim.blocks.recorded_times import GivenTimes, RecordedTimes, RowNumbers, TimesFinder
+from cosim.blocks.recorded_times import (
+    GivenTimes,
+    RecordedTimes,
+    RowNumbers,
+    TimesFinder,
+    instants_of,
+)
 from cosim.core.contracts import Design, Stopped
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of, reduced_interface
@@ -17,7 +23,6 @@ from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError, LogError
-from cosim.instants import NANOSECONDS
 from cosim.native.blocks.functions import RecordedStep
 from cosim.native.step import NativeStep
 
@@ -87,8 +92,8 @@ class Replay:
         last_ns = times.nanoseconds(len(times) - 1, len(times))[0]
         if channel.period > 1 and recording.end_ns > last_ns:
             # the run went on behind the last row of a component that lacks some steps
-            time_ns = times.nanoseconds(0, len(times))
-            times = GivenTimes(np.append(time_ns, recording.end_ns))
+            time_ns = np.append(times.nanoseconds(0, len(times)), recording.end_ns)
+            times = GivenTimes(time_ns, instants_of(recording, time_ns))
         self._times = times
         self._rows = RecordedRows(recording, component, times)
         self._kernel = RecordedStep(recorded.n_y)
@@ -133,7 +138,7 @@ class Replay:
         GraphError
             If ``t`` starts before the recording.
         """
-        end = self._seconds(len(self._times) - 1, len(self._times))[0]
+        end = self._times.seconds(len(self._times) - 1, len(self._times))[0]
         inside = t[1:][t[1:] <= end]
         rows = self._rows_at(inside)
         if len(inside) < len(t) - 1:
@@ -171,16 +176,12 @@ class Replay:
 
     def _show_rows(self) -> None:
         kept = self._rows
-        self._kernel.take(self._seconds(kept.begin, kept.stop), kept.rows)
-
-    def _seconds(self, begin: int, stop: int) -> Vector:
-        seconds: Vector = self._times.nanoseconds(begin, stop) / NANOSECONDS
-        return seconds
+        self._kernel.take(self._times.seconds(kept.begin, kept.stop), kept.rows)
 
     def _index(self, t: Vector) -> RowNumbers:
         index = self._times.last_not_after(t)
         if (index < 0).any():
-            begin = self._seconds(0, 1)[0]
+            begin = self._times.seconds(0, 1)[0]
             raise GraphError(f"the recording begins at {begin} s, requested: {t[0]} s")
         return index
 
@@ -211,7 +212,8 @@ def _left_limits(
         port = Port.parse(event.signal)
         if event.cause == "jump" and port.component == component and port.name in columns:
             own = (columns[port.name], event.values)
-            limits.setdefault(event.time_ns / 1e9, []).append(own)
+            (time,) = instants_of(recording, np.array([event.time_ns])).tolist()
+            limits.setdefault(time, []).append(own)
     return limits
 
 

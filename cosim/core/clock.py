@@ -20,10 +20,17 @@ from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.arguments import kind_of
 from cosim.core.contracts import Block
 from cosim.errors import ClockError, quoted
-from cosim.instants import NANOSECONDS, Grid, StepNs, step_part, step_seconds, step_value
+from cosim.instants import (
+    NANOSECONDS,
+    Grid,
+    StepNs,
+    step_part,
+    step_seconds,
+    step_value,
+    written_step,
+)
 
 LARGEST_NS = 2**63 - 1
-LARGEST_DENOMINATOR = 1_000_000  # of a fraction that a double may have meant
 LARGEST_EXPONENT = 400  # of ten: beyond every double
 BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
@@ -233,8 +240,8 @@ class Clock:
         try:
             return nanoseconds(step)
         except ClockError as error:
-            fraction = Fraction(step).limit_denominator(LARGEST_DENOMINATOR) if step else None
-            if fraction is None or float(fraction) != step:
+            fraction = written_step(step) if isinstance(step, float) else step
+            if not isinstance(fraction, str):
                 raise
             raise ClockError(f'{error}; or the fraction "{fraction}"') from error
 

@@ -45,7 +45,9 @@ def recording():
 
 def test_rows_are_the_recorded_ones_in_whatever_order_they_are_asked_for(recording):
     """One, many, forwards and backwards; twenty of them are kept."""
-    rows = RecordedRows(recording, "lag", GivenTimes(recording.time_ns("lag")))
+    rows = RecordedRows(
+        recording, "lag", GivenTimes(recording.time_ns("lag"), recording.time("lag"))
+    )
     expected = recording["lag.y"]
     assert len(rows) == STEPS + 1
     random = np.random.default_rng(3)
@@ -60,7 +62,9 @@ def test_rows_are_the_recorded_ones_in_whatever_order_they_are_asked_for(recordi
 
 def test_a_row_before_the_last_one_is_kept(recording):
     """Going back by one reads nothing again."""
-    rows = RecordedRows(recording, "lag", GivenTimes(recording.time_ns("lag")))
+    rows = RecordedRows(
+        recording, "lag", GivenTimes(recording.time_ns("lag"), recording.time("lag"))
+    )
     rows.at(np.array([500]))
     kept = rows.rows
     rows.at(np.array([499]))
@@ -74,7 +78,7 @@ def test_rows_of_one_instant_are_kept_together():
     memory.begin(Plan(Layout((channel,)), 1, {}, {}, ()))
     time_ns = np.arange(200) // 3
     memory.write(Block(0, time_ns, time_ns / 1e9, 1e-9), np.arange(200.0)[:, None])
-    rows = RecordedRows(memory, "c", GivenTimes(time_ns))
+    rows = RecordedRows(memory, "c", GivenTimes(time_ns, time_ns / 1e9))
     for number in range(200):
         assert rows.at(np.array([number])) == number
 
@@ -82,7 +86,7 @@ def test_rows_of_one_instant_are_kept_together():
 def test_a_run_behind_the_last_row_has_it_again(recording):
     """One time more than there are rows is that of the last one."""
     time_ns = np.append(recording.time_ns("lag"), recording.end_ns + 5)
-    rows = RecordedRows(recording, "lag", GivenTimes(time_ns))
+    rows = RecordedRows(recording, "lag", GivenTimes(time_ns, time_ns / 1e9))
     assert rows.at(np.array([STEPS + 1])) == recording["lag.y"][-1]
     assert rows.at(np.array([0])) == recording["lag.y"][0]
 
@@ -90,7 +94,7 @@ def test_a_run_behind_the_last_row_has_it_again(recording):
 def test_a_recording_with_other_rows_than_before_is_refused(recording):
     """As where a file has changed."""
     time_ns = np.append(recording.time_ns("lag"), recording.end_ns + np.arange(5))
-    rows = RecordedRows(recording, "lag", GivenTimes(time_ns))
+    rows = RecordedRows(recording, "lag", GivenTimes(time_ns, time_ns / 1e9))
     with pytest.raises(LogError, match=r"the run:.*rows of 'lag'"):
         rows.at(np.array([STEPS + 4]))
 
@@ -136,7 +140,8 @@ def test_regular_times_are_found_as_by_a_search(first_ns, period_ns, count, data
     """At a hundred rows, one bit before or after them, between two and outside of all."""
     number = min(number, count + 2)
     regular = RegularTimes(first_ns, period_ns, count)
-    given_times = GivenTimes(first_ns + period_ns * np.arange(count))
+    time_ns = first_ns + period_ns * np.arange(count)
+    given_times = GivenTimes(time_ns, time_ns / 1e9)
     at = (first_ns + period_ns * (np.arange(number - 100, number + 1) + data)) / 1e9
     t = np.concatenate([at, np.nextafter(at, -np.inf), np.nextafter(at, np.inf)])
     assert (regular.last_not_after(t) == given_times.last_not_after(t)).all()

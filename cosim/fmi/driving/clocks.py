@@ -283,7 +283,7 @@ class EventClocks:
             return NEVER
         ticks = (schedule.next for schedule in self.state.schedules.values())
         elapsed = min(ticks) - _instant(t)
-        step = round(h * NANOSECONDS)
+        step = _instant(h)
         return float(elapsed / step) if elapsed < step else NEVER
 
     def _triggers(self, t: float, u: Vector) -> list[Variable]:

@@ -30,6 +30,7 @@ from cosim.fmi.driving.step_inputs import InputDerivativesFailed
 from cosim.fmi.driving.stepping import Stepper, StepperState
 from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
+from cosim.instants import NANOSECONDS, written_step
 from cosim.native.step import NativeStep
 
 
@@ -115,8 +116,8 @@ class CoSimulation:
         fixed = self._capabilities.fixed_step
         if fixed and not self._capabilities.variable_step:
             whole = round(h / fixed)
-            nearest_step = max(1, whole) * fixed
-            if abs(whole * fixed - h) > 1e-9 * h:
+            nearest_step = written_step(max(1, whole) * fixed)
+            if abs(whole * fixed - h) > max(1e-9 * h, 0.5 / NANOSECONDS):
                 raise FmuError(
                     f"{self._name}: the communication step {h} s is not a whole number of the "
                     f"FMU's inner steps of {fixed} s; nearest: {nearest_step} s"

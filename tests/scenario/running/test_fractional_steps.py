@@ -1,0 +1,137 @@
+"""Steps that are no whole number of nanoseconds: 1/60 s, 1/44100 s."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import CosimError, ScenarioError
+from cosim.log.editing.cutting import cut
+from cosim.log.editing.merging import merge
+
+RATES = [30, 60, 120, 144, 44_100]
+
+
+def changes_of(rate, **more):
+    """Return what the shipped motor and its controller take at a rate [Hz]."""
+    period = round(2 / rate, 9)  # of two steps, to the nanosecond
+    times = {"scenario.stop": 1.0, "setpoint.time": 0.5, "load.time": 0.75}
+    return {**times, "scenario.step": f"1/{rate}", "controller.period": period, **more}
+
+
+def run_pair(rate, out=None, **more):
+    """Run them."""
+    return cosim.run("pair", set=changes_of(rate, **more), out=out)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Return the log of a run at 120 Hz, whose controller has 60 Hz."""
+    path = tmp_path_factory.mktemp("logs") / "pair.mcap"
+    return run_pair(120, path)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_points_are_multiples_of_the_fraction(rate):
+    """Stamps are the whole nanoseconds next to k/rate, and nothing accumulates."""
+    stop = 0.5 if rate > 1000 else 1.0
+    run = run_pair(rate, **{"scenario.stop": stop, "setpoint.time": 0.0, "load.time": 0.5})
+    expected = [round(Fraction(k * 10**9, rate)) for k in range(round(stop * rate) + 1)]
+    assert run.time_ns("motor").tolist() == expected
+
+
+def test_components_get_the_double_next_to_each_point():
+    """A ramp of slope 1 shows the time that it was given: k/60, not what the log is stamped."""
+    changes = changes_of(60)
+    del changes["load.time"]
+    changes["load"] = {"kind": "expression", "y": "t", "unit": "N.m"}
+    run = cosim.run("pair", set=changes)
+    assert run["load.y"].tolist() == [k / 60 for k in range(61)]
+    assert run.time("load")[1] == 0.016666667
+    with cosim.load("pair").edit(set=changes_of(60)).start() as session:
+        session.step(7)
+        assert session.t == 7 / 60
+        assert session.t_ns == 116_666_667
+
+
+def test_a_log_replays_bit_for_bit(log):
+    """The whole of it, its plants too, and a part between two points."""
+    assert log.steps == 120
+    assert log["controller.y"].shape == (61,)
+    assert cosim.diff(log, cosim.replay(log)).equal
+    assert cosim.diff(log, cosim.replay(log, rerun=True)).equal
+    for window in [(0.25, 0.75), (0.016666667, 0.983333333), (1 / 60, 59 / 60)]:
+        part = cosim.replay(log, window=window)
+        whole = log.window(*(round(end, 9) for end in window))
+        assert (part["motor.y"] == whole["motor.y"]).all()
+        assert (part.time_ns("motor") == whole.time_ns("motor")).all()
+        assert part.end_ns == whole.end_ns
+        assert part.steps == len(whole["motor.y"]) - 1
+
+
+def test_a_recording_takes_the_place_of_what_it_recorded(log):
+    """At its stamps, which are up to half a nanosecond from the points of the run."""
+    run = cosim.run("pair", set=changes_of(120), swap={"motor": str(log.path)})
+    assert (run["motor.y"] == log["motor.y"]).all()
+    assert (run["controller.y"] == log["controller.y"]).all()
+    with pytest.raises(CosimError, match=r"expected steps of 1/60 s .* got 1/120 s"):
+        cosim.run("pair", set=changes_of(60), swap={"motor": str(log.path)})
+
+
+def test_parts_of_a_log_are_cut_and_joined(log, tmp_path):
+    """The joined log is the log; rows that are missing between parts are named."""
+    first, second, late = (tmp_path / f"{n}.mcap" for n in range(3))
+    cut(log.path, None, 0.508333333, first)
+    cut(log.path, 0.516666667, None, second)
+    cut(log.path, 0.525, None, late)
+    joined = tmp_path / "joined.mcap"
+    merge([first, second], joined)
+    assert cosim.open_log(joined).content_hash() == log.content_hash()
+    with pytest.raises(CosimError, match=r"rows from 0.516666667 s on are missing"):
+        merge([first, late], tmp_path / "not.mcap")
+
+
+def test_metrics_of_a_study_are_those_of_its_logs(tmp_path):
+    """Members reduce their rows as they come, at the stamps that their logs have."""
+    metrics = {"late": "first(t, motor.y > 50)", "mean": "mean(motor.y, t > 0.6)"}
+    study = cosim.study("pair", set=changes_of(60), metrics=metrics, seeds=1, out=tmp_path / "s")
+    (row,) = study.rows
+    log = run_pair(60, tmp_path / "pair.mcap")
+    assert {name: row[name] for name in metrics} == cosim.metrics(log, metrics)
+
+
+def test_the_error_of_the_step_is_estimated_from_halves_of_it(tmp_path):
+    """1/120 and 1/240 s; a search for a step, which tries whole nanoseconds, is refused."""
+    certificate = cosim.certificate(cosim.run("pair", set=changes_of(60), certify=True))
+    assert certificate.step == 1 / 60
+    assert certificate.finer_steps == (1 / 120, 1 / 240)
+    source = 'wave = { kind = "expression", y = "sin(t)" }'
+    path = tmp_path / "wave.toml"
+    path.write_text(
+        f'[scenario]\nname = "wave"\nstop = 1.0\nstep = "1/60"\n[components]\n{source}\n'
+    )
+    with pytest.raises(CosimError, match="got 1/60 s"):
+        cosim.run(path, find_step={"wave.y": 1e-3})
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "text"),
+    [
+        ({"scenario.step": 1 / 60}, "scenario.step", '"1/60"'),
+        ({"scenario.step": "1/0"}, "scenario.step", "1/0"),
+        ({"scenario.step": "-1/60"}, "scenario.step", "-1/60"),
+        ({"scenario.step": "0/60"}, "scenario.step", "> 0"),
+        ({"scenario.step": "1/3000000000"}, "scenario.step", "1e-9 s"),
+        ({"scenario.stop": 0.51}, "scenario.stop", "0.516666667"),
+        ({"scenario.start_time": 0.01}, "scenario.stop", "0.016666667"),
+        ({"controller.period": 0.02}, "controller", "1/60 s"),
+        ({"scenario.substeps": {}}, "scenario.substeps", "whole nanoseconds"),
+    ],
+)
+def test_what_is_off_the_grid_is_refused(changes, place, text):
+    """With the key, and a value that would do."""
+    with pytest.raises(ScenarioError) as caught:
+        run_pair(60, **changes)
+    assert place in str(caught.value)
+    assert text in str(caught.value)
