@@ -59,12 +59,22 @@ def step_part(step_ns: StepNs, count: int) -> StepNs:
     return part if part.denominator > 1 else part.numerator
 
 
-def written_step(step: float) -> float | str:
+def step_of(h: float) -> StepNs:
+    """Return the step that has this double [ns]: whole nanoseconds, or the simplest fraction."""
+    whole = round(h * NANOSECONDS)
+    if whole / NANOSECONDS == h:
+        return whole
+    fraction = Fraction(h).limit_denominator(LARGEST_DENOMINATOR)
+    exact = fraction if float(fraction) == h else Fraction(h)
+    return step_part(exact * NANOSECONDS, 1)
+
+
+def written_step(h: float) -> float | str:
     """Return a step [s] as a scenario takes it: a fraction, where it is one, of parts of 1 ns."""
-    if not math.isfinite(step) or round(step * NANOSECONDS) / NANOSECONDS == step:
-        return step
-    fraction = Fraction(step).limit_denominator(LARGEST_DENOMINATOR)
-    return str(fraction) if float(fraction) == step else step
+    if not math.isfinite(h):
+        return h
+    step_ns = step_of(h)
+    return h if step_ns.denominator > LARGEST_DENOMINATOR else step_value(step_ns)
 
 
 def step_value(step_ns: StepNs) -> float | str:

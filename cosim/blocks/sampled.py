@@ -22,7 +22,7 @@ from cosim.core.contracts import (
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError, steps_text
-from cosim.instants import NANOSECONDS
+from cosim.instants import step_of, step_seconds
 from cosim.native.blocks.wrapping import (
     DecimatedMemory,
     SampledMemory,
@@ -203,7 +203,7 @@ class Sampled:
 
     def _own_step(self, h: float) -> float:
         """Return its own step [s], computed from whole nanoseconds."""
-        return round(h * NANOSECONDS) * self._n / NANOSECONDS
+        return step_seconds(step_of(h) * self._n)
 
 
 class Decimated:

@@ -59,6 +59,7 @@ CAN = {
         "events": 'hasEventMode="true"',
         "returns": 'mightReturnEarlyFromDoStep="true"',
         "inner step of 30 ms": 'fixedInternalStepSize="0.03"',
+        "inner step at 60 Hz": 'fixedInternalStepSize="0.016666666666666666"',
         "d moves": "",
         "d is shown": "",
     },

@@ -623,3 +623,13 @@ def test_a_step_that_no_inner_step_divides_is_refused_where_steps_cannot_vary(op
     with pytest.raises(FmuError, match=message):
         fmu.component.prepare(0.1, HELD, {})
     fmu.component.prepare(0.09, HELD, {})
+
+
+def test_an_inner_step_that_is_a_fraction_is_met_to_the_nanosecond(opened):
+    """A scenario says "1/60", or what a nanosecond allows of it; a refusal says the former."""
+    fmu = opened("3", "inner step at 60 Hz")
+    fmu.component.prepare(1 / 60, HELD, {})
+    fmu.component.prepare(0.016666667, HELD, {})
+    fmu.component.prepare(0.5, HELD, {})
+    with pytest.raises(FmuError, match=r"nearest: 1/60 s"):
+        fmu.component.prepare(0.0166666, HELD, {})

@@ -64,15 +64,16 @@ def with_recorded_reports(experiment: Experiment, source: CompleteRecording) -> 
     What a plant of the run had replaced is not there any more to be compared with.
     """
     metadata = dict(experiment.metadata)
-    reported = set()
-    for name in metadata.keys() - set(experiment.recorded):
+    compared = {name for name, text in experiment.warnings if text.startswith(SWAP_WARNINGS)}
+    again = metadata.keys() - set(experiment.recorded) - compared
+    again = {name for name in again if "swap_report" not in metadata[name]}
+    for name in again:
         recorded = component_table(source, name)
-        if "swap_report" in recorded and "swap_report" not in metadata[name]:
+        if "swap_report" in recorded:
             metadata[name] = {**metadata[name], "swap_report": recorded["swap_report"]}
-            reported.add(name)
     warnings = list(experiment.warnings)
     for name, text in recorded_warnings(source):
-        if name in reported and text.startswith(SWAP_WARNINGS):
+        if name in again and text.startswith(SWAP_WARNINGS):
             warnings.append((name, text))
     return replace(experiment, metadata=metadata, warnings=tuple(warnings))
 

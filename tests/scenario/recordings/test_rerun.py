@@ -244,6 +244,19 @@ def test_a_plant_that_was_swapped_in_before_the_run_runs_again(folder):
     assert component_record(again, "u").swap_report == report
 
 
+def test_a_plant_in_place_of_what_cannot_be_built_runs_again(folder):
+    """The run warned that it compared nothing, and so does its replay."""
+    text = SCENARIO.replace('{ kind = "sine", rate = 5.0 }', '{ kind = "step", time = 0.005 }')
+    (folder / "off-grid.toml").write_text(text)
+    swap = {"u": folder / "lag.fmu"}
+    log = cosim.run("off-grid.toml", swap=swap, map={"u.y": "x"}, out=folder / "b.mcap", embed=True)
+    texts = [warning.text for warning in log.warnings if warning.source == "u"]
+    assert any("0.005 s" in text for text in texts)
+    again = cosim.replay(log, **BOTH)
+    assert [warning.text for warning in again.warnings if warning.source == "u"] == texts
+    assert verify(log, again).passed
+
+
 def test_a_component_of_a_rerun_alone_is_verified(folder):
     """The plant from what drives it, as it was recorded."""
     log = run(folder, embed=True)
