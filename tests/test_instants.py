@@ -1,16 +1,22 @@
 """Times on the grid of whole nanoseconds and between."""
 
 import math
+from fractions import Fraction
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.instants import (
     NANOSECONDS,
+    Grid,
     duration,
     first_nanosecond,
     last_nanosecond,
+    step_of,
     whole_duration,
+    written_step,
 )
 
 LIMIT = 2**22  # s: up to there doubles tell nanoseconds apart
@@ -47,3 +53,35 @@ def test_a_time_between_two_nanoseconds_has_no_whole_duration():
     assert whole_duration(0.1, between) is None
     assert whole_duration(between, 0.4) is None
     assert duration(0.1, between) == between - 0.1
+
+
+@given(st.integers(1, 50), st.integers(51, 50_000), st.integers(0, 10**4), st.integers(0, 10**4))
+def test_points_of_a_fraction_are_next_to_its_multiples(numerator, denominator, first, number):
+    """Stamps as whole nanoseconds, times as doubles; and a stamp leads back to its point."""
+    step = Fraction(numerator, denominator)
+    start = round(first * step * NANOSECONDS)
+    grid = Grid(start, Fraction(step * NANOSECONDS))
+    exact = (first + number) * step
+    stamp = grid.stamp(number)
+    assert abs(stamp - exact * NANOSECONDS) <= Fraction(1, 2)
+    assert grid.time(np.array([number]))[0] == float(exact)
+    assert [grid.number(stamp + late) for late in (-1, 0)] == [number - 1, number]
+    numbers = np.arange(number, number + 5)
+    assert (grid.number(grid.stamp(numbers)) == numbers).all()
+
+
+@pytest.mark.parametrize(
+    ("h", "step_ns", "written"),
+    [
+        (1e-3, 1_000_000, 1e-3),
+        (1 / 60, Fraction(50_000_000, 3), "1/60"),
+        (3 / 44_100, Fraction(10_000_000, 147), "1/14700"),
+        (0.1 + 2**-53, Fraction(0.1 + 2**-53) * NANOSECONDS, 0.1 + 2**-53),
+        (math.inf, None, math.inf),
+    ],
+)
+def test_a_double_is_the_step_that_has_it(h, step_ns, written):
+    """Whole nanoseconds, or the simplest fraction; nothing is made up where there is none."""
+    if math.isfinite(h):
+        assert step_of(h) == step_ns
+    assert written_step(h) == written

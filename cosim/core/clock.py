@@ -118,14 +118,16 @@ def seconds(ns: Nanoseconds) -> Vector:
     return ns / NANOSECONDS
 
 
-def whole_steps(time: float | str, step_ns: StepNs, what: str, *, start_ns: int = 0) -> int:
+def whole_steps(
+    time: float | str | Fraction, step_ns: StepNs, what: str, *, start_ns: int = 0
+) -> int:
     """Return a duration, or an instant after ``start_ns``, in communication steps.
 
     Where the step is no whole number of nanoseconds, it is the time next to a point that counts.
 
     Parameters
     ----------
-    time : float or str
+    time : float, str or Fraction
         Seconds.
     step_ns : int or Fraction
         Communication step [ns].

@@ -44,7 +44,7 @@ NumberRows = tuple[NumberRow, ...]
 Limit = Annotated[float, Field(strict=True)]  # inf: there is none
 
 
-def _step(value: object) -> object:
+def _interval(value: object) -> object:
     """Return a text that is a fraction as one, and all else as it is.
 
     Raises
@@ -62,7 +62,7 @@ def _step(value: object) -> object:
     return Fraction(int(numbers["numerator"]), int(numbers["denominator"]))
 
 
-Step = Annotated[Number | InstanceOf[Fraction], BeforeValidator(_step)]
+Interval = Annotated[Number | InstanceOf[Fraction], BeforeValidator(_interval)]
 
 
 def _pole(value: object) -> complex:
@@ -162,7 +162,7 @@ class Settings(TomlTable):
     name: Name = Field(description="name of the scenario and of its logs")
     start_time: Number = Field(0.0, description="start of the run [s], >= 0")
     stop: Number = Field(description="end of the run [s]")
-    step: Step = Field(description='communication step [s], or a fraction such as "1/60"')
+    step: Interval = Field(description='communication step [s], or a fraction such as "1/60"')
     coupling: Literal["gauss-seidel", "jacobi", "newton"] = Field(
         "gauss-seidel",
         description='coupling of loops: "gauss-seidel", "jacobi", or "newton" (solves for the '

@@ -11,7 +11,7 @@ from pydantic import Field
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.sampled import Sampled
 from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
-from cosim.core.clock import nanoseconds, whole_steps
+from cosim.core.clock import exact_nanoseconds, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface
@@ -19,9 +19,9 @@ from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.instants import StepNs, step_seconds
+from cosim.instants import StepNs, step_part, step_seconds
 from cosim.native.numerics.linear import first_order_hold
-from cosim.scenario.document.schema import Number, NumberRow, NumberRows, matrix
+from cosim.scenario.document.schema import Interval, Number, NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -35,7 +35,7 @@ from cosim.scenario.kinds.base import (
 class SampledKind(PeriodicKind):
     """A controller that samples its inputs and holds them over its period, if it has one."""
 
-    period: Number | None = Field(
+    period: Interval | None = Field(
         None,
         description="sample period [s], a multiple of the communication step; default: continuous",
     )
@@ -88,7 +88,7 @@ class SampledKind(PeriodicKind):
                 f"offset: expected a time >= 0 s and below the period, {self.period} s, got "
                 f"{self.offset} s"
             )
-        return whole_steps(self.offset, nanoseconds(self.period) // n, "offset")
+        return whole_steps(self.offset, step_part(exact_nanoseconds(self.period), n), "offset")
 
     def _check_exportable(self) -> None:
         """Check that an FMU can do what it does with its period.
@@ -161,7 +161,7 @@ class DiscreteStateSpaceKind(SampledKind, ExportableKind):
 
     ports: ClassVar[str] = "u -> y, x"
     kind: Literal["discrete-state-space"]
-    period: Number = Field(description="sample period [s], a multiple of the communication step")
+    period: Interval = Field(description="sample period [s], a multiple of the communication step")
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")
     C: NumberRows = Field(description="matrix (outputs, n)")

@@ -14,9 +14,8 @@ RATES = [30, 60, 120, 144, 44_100]
 
 def changes_of(rate, **more):
     """Return what the shipped motor and its controller take at a rate [Hz]."""
-    period = round(2 / rate, 9)  # of two steps, to the nanosecond
     times = {"scenario.stop": 1.0, "setpoint.time": 0.5, "load.time": 0.75}
-    return {**times, "scenario.step": f"1/{rate}", "controller.period": period, **more}
+    return {**times, "scenario.step": f"1/{rate}", "controller.period": f"2/{rate}", **more}
 
 
 def run_pair(rate, out=None, **more):
@@ -67,6 +66,12 @@ def test_a_log_replays_bit_for_bit(log):
         assert (part.time_ns("motor") == whole.time_ns("motor")).all()
         assert part.end_ns == whole.end_ns
         assert part.steps == len(whole["motor.y"]) - 1
+
+
+def test_a_period_is_named_to_the_nanosecond_too(log):
+    """As 2/120 s, or as the number next to it."""
+    run = run_pair(120, **{"controller.period": 0.016666667})
+    assert (run["controller.y"] == log["controller.y"]).all()
 
 
 def test_a_recording_takes_the_place_of_what_it_recorded(log):
@@ -126,6 +131,7 @@ def test_the_error_of_the_step_is_estimated_from_halves_of_it(tmp_path):
         ({"scenario.stop": 0.51}, "scenario.stop", "0.516666667"),
         ({"scenario.start_time": 0.01}, "scenario.stop", "0.016666667"),
         ({"controller.period": 0.02}, "controller", "1/60 s"),
+        ({"controller.period": "1/50"}, "controller", "1/60 s"),
         ({"scenario.substeps": {}}, "scenario.substeps", "whole nanoseconds"),
     ],
 )
