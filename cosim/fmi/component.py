@@ -16,6 +16,7 @@ from typing import Any, Final, Self, final
 from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
+from cosim.fmi.binary.library import is_loaded
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message, Messages
 from cosim.fmi.binary.process import Process, describe_changes
@@ -229,6 +230,9 @@ def load(
         if unpacked is not None and archive is None:
             archive, shared = unpacked.take(Path(path))
             resources.callback(shared.give_back)
+            if shared.keeps_values and shared.openings > 1:
+                shared = None  # its values would be those of the other instance, too
+        if shared is not None:
             folder = shared.path
         else:
             temporary = TemporaryFolder("fmu")
@@ -243,6 +247,7 @@ def load(
         if unsaved:
             description = _without_saving(description, interface_type)
             notes.append(unsaved)
+        notes += _notes_on_neighbors(description, interface_type, library)
         instance = LoadedInstance(
             folder,
             library,
@@ -252,7 +257,7 @@ def load(
             label=str(archive.path),
             messages=messages,
         )
-        if shared is not None and not description.capabilities[interface_type].once_per_process:
+        if shared is not None:
             shared.keep_loaded(library)
         component, solving = _component(instance, interface_type, options)
         model_exchange = component if isinstance(component, ModelExchange) else None
@@ -479,6 +484,23 @@ def _notes_on_loading(name: str, changes: int) -> list[str]:
         return []
     text = f"{name}: changed {describe_changes(changes)} when it was loaded"
     return [f"{text}; it is as before again"]
+
+
+def _notes_on_neighbors(
+    description: Description, interface_type: InterfaceType, library: Path
+) -> list[str]:
+    """Return which libraries beside a binary for one instance are another one's, too.
+
+    The binary is a copy of its own; what it needs is found by name, where it is in memory already.
+    """
+    if not description.capabilities[interface_type].once_per_process:
+        return []
+    others = [path.name for path in library.parent.iterdir() if path != library]
+    names = [name for name in sorted(others) if is_loaded(name)]
+    if not names:
+        return []
+    text = "can be instantiated only once per process, and shares what is loaded already"
+    return [f"{description.name}: {text}, with the values that it keeps: {listing(names)}"]
 
 
 def _notes_on_texts(description: Description) -> list[str]:

@@ -2,7 +2,7 @@
 
 Every opening has an instance of its own. A binary that can be instantiated only once per process
 keeps what it knows in its own memory, as a rule: it is unloaded with every instance, so that the
-next one finds it as the first did.
+next one finds it as the first did, and what opens it meanwhile unpacks a copy of its own.
 
 Of many FMUs those that were not opened for the longest are unloaded and removed; they are unpacked
 again when they are opened again.
@@ -37,13 +37,19 @@ class UnpackedFmu:
     ----------
     size : int
         Of its files [bytes].
+    openings : int
+        How many have it now.
+    keeps_values : bool
+        Whether it can be instantiated only once per process.
     """
 
     def __init__(self, archive: Archive, folder: TemporaryFolder) -> None:
         self.archive = archive
         self._folder = folder
         self._libraries: dict[Path, CDLL] = {}
-        self._openings = 0
+        self.openings = 0
+        capabilities = archive.description.capabilities.values()
+        self.keeps_values = any(capability.once_per_process for capability in capabilities)
         self.size = sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file())
 
     @property
@@ -54,19 +60,19 @@ class UnpackedFmu:
     @property
     def is_open(self) -> bool:
         """Whether it is in use."""
-        return self._openings > 0
+        return self.openings > 0
 
     def take(self) -> None:
         """Keep it until it is given back."""
-        self._openings += 1
+        self.openings += 1
 
     def give_back(self) -> None:
         """Say that one who took it does not need it any more."""
-        self._openings -= 1
+        self.openings -= 1
 
     def keep_loaded(self, library: Path) -> None:
-        """Keep a binary in memory that is loaded."""
-        if library not in self._libraries:
+        """Keep a binary in memory that is loaded, unless it keeps values of its instance."""
+        if not self.keeps_values and library not in self._libraries:
             self._libraries[library] = CDLL(str(library))
 
     def remove(self) -> None:

@@ -3,6 +3,7 @@
 import gc
 import os
 import resource
+import sys
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -14,9 +15,10 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.headers import ELF
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
-from cosim.fmi.platforms import ARCHITECTURE, SUFFIX
+from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.native import build
-from tests.fmi.compiled import compile_fmu
+from tests.fmi import small
+from tests.fmi.compiled import HEADERS, HERE, compile_fmu, write_archive
 from tests.fmi.probes import got, opened, put, xml1, xml2, xml3
 
 
@@ -184,17 +186,37 @@ def test_two_instances_of_one_fmu(request, slave1, number):
     ],
 )
 def test_an_fmu_that_can_be_here_only_once(tmp_path, xml, source):
-    """A second instance is refused while the first is there; a failure does not count as one."""
+    """Two instances at once: each has a copy of the binary, in a folder of its own."""
     path = compile_fmu(tmp_path / "x.fmu", xml, source)
-    broken = with_binary(path, lambda _: b"\x7fELF")
-    refused(broken, "cannot be used: .*file too short", interface_type="cs")
-    with load(path, FmuOptions(interface_type="cs")):
-        refused(
-            path,
-            r"x.fmu: can be instantiated only once per process .*; close that one before",
-            interface_type="cs",
-        )
-    load(path, FmuOptions(interface_type="cs")).close()
+    before = mapped()
+    options = {"interface_type": "cs"}
+    with opened(path, **options) as (first, _), opened(path, **options) as (second, _):
+        assert not first.notes
+        assert not second.notes
+        assert len(mapped() - before) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the linker's options are those of Linux")
+def test_what_the_copies_of_a_binary_share_is_named(tmp_path):
+    """The loader finds a library that a binary needs by its name, where it is in memory already."""
+    (tmp_path / "needed.c").write_text("int needed;")
+    needed = tmp_path / "libneeded.so"
+    build.compile_library([tmp_path / "needed.c"], needed, ["-Wl,-soname,libneeded.so"])
+    binary = tmp_path / "model.so"
+    needs = ["-Wl,--no-as-needed", str(needed), "-Wl,-rpath,$ORIGIN"]
+    sources = [HERE / "small2.c", HERE / "unused.c"]
+    build.compile_library(sources, binary, [f"-I{HEADERS}", "-DFMI=2", *needs])
+    folder = f"binaries/{folders('2.0')[0]}"
+    members = {"modelDescription.xml": small.xml("once")}
+    members |= {f"{folder}/{file.name}": file.read_bytes() for file in (needed, binary)}
+    path = write_archive(tmp_path / "x.fmu", members)
+    with load(path) as first, load(path) as second:
+        assert not first.notes
+        (note,) = second.notes
+        assert note.startswith("small: can be instantiated only once per process")
+        assert note.endswith("libneeded.so")
+    with load(path) as third:
+        assert not third.notes
 
 
 def clocked(causality, **options):

@@ -49,11 +49,6 @@ class InstanceSpecification:
     messages: Messages
 
     @property
-    def key(self) -> tuple[str, str]:
-        """What it is an instance of: name and token of the model."""
-        return self.description.name, self.description.token
-
-    @property
     def token(self) -> str:
         """GUID or instantiation token."""
         return self.description.token

@@ -9,6 +9,7 @@ anew from lists at every call.
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from ctypes import CDLL, addressof, byref, c_int, c_uint8, c_void_p, cast
@@ -340,3 +341,15 @@ class Library:
 def unload(library: CDLL) -> None:
     """Unload a binary that was loaded; one that was loaded several times stays for the others."""
     _unload(library._handle)
+
+
+def is_loaded(name: str) -> bool:
+    """Return whether a library of that name is in memory; False where the system cannot say."""
+    mode = getattr(os, "RTLD_NOLOAD", None)
+    if mode is None:
+        return False
+    try:
+        unload(CDLL(name, mode))
+    except OSError:
+        return False
+    return True

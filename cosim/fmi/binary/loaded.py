@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
-from cosim.errors import FmuError, RunError
+from cosim.errors import RunError
 from cosim.fmi.binary.addresses import InstanceAddresses
 from cosim.fmi.binary.binding import Calls, InstanceSpecification
 from cosim.fmi.binary.fmi1 import Fmi1
@@ -33,9 +33,6 @@ VERSIONS: Final[Mapping[str, tuple[str, type[Fmi1] | type[Fmi2] | type[Fmi3]]]] 
     "3": ("fmi3", Fmi3),
 }
 """By the first digit of the FMI version: the prefix of its functions, and what binds them."""
-
-SINGLE_INSTANCES: Final[set[tuple[str, str]]] = set()
-"""Keys of the FMUs that are instantiated here and can be only once per process."""
 
 SPARE_STATES: Final = 4  # how many released FMU states are kept for the next copies
 
@@ -62,8 +59,7 @@ class LoadedInstance:
     Raises
     ------
     FmuError
-        If the library cannot be loaded or refuses to instantiate, or if there is an instance
-        already and there can be only one.
+        If the library cannot be loaded or refuses to instantiate.
     """
 
     linear: LinearModel | None = None
@@ -84,10 +80,8 @@ class LoadedInstance:
         specification = InstanceSpecification(
             description, interface_type, name, folder, self.messages
         )
-        single = _reserve_single_instance(specification, label)
-        with single, _opened_library(library, specification, label) as calls:
+        with _opened_library(library, specification, label) as calls:
             self._library = calls.library
-            self._specification = specification
             self._calls = calls
             # Before there is an instance: a function that is missing leaves none behind.
             self._bind(calls, interface_type)
@@ -215,7 +209,6 @@ class LoadedInstance:
             self._free_states()
             self._calls.free()
             self._library.unload()
-            SINGLE_INSTANCES.discard(self._specification.key)
 
     def _free_states(self) -> None:
         for state in self._states:
@@ -367,26 +360,6 @@ class LoadedInstance:
         elif not self._library.forbids_calls:
             self._states = [known for known in self._states if known is not own_state]
             self._calls.free_state(byref(own_state))
-
-
-@contextmanager
-def _reserve_single_instance(specification: InstanceSpecification, label: str) -> Iterator[None]:
-    """Refuse a second instance of an FMU that can be instantiated only once per process."""
-    if not specification.capabilities.once_per_process:
-        yield
-        return
-    if specification.key in SINGLE_INSTANCES:
-        raise FmuError(
-            f"{label}: can be instantiated only once per process "
-            "(canBeInstantiatedOnlyOncePerProcess), and there is an instance already; "
-            "close that one before"
-        )
-    SINGLE_INSTANCES.add(specification.key)
-    try:
-        yield
-    except BaseException:
-        SINGLE_INSTANCES.discard(specification.key)
-        raise
 
 
 @contextmanager

@@ -247,7 +247,7 @@ class FmuKind(PlantKind, PeriodicKind):
         Raises
         ------
         UsageError
-            If there can be one instance only, or a start value is no number.
+            If a start value is no number.
         FmuError
             If it cannot be linearized.
         """
@@ -260,9 +260,6 @@ class FmuKind(PlantKind, PeriodicKind):
         if fmu.interface_type == "me":
             linearization = linearize(fmu.instance, start=start, outputs=outputs)
         else:
-            capabilities = fmu.description.capabilities.values()
-            if any(capability.once_per_process for capability in capabilities):
-                raise UsageError(f"{path}: the FMU can be instantiated only once per process")
             linearization = linearize(path, start=start, outputs=outputs)
         errors = [error or 0.0 for error in linearization.errors.values()]
         return LinearSystem(
