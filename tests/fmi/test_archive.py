@@ -10,6 +10,7 @@ import tempfile
 import tracemalloc
 import zipfile
 import zlib
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from random import Random
@@ -76,11 +77,11 @@ NAMES = {
     "resources/e\nvil": CONTROL,
     "resources/e\x7fvil": CONTROL,
     "resources/e\u202evil": CONTROL,  # writes from right to left
-    "./evil": EMPTY,
+    ".": EMPTY,
+    "././.": EMPTY,
     "resources//evil": EMPTY,
     "resources\\/evil": EMPTY,
-    ".\\evil": EMPTY,
-    "resources/./evil": EMPTY,
+    ".//evil": EMPTY,
     "": EMPTY,
     "a/" * 40 + "evil": r"an entry whose path is too long \(at most 32 parts of 255 bytes\)",
     "é" * 128: "an entry whose path is too long",
@@ -95,10 +96,10 @@ def test_names_of_entries(place, subtests):
 
 
 CLASHES = {
-    "duplicate": (["a.txt", "a.txt"], "two entries of one name: 'a.txt'"),
+    "duplicate": (["a.txt", "./a.txt"], "2 entries of one name that differ: 'a.txt'"),
     "second description": (
         ["modelDescription.xml"],
-        "two entries of one name: 'modelDescription.xml'",
+        "2 entries of one name that differ: 'modelDescription.xml'",
     ),
     "file as folder": (
         ["resources", "resources/a.txt"],
@@ -119,7 +120,7 @@ def test_names_that_clash(place, subtests):
     """Names that are one file on some system are one too many."""
     for case, (names, text) in CLASHES.items():
         with subtests.test(case=case):
-            entries = [Entry(name, b"" if name.endswith("/") else b"x") for name in names]
+            entries = [Entry(name, b"" if name.endswith("/") else name.encode()) for name in names]
             refused(write(place / "x.fmu", entries), f"the archive has {text}")
 
 
@@ -170,6 +171,44 @@ def test_backslashes(tmp_path):
     assert (target / "resources").is_dir()
     assert contents.warnings[0].startswith(
         "the archive has names with backslashes, where FMI needs"
+    )
+
+
+def test_paths_that_begin_where_they_are(tmp_path):
+    """``zip -r x.fmu .`` and ``tar`` list the folder itself, as "./", and files behind that."""
+    folder = {"unix_mode": stat.S_IFDIR | 0o755}
+    names = ["./resources/a", "resources/./b", ".\\resources\\c"]
+    entries = [Entry("./", **folder), Entry("./resources/", **folder)]
+    entries += [Entry(name, name.encode()) for name in names]
+    entries.append(Entry("./modelDescription.xml", XML.encode()))
+    path = write(tmp_path / "x.fmu", entries, xml=None)
+    target = tmp_path / "folder"
+    target.mkdir()
+    contents = archive.read_archive(path, ("modelDescription.xml",), target)
+    assert contents.wanted == {"modelDescription.xml": XML.encode()}
+    assert contents.members == {"modelDescription.xml", *(f"resources/{name}" for name in "abc")}
+    assert [(target / "resources" / name).read_bytes() for name in "abc"] == [
+        name.encode() for name in names
+    ]
+
+
+def test_a_file_that_is_listed_twice(place):
+    """With the same bytes it has one meaning; those are compared, not what the entries declare."""
+    once = Entry("resources/a", b"x" * 100)
+    for again in (once, Entry("resources/a", b"x" * 100, method=0)):
+        contents = archive.read_archive(write(place / "x.fmu", [once, again]), ())
+        assert contents.warnings == (
+            "the archive lists files twice, with equal bytes: resources/a",
+        )
+        assert contents.members == {"modelDescription.xml", "resources/a"}
+    both_in_one_place = [replace(once, offset=0), replace(once, offset=0)]
+    same = write(place / "x.fmu", [once, *both_in_one_place], xml=None)
+    assert archive.read_archive(same, ("resources/a",)).wanted == {"resources/a": b"x" * 100}
+    other = Entry("resources/a", b"y" * 100, crc=zlib.crc32(b"x" * 100))
+    refused(write(place / "x.fmu", [once, other]), "the archive cannot be unpacked: BadZipFile")
+    refused(
+        write(place / "x.fmu", [once, Entry("resources/a", b"y" * 100)]),
+        "the archive has 2 entries of one name that differ: 'resources/a'",
     )
 
 

@@ -5,18 +5,18 @@ The sizes that entries declare are only a first reason to refuse; what counts is
 
 What is dangerous is refused, and so is what has two meanings. What does no harm on this machine,
 but may on another, is a warning: names that Windows keeps for itself, names that are one where the
-case does not count. So is a folder that is listed twice.
+case does not count. So is what is listed twice, a file with the same bytes each time.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 import re
 import stat
 import unicodedata
 import zipfile
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -155,12 +155,14 @@ def _check_entries(
     if with_backslash:
         text = "names with backslashes, where FMI needs '/'"
         warnings.append(f"the archive has {text}: {listing(with_backslash)}")
-    names = [_member(entry.orig_filename) for entry in entries]
-    warnings += _check_duplicates(path, names)
-    warnings += _check_portability(path, names)
+    listed: dict[str, list[zipfile.ZipInfo]] = {}
+    for entry in entries:
+        listed.setdefault(_member(entry.orig_filename), []).append(entry)
+    listed.pop("", None)  # the folder that all is in
+    warnings += _check_portability(path, list(listed))
     _check_overlap(path, archive, entries)
-    files = {_member(entry.orig_filename): entry for entry in entries if not _is_folder(entry)}
-    return files, warnings
+    warnings += _check_duplicates(path, archive, listed)
+    return {name: same[0] for name, same in listed.items() if not name.endswith("/")}, warnings
 
 
 def _check_extent(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
@@ -175,12 +177,12 @@ def _check_extent(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
 
 
 def _member(name: str) -> str:
-    """Return the name of an entry with the separators that FMI needs."""
-    return name.replace("\\", "/")
+    """Return the name of an entry with the separators that FMI needs, without ``./``."""
+    return "/".join(part for part in name.replace("\\", "/").split("/") if part != ".")
 
 
 def _is_folder(entry: zipfile.ZipInfo) -> bool:
-    return _member(entry.orig_filename).endswith("/")
+    return entry.orig_filename.endswith(("/", "\\"))
 
 
 def _name_problem(name: str) -> str | None:
@@ -191,12 +193,14 @@ def _name_problem(name: str) -> str | None:
         return "an entry that leads out of it"
     if _has_control_character(name):
         return "an entry with a control character in its name"
+    if re.fullmatch(r"(\.[/\\])+", name):
+        return None
     return _parts_problem(_member(name).removesuffix("/").split("/"))
 
 
 def _parts_problem(parts: list[str]) -> str | None:
     """Return what is wrong with the names of folders and of the file in a path."""
-    if "" in parts or "." in parts:
+    if "" in parts:
         return "an entry with an empty part in its path"
     longest_part = max(len(part.encode()) for part in parts)
     if len(parts) > DEEPEST or longest_part > LONGEST:
@@ -228,16 +232,33 @@ def _type_problem(entry: zipfile.ZipInfo) -> str | None:
     return None
 
 
-def _check_duplicates(path: Path, names: list[str]) -> list[str]:
-    """Refuse a file that is there twice; return a warning where a folder is."""
-    counts = Counter(names)
-    duplicates = [name for name, count in counts.items() if count > 1]
-    files = [name for name in duplicates if not name.endswith("/")]
-    if files:
-        raise FmuError(f"{path}: the archive has two entries of one name: {files[0]!r}")
-    if not duplicates:
-        return []
-    return [f"the archive lists folders twice: {listing(duplicates)}"]
+def _check_duplicates(
+    path: Path, archive: zipfile.ZipFile, listed: Mapping[str, Sequence[zipfile.ZipInfo]]
+) -> list[str]:
+    """Refuse a file that is there twice and not the same; return warnings about what is the same.
+
+    Its bytes are compared: what the entries declare is only what they declare.
+    """
+    files = []
+    folders = []
+    for name, same in listed.items():
+        if len(same) == 1:
+            continue
+        if name.endswith("/"):
+            folders.append(name)
+            continue
+        files.append(name)
+        contents = set()
+        for entry in same:
+            digest = hashlib.sha256()
+            _copy(path, archive, entry, digest.update, LARGEST)
+            contents.add(digest.digest())
+        if len(contents) > 1:
+            raise FmuError(
+                f"{path}: the archive has {len(same)} entries of one name that differ: {name!r}"
+            )
+    kinds = {"folders twice": folders, "files twice, with equal bytes": files}
+    return [f"the archive lists {kind}: {listing(names)}" for kind, names in kinds.items() if names]
 
 
 def _check_portability(path: Path, names: list[str]) -> list[str]:
@@ -308,7 +329,8 @@ def _normalized(name: str) -> str:
 def _check_overlap(path: Path, archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]) -> None:
     """Refuse entries that share their packed bytes: header, name and content stand one by one."""
     end = 0
-    for entry in sorted(entries, key=lambda entry: entry.header_offset):
+    distinct = {(entry.header_offset, entry.orig_filename): entry for entry in entries}
+    for entry in sorted(distinct.values(), key=lambda entry: entry.header_offset):
         if entry.header_offset < end:
             raise FmuError(
                 f"{path}: the archive has overlapping entries: "
