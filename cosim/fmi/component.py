@@ -106,6 +106,11 @@ class Fmu:
         return self._instance
 
     @property
+    def refused(self) -> str:
+        """That it refused the event mode that it declares, and runs without; empty: it did not."""
+        return self._instance.refused
+
+    @property
     def may_go_back(self) -> bool:
         """Whether the FMU is told that it may have to go back to an earlier time."""
         return self._instance.may_go_back
@@ -243,11 +248,9 @@ def load(
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
         unsaved = _unsaved(archive, description, interface_type)
-        notes = _notes(archive, description)
         if unsaved:
-            description = _without_saving(description, interface_type)
-            notes.append(unsaved)
-        notes += _notes_on_neighbors(description, interface_type, library)
+            description = description.without("saves_state", interface_type)
+        shares = _notes_on_neighbors(description, interface_type, library)
         instance = LoadedInstance(
             folder,
             library,
@@ -259,6 +262,8 @@ def load(
         )
         if shared is not None:
             shared.keep_loaded(library)
+        notes = _notes(archive, instance.description)
+        notes += [text for text in (unsaved, instance.refused, *shares) if text]
         component, solving = _component(instance, interface_type, options)
         model_exchange = component if isinstance(component, ModelExchange) else None
     except BaseException:
@@ -453,13 +458,6 @@ def _unsaved(archive: Archive, description: Description, interface_type: Interfa
     )
 
 
-def _without_saving(description: Description, interface_type: InterfaceType) -> Description:
-    """Return a description of an FMU whose state is not saved."""
-    capabilities = replace(description.capabilities[interface_type], saves_state=False)
-    all_capabilities = {**description.capabilities, interface_type: capabilities}
-    return replace(description, capabilities=all_capabilities)
-
-
 def _notes(archive: Archive, description: Description) -> list[str]:
     """Return notes about what was taken of a file."""
     notes = [f"{description.name}: {text}" for text in _shortened(archive.warnings)]
@@ -526,8 +524,8 @@ def _notes_on_clocks(description: Description) -> list[str]:
         return []
     if not description.drives_clocks:
         return [
-            f"{description.name}: its clocks are not activated, as it has no event mode "
-            f"(hasEventMode is false): {listing(description.clocks)}"
+            f"{description.name}: its clocks are not activated, as it has no event mode: "
+            f"{listing(description.clocks)}"
         ]
     notes = []
     ports = [name for name in description.clocks if description[name].is_triggered]

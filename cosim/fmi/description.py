@@ -347,6 +347,15 @@ class Description:
         # It also depends on its clocks, whether the file lists them or not (FMI 3.0 section 2.2.9).
         return names if names is None else (*names, *variable.clocks)
 
+    def without(
+        self, capability: Literal["saves_state", "event_mode"], interface_type: InterfaceType
+    ) -> Description:
+        """Return the description of an FMU that cannot do what it says that it can."""
+        changed = replace(self.capabilities[interface_type], **{capability: False})
+        drives = self.drives_clocks and capability != "event_mode"
+        capabilities = {**self.capabilities, interface_type: changed}
+        return replace(self, capabilities=capabilities, drives_clocks=drives)
+
     def recording(self, names: Sequence[str]) -> Description:
         """Return the description with further variables among the outputs.
 

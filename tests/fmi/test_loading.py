@@ -13,6 +13,7 @@ import pytest
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.headers import ELF
+from cosim.fmi.checking.check import check
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
@@ -237,10 +238,35 @@ def test_clocks_need_their_functions_and_event_mode(tmp_path):
     )
     with opened(path, interface_type="cs") as (fmu, instance):
         assert fmu.notes[0] == (
-            "probe: its clocks are not activated, as it has no event mode (hasEventMode is "
-            "false): tick"
+            "probe: its clocks are not activated, as it has no event mode: tick"
         )
         assert got(instance, "event_mode") == [0.0]
+
+
+def test_event_mode_that_is_declared_and_refused(tmp_path):
+    """The second try is without: the run says so once, with the FMU's reason, and is right."""
+    xml = xml3(event_mode=True)
+    path = compile_fmu(tmp_path / "x.fmu", xml, "probe3.c", defines=("REFUSES",))
+    with opened(path, interface_type="cs") as (fmu, instance):
+        assert got(instance, "event_mode") == [0.0]
+        (refusal,) = fmu.notes
+        assert "refuses to be instantiated with event mode" in refusal
+        assert refusal.endswith("error: no event mode")
+        assert not fmu.component.interface.locates_events
+        assert fmu.component.initialize(0.0, np.array([2.0])).tolist() == [0.0]
+        rows = fmu.component.advance(np.array([0.0, 0.5, 1.0]), 0.5, np.full((3, 1), 2.0))
+        assert rows.tolist() == [[1.0], [2.0]]  # x' = u
+
+
+@pytest.mark.slow
+def test_a_check_warns_of_event_mode_that_is_refused(tmp_path):
+    """It runs without."""
+    xml = xml3(event_mode=True)
+    path = compile_fmu(tmp_path / "x.fmu", xml, "probe3.c", defines=("REFUSES",))
+    findings = [finding for finding in check(path) if "event mode" in finding.text]
+    assert [(finding.level, finding.where) for finding in findings] == [
+        ("warning", "trial run, co-simulation")
+    ]
 
 
 def test_states_that_lie_are_not_saved(tmp_path):

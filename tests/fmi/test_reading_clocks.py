@@ -1,5 +1,6 @@
 """Clocks of FMI 3 as their files describe them, and Scheduled Execution, which is refused."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import pytest
@@ -139,3 +140,13 @@ def test_scheduled_execution_beside_another_interface_type_is_noted(tmp_path):
         "XML",
         "scheduled execution, which is not supported, beside what is",
     ) in findings
+
+
+def test_an_fmu_whose_event_mode_is_refused_drives_no_clocks(tmp_path):
+    """Its triggered clocks are no ports then."""
+    archive = described(tmp_path, interface='CoSimulation hasEventMode="true"')
+    declared = replace(read(archive).description, drives_clocks=True)
+    refused = declared.without("event_mode", "cs")
+    assert not refused.capabilities["cs"].event_mode
+    names = [[signal.name for signal, _ in d.ports("output")] for d in (declared, refused)]
+    assert names == [["out", "count", "x"], ["count", "x"]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from ctypes import byref, c_double, c_size_t, c_void_p
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -56,6 +57,11 @@ class LoadedInstance:
     messages : Messages
         Takes what the FMU logs.
 
+    Attributes
+    ----------
+    refused : str
+        That it was instantiated without the event mode that it declares; empty: it was not.
+
     Raises
     ------
     FmuError
@@ -77,15 +83,21 @@ class LoadedInstance:
     ) -> None:
         self.description = description
         self.messages = messages
+        self.refused = ""
         specification = InstanceSpecification(
             description, interface_type, name, folder, self.messages
         )
         with _opened_library(library, specification, label) as calls:
             self._library = calls.library
-            self._calls = calls
-            # Before there is an instance: a function that is missing leaves none behind.
-            self._bind(calls, interface_type)
-            calls.instantiate()
+            self._instantiate(calls, interface_type)
+            if not calls.library.instance and specification.capabilities.event_mode:
+                self.refused = (
+                    f"{description.name}: refuses to be instantiated with event mode, which it "
+                    f"declares (hasEventMode); it runs without{messages.last_as_suffix}"
+                )
+                self.description = description.without("event_mode", interface_type)
+                specification = replace(specification, description=self.description)
+                self._instantiate(type(calls)(calls.library, specification), interface_type)
             if not calls.library.instance:
                 raise calls.library.load_error("it refuses to instantiate")
         self._freed = False
@@ -99,6 +111,12 @@ class LoadedInstance:
         self._x_pointer = pointer(self._x)
         self._derivatives = np.empty(self._n_states)
         self._derivatives_pointer = pointer(self._derivatives)
+
+    def _instantiate(self, calls: Calls, interface_type: InterfaceType) -> None:
+        self._calls = calls
+        # Before there is an instance: a function that is missing leaves none behind.
+        self._bind(calls, interface_type)
+        calls.instantiate()
 
     def _bind(self, calls: Calls, interface_type: InterfaceType) -> None:
         self.enter_configuration_mode = calls.enter_configuration_mode

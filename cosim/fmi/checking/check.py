@@ -6,7 +6,7 @@ What runs foreign code does so in child processes.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -218,13 +218,20 @@ def _run_trials(
         if any(problem.kind != "missing function" for problem in problems):
             continue
         problems = try_fmu("run", path, interface_type, given=given, timeout=timeout)
-        findings += [Finding("error", f"trial run, {name}", problem.text) for problem in problems]
-        if capabilities.saves_state and not problems:
-            where = f"trial save and restore, {name}"
-            for problem in try_fmu("rollback", path, interface_type, given=given, timeout=timeout):
-                # Its state is not saved then, and all else works.
-                level: Severity = "warning" if problem.kind in ("refused", "inexact") else "error"
-                findings.append(Finding(level, where, problem.text))
+        found = _findings(f"trial run, {name}", problems)
+        if capabilities.saves_state and not any(finding.level == "error" for finding in found):
+            problems = try_fmu("rollback", path, interface_type, given=given, timeout=timeout)
+            found += _findings(f"trial save and restore, {name}", problems)
+        findings += found
+    return findings
+
+
+def _findings(where: str, problems: Iterable[TrialProblem]) -> list[Finding]:
+    """Return what trials show; without what is refused, or is not exact, an FMU runs."""
+    findings = []
+    for problem in problems:
+        level: Severity = "warning" if problem.kind in ("refused", "inexact") else "error"
+        findings.append(Finding(level, where, problem.text))
     return findings
 
 

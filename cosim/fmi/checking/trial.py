@@ -77,6 +77,8 @@ def find_symbols(log: TrialLog, path: str, *names: str) -> None:
 def run(log: TrialLog, path: str, interface_type: InterfaceType, given: str = "") -> None:
     """Go through a short run."""
     with _opened(log, path, interface_type, given) as fmu:
+        if fmu.refused:
+            log.problem(fmu.refused, "refused")
         component = fmu.component
         h = _step_size(fmu.description, interface_type)
         t = _times(h, STEPS)

@@ -4,7 +4,7 @@
  * x' = u by Simpson's rule over the u that Intermediate Updates leave at the start, the middle and
  * the end of a step. behavior (UInt8 500): 1 the step is discarded, 2 it returns early in the
  * middle for an event, 3 it asks for the end, 4 fmi3SetFloat64 fails in an Intermediate Update, 5 a
- * time event is announced. */
+ * time event is announced. With REFUSES it has no event mode. */
 #include "fmi3Functions.h"
 
 #include <stdlib.h>
@@ -74,6 +74,12 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3IntermediateUpdateCallback update)
 {
     (void)name, (void)resources, (void)visible, (void)logging;
+#ifdef REFUSES
+    if (event_mode) {
+        log(environment, fmi3Error, "probe", "no event mode");
+        return NULL;
+    }
+#endif
     Instance *instance = create(token, environment, log);
     if (instance) {
         instance->update = n_required == 1 && required[0] == U ? update : NULL;
