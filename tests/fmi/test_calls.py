@@ -268,3 +268,12 @@ def test_configuration_mode(probe3):
         instance.enter_configuration_mode()
         instance.exit_configuration_mode()
         assert got(instance, "configured") == [2.0]
+
+
+def test_a_new_instance_gets_inputs_inside_its_steps_too(probe3):
+    """Of a ramp u = t the integral over 1 s is 1/2, before and after it begins anew."""
+    with opened(probe3, interface_type="cs") as (fmu, _):
+        u = np.array([[0.0], [1.0]])
+        for _ in range(3):
+            fmu.component.initialize(0.0, u[0])
+            assert fmu.component.advance(np.array([0.0, 1.0]), 1.0, u).tolist() == [[0.5]]

@@ -720,3 +720,12 @@ def test_fmi_1_is_linearized_by_differences(model1):
     linearization = cosim.linearize(model1, start={"state[0]": 3.0})
     assert (linearization.states, linearization.x.tolist()) == (("state[0]",), [3.0])
     assert distance(linearization, ([[0.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [1.0]])) <= 1e-13
+
+
+def test_an_fmu_whose_reset_does_nothing_begins_anew(probe2):
+    """x' = u = 2 from x = 0: at t = 1 s x is 2, however often the FMU runs there."""
+    linearization = cosim.linearize(probe2, at=1.0, start={"u": 2.0})
+    assert linearization.x == pytest.approx([2.0], rel=1e-12)
+    # as the status of fmi2Reset: error
+    failing = cosim.linearize(probe2, at=1.0, start={"u": 2.0, "answer": 3})
+    assert failing.x == pytest.approx([2.0], rel=1e-12)

@@ -54,10 +54,10 @@ def test_only_a_fatal_status_forbids_freeing(probe2, status, label, freed):
         references = instance.description.references_of(["answer"])
         instance.set_float64(references, np.array([float(status)]))
         with pytest.raises(RunError, match=rf"probe2.fmu: fmi2Reset returned {status} \({label}\)"):
-            instance.reset()
+            instance._calls.reset()
         if status == 4:
             with pytest.raises(
                 RunError, match=r"fmi2Reset cannot be called: fmi2Reset returned 4 \(fatal\) before"
             ):
-                instance.reset()
+                instance._calls.reset()
     assert [text for *_, text in fmu.drain()].count("freed") == freed

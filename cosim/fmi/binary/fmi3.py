@@ -163,6 +163,7 @@ class Fmi3:
                 *names, *flags, pointer(inputs), len(inputs), key, logger, update
             )
         self.library.instance.value = created
+        self._interpolation.instance = created
 
     def free(self) -> None:
         """Free the instance, unless a fatal status forbids it."""
@@ -266,7 +267,6 @@ class Fmi3:
         interpolation.values = self._values.ctypes.data
         interpolation.references = group.address
         interpolation.count = group.count
-        interpolation.instance = self.library.instance.value
         set_function = self.library.function("SetFloat64", c_int, c_void_p, *_VALUES)
         interpolation.set = cast(set_function, c_void_p).value
 

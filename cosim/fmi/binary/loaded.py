@@ -84,6 +84,7 @@ class LoadedInstance:
         self.description = description
         self.messages = messages
         self.refused = ""
+        self._interface_type = interface_type
         specification = InstanceSpecification(
             description, interface_type, name, folder, self.messages
         )
@@ -177,9 +178,19 @@ class LoadedInstance:
     # --- modes ---
 
     def reset(self) -> None:
-        """Go back to the state after instantiation."""
-        self._running = False
-        self._calls.reset()
+        """Go back to the state after instantiation: by a new instance, where nothing is lost.
+
+        Many an FMU forgets too little in its own reset, or crashes later. It is called where there
+        are copied states, which a new instance would not take, or may be no second instance.
+        """
+        single = self.description.capabilities[self._interface_type].once_per_process
+        if self._states or single or self._calls.version == 1:  # it does the same for FMI 1
+            self._running = False
+            self._calls.reset()
+            return
+        with suppress(RunError):  # an instance that cannot terminate is freed all the same
+            self.terminate()
+        self.renew()
 
     def renew(self) -> None:
         """Replace the instance by a new one; FMU states of the old one are lost.

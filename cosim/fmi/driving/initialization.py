@@ -85,9 +85,8 @@ class Initialization:
         """
         if self.mode_time != t:
             if not self._instantiated:
-                # Start values can be set in the state Instantiated only, and reset is the one way
-                # back to it (FMI 2.0.4 section 2.1.6, FMI 3.0 section 2.3.1). It also takes the
-                # start values back that were set before.
+                # Start values can be set in the state Instantiated only (FMI 2.0.4 section 2.1.6,
+                # FMI 3.0 section 2.3.1). This also takes those back that were set before.
                 self._instance.reset()
             self._instantiated = False
             # Before start values: some FMUs of FMI 2 forget in it what was set before.
