@@ -1,5 +1,7 @@
 """Every call of the protocol reaches a loaded FMU, and what it returns comes back."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -277,3 +279,13 @@ def test_a_new_instance_gets_inputs_inside_its_steps_too(probe3):
         for _ in range(3):
             fmu.component.initialize(0.0, u[0])
             assert fmu.component.advance(np.array([0.0, 1.0]), 1.0, u).tolist() == [[0.5]]
+
+
+def test_resources_are_a_folder_or_none(tmp_path):
+    """FMI 3.0 section 2.3.1: without a folder the path is NULL; else it ends with a separator."""
+    for extra, ends in (({}, "nothing"), ({"resources/a": "x"}, f"resources{os.sep}")):
+        path = compile_fmu(tmp_path / "x.fmu", xml3(), "probe3.c", defines=("FINDS",), extra=extra)
+        for interface_type in ("me", "cs"):
+            with opened(path, interface_type=interface_type) as (fmu, _):
+                (found,) = (message.text for message in fmu.drain())
+                assert found.endswith(ends)

@@ -150,7 +150,9 @@ class Fmi3:
         specification.messages.accept(key)
         name = specification.name.encode()
         token = specification.token.encode()
-        resources = f"{specification.folder / 'resources'}{os.sep}".encode()
+        folder = specification.folder / "resources"
+        # none, where there is no such folder (FMI 3.0 section 2.3.1)
+        resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
         names = (name, token, resources)
         if specification.interface_type == "me":
             created = self._create(*names, False, False, key, logger)

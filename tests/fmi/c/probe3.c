@@ -4,7 +4,8 @@
  * x' = u by Simpson's rule over the u that Intermediate Updates leave at the start, the middle and
  * the end of a step. behavior (UInt8 500): 1 the step is discarded, 2 it returns early in the
  * middle for an event, 3 it asks for the end, 4 fmi3SetFloat64 fails in an Intermediate Update, 5 a
- * time event is announced. With REFUSES it has no event mode. */
+ * time event is announced. With REFUSES it has no event mode, with
+ * FINDS it says where its resources are. */
 #include "fmi3Functions.h"
 
 #include <stdlib.h>
@@ -43,8 +44,8 @@ static void say(Instance *instance, fmi3Status status, const char *text)
     instance->log(instance->environment, status, "probe", text);
 }
 
-static Instance *create(fmi3String token, fmi3InstanceEnvironment environment,
-                        fmi3LogMessageCallback log)
+static Instance *create(fmi3String token, fmi3String resources,
+                        fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     if (strcmp(token, "probe") != 0) {
         log(environment, fmi3Error, "probe", "wrong token %s");
@@ -53,6 +54,10 @@ static Instance *create(fmi3String token, fmi3InstanceEnvironment environment,
     Instance *instance = calloc(1, sizeof(Instance));
     instance->environment = environment;
     instance->log = log;
+#ifdef FINDS
+    say(instance, fmi3OK, resources ? resources : "nothing");
+#endif
+    (void)resources;
     return instance;
 }
 
@@ -61,8 +66,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log)
 {
-    (void)name, (void)resources, (void)visible, (void)logging;
-    return create(token, environment, log);
+    (void)name, (void)visible, (void)logging;
+    return create(token, resources, environment, log);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
@@ -73,14 +78,14 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update)
 {
-    (void)name, (void)resources, (void)visible, (void)logging;
+    (void)name, (void)visible, (void)logging;
 #ifdef REFUSES
     if (event_mode) {
         log(environment, fmi3Error, "probe", "no event mode");
         return NULL;
     }
 #endif
-    Instance *instance = create(token, environment, log);
+    Instance *instance = create(token, resources, environment, log);
     if (instance) {
         instance->update = n_required == 1 && required[0] == U ? update : NULL;
         instance->store[EVENT_MODE].bytes[0] = event_mode;
