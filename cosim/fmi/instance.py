@@ -180,7 +180,7 @@ class Instance(Protocol):
         ...
 
     def addresses(self) -> Addresses | None:
-        """Return where compiled code finds the instance; None: it is no loaded FMU."""
+        """Return where compiled code finds the instance; None: it does not, see the instance."""
         ...
 
     def clock_calls(self) -> ClockCalls | None:

@@ -71,6 +71,9 @@ class ReferenceMap:
         1, ...
     is_part : bool
         Whether it is a selection that leaves out some of that vector.
+    opposite : array of float64, shape (size,), or None
+        Of negated variables, what they and the values behind their references add up to; NaN for
+        all others. None: there are none.
     """
 
     variables: tuple[Variable, ...]
@@ -80,11 +83,16 @@ class ReferenceMap:
     all_float64: bool
     columns: NDArray[np.intp]
     is_part: bool = False
+    opposite: Vector | None = None
 
     @staticmethod
     def of(variables: Iterable[Variable]) -> ReferenceMap:
         """Build the map of variables, in their order."""
         variables = tuple(variables)
+        opposite = None
+        if any(variable.negated for variable in variables):
+            sums = [float(v.type == "Boolean") if v.negated else np.nan for v in variables]
+            opposite = np.array(sums)  # there are no arrays in FMI 1
         sizes = [variable.size for variable in variables]
         columns = np.arange(sum(sizes), dtype=np.intp)
         groups = []
@@ -95,12 +103,20 @@ class ReferenceMap:
             groups.append(Group.of(variable_type, references, group_columns))
         ungrouped = Group.of("Float64", [v.reference for v in variables], columns)
         all_float64 = len(groups) == 1 and groups[0].type == "Float64"
-        return ReferenceMap(variables, len(columns), tuple(groups), ungrouped, all_float64, columns)
+        return ReferenceMap(
+            variables,
+            len(columns),
+            tuple(groups),
+            ungrouped,
+            all_float64,
+            columns,
+            opposite=opposite,
+        )
 
     @staticmethod
     def of_distinct(variables: Iterable[Variable]) -> ReferenceMap:
         """Build the map of variables without aliases: each value reference of a type once."""
-        distinct = {(variable.type, variable.reference): variable for variable in variables}
+        distinct = {_key(variable): variable for variable in variables}
         return ReferenceMap.of(distinct.values())
 
     @property
@@ -133,6 +149,15 @@ class ReferenceMap:
         assert len(columns) == selection.size
         return replace(selection, columns=columns, is_part=not mask.all())
 
+    def negated(self, values: Vector) -> Vector:
+        """Return what the FMU has for values of the variables, or they for values that it has.
+
+        That is ``values`` itself where no variable is the opposite of what its reference has.
+        """
+        if self.opposite is None:
+            return values
+        return np.where(np.isnan(self.opposite), values, self.opposite - values)
+
     def take(self, values: Vector) -> Vector:
         """Return a selection's elements of the vector that it was selected from.
 
@@ -153,10 +178,14 @@ class ReferenceMap:
 
     def columns_of(self, elements: Iterable[VectorElement]) -> NDArray[np.intp]:
         """Return where elements stand in the vector; an alias stands where its variable does."""
-        firsts: dict[tuple[VariableType, int], int] = {}
+        firsts: dict[tuple[VariableType, int, bool], int] = {}
         first = 0
         for variable in self.variables:
-            firsts[variable.type, variable.reference] = first
+            firsts[_key(variable)] = first
             first += variable.size
-        columns = [firsts[e.variable.type, e.variable.reference] + e.index for e in elements]
+        columns = [firsts[_key(element.variable)] + element.index for element in elements]
         return np.array(columns, np.intp)
+
+
+def _key(variable: Variable) -> tuple[VariableType, int, bool]:
+    return variable.type, variable.reference, variable.negated

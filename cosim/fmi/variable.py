@@ -90,7 +90,10 @@ class Variable:
         Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its
         derivative).
     alias_of : str or None
-        The variable whose other name it is (FMI 3); it is no signal of its own.
+        The variable whose other name it is (FMI 3; before, of inputs); it is no signal of its own.
+    negated : bool
+        Whether it is the opposite of what its value reference has (FMI 1: negatedAlias): of a
+        number v it is -v, of a Boolean 1 - v.
     timing : ClockTiming or None
         Of a clock (FMI 3).
     clocks : tuple of str
@@ -119,6 +122,7 @@ class Variable:
     items: Mapping[str, int] = field(default_factory=dict)
     inside_steps: bool = True
     alias_of: str | None = None
+    negated: bool = False
     timing: ClockTiming | None = None
     clocks: tuple[str, ...] = ()
     doc: str = ""

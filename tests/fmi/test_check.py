@@ -470,21 +470,6 @@ def test_findings_of_fmi_3(tmp_path):
     )
 
 
-def test_findings_of_fmi_1(tmp_path):
-    """A port that is another variable negated is left out; inside, that is a note."""
-    xml = FMI1.replace("{implementation}", "")
-    path = write(tmp_path / "x.fmu", [], xml=xml.encode())
-    text = (
-        "variable 'w': is another variable negated (negatedAlias); no call "
-        "gives that, and it is left out"
-    )
-    assert text in problems_of(path, "note")
-    port = xml.replace(
-        'name="w" valueReference="1"', 'name="w" valueReference="1" causality="output"'
-    )
-    assert text in problems_of(write(path, [], xml=port.encode()), "warning")
-
-
 def test_neither_interface_type(tmp_path):
     xml = XML.replace("CoSimulation ", "Neither ")
     errors = problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))

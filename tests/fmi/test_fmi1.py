@@ -12,7 +12,8 @@ from cosim.fmi.driving.initialization import Initialization
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.options import FmuOptions
 from tests.fmi import lag
-from tests.fmi.probes import got, opened, put
+from tests.fmi.compiled import with_description
+from tests.fmi.probes import got, opened, put, xml1
 
 
 def test_initial_outputs_belong_to_the_inputs_that_were_set(probe1):
@@ -180,3 +181,44 @@ def test_an_initialization_is_repeated_with_its_inputs_by_a_new_instance(slave1)
         fmu._instance.renew()
         assert initialization.repeat().tolist() == y.tolist()
         assert got(fmu._instance, "x", "u") == [3.0, 2.0]
+
+
+NEGATED = """
+<ScalarVariable name="down" valueReference="0" causality="input" alias="negatedAlias">
+<Real start="0"/></ScalarVariable>
+<ScalarVariable name="minus_y" valueReference="4" causality="output" alias="negatedAlias"><Real/>
+</ScalarVariable>
+<ScalarVariable name="less" valueReference="10" variability="parameter" alias="negatedAlias">
+<Integer start="0"/></ScalarVariable>
+<ScalarVariable name="not_flag" valueReference="12" variability="parameter" alias="negatedAlias">
+<Boolean start="true"/></ScalarVariable>
+</ModelVariables>"""
+
+
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_what_is_negated_changes_its_sign(interface_type, model1, slave1, tmp_path):
+    """An input, its slope, outputs; of a Boolean it is the other value."""
+    plain = {"me": model1, "cs": slave1}[interface_type]
+    xml = xml1(interface_type=interface_type).replace("</ModelVariables>", NEGATED)
+    xml = xml.replace(
+        'name="u" valueReference="0" causality="input"', 'name="u" valueReference="0"'
+    )
+    negated = with_description(plain, tmp_path / "x.fmu", xml)
+    t = np.array([0.0, 0.5, 1.0])
+    u = np.array([[1.0], [2.0], [4.0]])
+    rows = {}
+    for path, sign in ((plain, 1.0), (negated, -1.0)):
+        with load(path, FmuOptions(outputs=("y", "slope"))) as fmu:
+            component = fmu.component
+            component.prepare(0.5, np.zeros(1, np.bool_), {})
+            first = component.initialize(0.0, sign * u[0])
+            columns = component.interface.output_columns()
+            found = np.vstack([first, component.advance(t, 0.5, sign * u)])
+            rows[sign] = {name: found[:, columns[name]] for name in columns}
+    for name, values in rows[1.0].items():
+        assert rows[-1.0][name].tolist() == values.tolist()
+    assert rows[-1.0]["minus_y"].tolist() == (-rows[1.0]["y"]).tolist()
+    assert rows[1.0]["y"].any()
+    with load(negated, FmuOptions(start={"less": -2, "not_flag": False})) as fmu:
+        fmu.component.initialize(0.0, np.zeros(1))
+        assert got(fmu._instance, "behavior", "less", "flag", "not_flag") == [2.0, -2.0, 1.0, 0.0]

@@ -12,6 +12,7 @@ import pytest
 from cosim.errors import FmuError
 from cosim.fmi.checking.check import check
 from cosim.fmi.description import Capabilities
+from cosim.fmi.driving.initialization import check_start
 from cosim.fmi.reading.model_description import read
 from cosim.units import BaseUnit
 from tests.fmi.archives import write
@@ -63,6 +64,7 @@ def test_roles_of_fmi_1(described):
         "u": ("input", "continuous", "exact"),
         "y": ("output", "continuous", "calculated"),
         "z": ("output", "continuous", "calculated"),
+        "w": ("local", "continuous", "calculated"),
         "v": ("output", "continuous", "calculated"),
         "k": ("parameter", "fixed", "exact"),
         "guess": ("local", "continuous", "approx"),
@@ -73,11 +75,29 @@ def test_roles_of_fmi_1(described):
 
 
 def test_aliases_of_fmi_1(described):
-    """An alias shares a reference; a negated one has no value of its own, and is left out."""
+    """An alias shares a reference; a negated one is the opposite of what that has."""
     description = described(fmi1())
     assert description["z"].reference == description["y"].reference
-    assert "w" not in [variable.name for variable in description.variables]
+    assert attributes(description["w"], "reference", "negated") == (1, True)
     assert [signal.name for signal in description.interface.outputs] == ["y", "z", "v", "n"]
+
+
+def test_inputs_of_fmi_1_with_one_reference_are_one_input(described):
+    """Two would be set to values of their own; the one that is not negated is it."""
+    reference = 'valueReference="0" causality="input"'
+    names = {"first": 'alias="negatedAlias"', "second": 'alias="alias"'}
+    scalars = {
+        name: f'<ScalarVariable name="{name}" {reference} {alias}><Real/></ScalarVariable>'
+        for name, alias in names.items()
+    }
+    xml = fmi1().replace("<ModelVariables>", f"<ModelVariables>{scalars['first']}")
+    xml = xml.replace("</ModelVariables>", f"{scalars['second']}</ModelVariables>")
+    description = described(xml)
+    assert [signal.name for signal in description.interface.inputs] == ["u"]
+    assert [description[name].alias_of for name in ("first", "u", "second")] == ["u", None, "u"]
+    with pytest.raises(FmuError, match="'first' is 'u' negated"):
+        check_start(description, {"first": 1.0})
+    assert check_start(description, {"second": 1.0}).numbers == {"second": (1.0,)}
 
 
 def test_feedthrough_of_fmi_1(described):

@@ -167,8 +167,14 @@ class LoadedInstance:
         assert isinstance(mark, MessageMark)
         self._library.forget_messages(mark, of_calls=of_calls)
 
-    def addresses(self) -> InstanceAddresses:
-        """Return where compiled code finds the instance, its functions and its variables."""
+    def addresses(self) -> InstanceAddresses | None:
+        """Return where compiled code finds the instance, its functions and its variables.
+
+        None: it has ports that are negated, which compiled code does not know.
+        """
+        ports = [self.description.references(name) for name in ("input", "output")]
+        if any(references.opposite is not None for references in ports):
+            return None
         return InstanceAddresses(self._calls)
 
     def clock_calls(self) -> ClockCalls | None:
@@ -253,6 +259,7 @@ class LoadedInstance:
 
     def set_float64(self, references: ReferenceMap, values: Vector) -> None:
         """Set variables; integers and Booleans need values that are exactly such."""
+        values = references.negated(values)
         if references.all_float64:
             self._calls.access("Set", references.groups[0], values)
             return
@@ -267,12 +274,12 @@ class LoadedInstance:
         values = np.empty(references.size)
         if references.all_float64:
             self._calls.access("Get", references.groups[0], values)
-            return values
+            return references.negated(values)
         for group in references.groups:
             received = np.empty(len(group.columns), self._calls.dtypes[group.type])
             self._calls.access("Get", group, received)
             values[group.columns] = from_fmu_type(self._library.name, received)
-        return values
+        return references.negated(values)
 
     def set_continuous_states(self, x: Vector) -> None:
         """Set the states, shape (n_x,)."""
@@ -312,7 +319,7 @@ class LoadedInstance:
 
     def set_input_derivatives(self, references: ReferenceMap, slopes: Vector) -> None:
         """Set du/dt for the next step, of Float64 variables."""
-        self._calls.set_input_derivatives(references.ungrouped, slopes)
+        self._calls.set_input_derivatives(references.ungrouped, references.negated(slopes))
 
     # --- texts ---
 

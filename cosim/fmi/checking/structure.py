@@ -98,7 +98,6 @@ def check_structure(
     """Return everything that is wrong or worth knowing."""
     findings = list(_check_support(description))
     if major(root) == 1:
-        findings += _check_negated_aliases(root)
         return findings
     elements = list(root.iterfind("ModelVariables/*"))
     # Aliases of FMI 3 stand behind all elements, and have none of their own.
@@ -399,14 +398,3 @@ def _undeclared_feedthrough(description: Description) -> list[str]:
         if description.dependencies.get(variable.name) is None:
             names.append(variable.name)
     return names
-
-
-def _check_negated_aliases(root: Element) -> Iterator[Finding]:
-    for element in root.iterfind("ModelVariables/ScalarVariable"):
-        if element.get("alias") == "negatedAlias":
-            is_port = element.get("causality") in ("input", "output")
-            level: Severity = "warning" if is_port else "note"
-            text = (
-                "is another variable negated (negatedAlias); no call gives that, and it is left out"
-            )
-            yield Finding(level, _where(element.get("name")), text)

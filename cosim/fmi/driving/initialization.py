@@ -282,6 +282,9 @@ def check_start(description: Description, values: Starts) -> StartValues:
 def _settable(description: Description, name: str) -> Variable:
     """Return the variable of that name; refuse one that cannot be set."""
     variable = description[name]
+    first = variable.alias_of
+    if first is not None and variable.negated:
+        raise FmuError(f"{description.name}: {name!r} is {first!r} negated; set that one")
     if not variable.settable or variable.type == "Clock":
         attributes = (
             f"causality {variable.causality}, variability {variable.variability}, "

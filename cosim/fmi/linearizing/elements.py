@@ -32,9 +32,10 @@ class Element:
     index: int
 
     @property
-    def key(self) -> tuple[str, int, int]:
+    def key(self) -> tuple[str, int, bool, int]:
         """The same for aliases (FMI 2.0.4 section 2.2.7: equal value references)."""
-        return self.variable.type, self.variable.reference, self.index
+        variable = self.variable
+        return variable.type, variable.reference, variable.negated, self.index
 
     @property
     def is_continuous(self) -> bool:

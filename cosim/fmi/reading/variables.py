@@ -3,8 +3,8 @@
 FMI 1.0 section 3.2; FMI 2.0.4 sections 2.2.2, 2.2.3 and 2.2.7; FMI 3.0 sections 2.4.3 to 2.4.7.
 
 A second name of FMI 3 (Alias) becomes a variable with the reference of the first. In FMI 1 an
-``alias`` is a variable like others that shares its reference; a ``negatedAlias`` has the value of
-another negated, which no call returns, and is left out.
+``alias`` is a variable like others that shares its reference, and a ``negatedAlias`` is the
+opposite of what the reference has. Of inputs with one reference the first is the input.
 """
 
 from __future__ import annotations
@@ -143,9 +143,8 @@ def read_variables(
         # All variables come before the first size, which may be a structural parameter's value.
         variables = _with_sizes(variables, elements, attributes)
         variables = with_clocks(variables, reader.clocks, attributes)
-    elif version == 1:
-        pairs = zip(variables, elements, strict=True)
-        variables = [v for v, element in pairs if element.get("alias") != "negatedAlias"]
+    else:
+        variables = _with_one_input_each(variables)
     return _with_derivatives(_with_own_names(variables, attributes), reader, attributes)
 
 
@@ -227,6 +226,7 @@ class _VariableReader:
             nominal=roles.nominal,
             items=roles.items,
             inside_steps=version < 3 or flag(element, "intermediateUpdate"),
+            negated=version == 1 and element.get("alias") == "negatedAlias",
             timing=timing,
             doc=element.get("description", ""),
         )
@@ -481,6 +481,24 @@ def _aliases(variable: Variable, element: Element) -> list[Variable]:
         doc = alias.get("description", variable.doc)
         aliases.append(replace(variable, name=name, alias_of=variable.name, doc=doc))
     return aliases
+
+
+def _with_one_input_each(variables: list[Variable]) -> list[Variable]:
+    """Return the variables; of several inputs with one reference, as aliases of the first.
+
+    Each would be set to a value of its own. One that is not negated goes before the others.
+    """
+    inputs = [variable for variable in variables if variable.causality == "input"]
+    inputs.sort(key=lambda variable: variable.negated)
+    first_of = {(variable.type, variable.reference): variable for variable in reversed(inputs)}
+    if len(first_of) == len(inputs):
+        return variables
+    completed = []
+    for variable in variables:
+        first = first_of.get((variable.type, variable.reference), variable)
+        is_second = variable.causality == "input" and first is not variable
+        completed.append(replace(variable, alias_of=first.name) if is_second else variable)
+    return completed
 
 
 def _with_own_names(variables: Sequence[Variable], attributes: Attributes) -> Sequence[Variable]:

@@ -121,6 +121,8 @@ def _variable_row(
     relation = None
     if variable["alias_of"]:
         relation = f"alias {variable['alias_of']}"
+    elif variable["negated"]:
+        relation = "negated"
     elif variable["derivative_of"]:
         relation = f"der {variable['derivative_of']}"
     elif variable["type"] in ("String", "Binary", "Clock") and variable["causality"] == "output":
