@@ -370,7 +370,7 @@ def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType,
     interface_type = _choose_interface_type(archive, options.interface_type)
     if interface_type == "cs":
         _check_options_for_co_simulation(archive, options)
-    described = archive.description
+    described = archive.description.calling(options.called)
     # In co-simulation clocks are active in event mode only (FMI 3.0 section 4.2.1).
     has_events = interface_type == "me" or described.capabilities["cs"].event_mode
     if described.clocks and has_events:

@@ -347,6 +347,50 @@ class Description:
         # It also depends on its clocks, whether the file lists them or not (FMI 3.0 section 2.2.9).
         return names if names is None else (*names, *variable.clocks)
 
+    def calling(self, names: Collection[str]) -> Description:
+        """Return the description with each input by the one of its names that is given, if any is.
+
+        Raises
+        ------
+        FmuError
+            If two names of one input are given.
+        """
+        called = self._called(names)
+        if not called:
+            return self
+        new_names = {first: variable.name for first, variable in called.items()}
+        variables = []
+        for variable in self.variables:
+            if variable.name in called:  # its place goes to the other name
+                variable = replace(called[variable.name], alias_of=None)
+            elif variable.alias_of in called:
+                first = self[variable.alias_of]
+                is_called = variable.name == new_names[first.name]
+                variable = replace(first if is_called else variable, alias_of=new_names[first.name])
+            variables.append(variable)
+        return replace(
+            self,
+            variables=tuple(variables),
+            dependencies=_renamed(self.dependencies, new_names),
+            initial_dependencies=_renamed(self.initial_dependencies, new_names),
+        )
+
+    def _called(self, names: Collection[str]) -> dict[str, Variable]:
+        """Return the aliases of inputs that are given, by the inputs' first names."""
+        called: dict[str, Variable] = {}
+        for variable in self.variables:
+            first = variable.alias_of
+            is_input = variable.causality == "input" and variable.is_signal
+            if first is None or variable.name not in names or not is_input or variable.negated:
+                continue
+            other = first if first in names else called.setdefault(first, variable).name
+            if other != variable.name:
+                raise FmuError(
+                    f"{self.name}: {other!r} and {variable.name!r} are one input by two names; "
+                    "connect one of them"
+                )
+        return called
+
     def without(
         self, capability: Literal["saves_state", "event_mode"], interface_type: InterfaceType
     ) -> Description:
@@ -556,6 +600,14 @@ def _nominal(group: Sequence[Variable]) -> tuple[float, ...]:
         nominal = abs(variable.nominal or 1.0)
         values += [nominal] * variable.size
     return tuple(values)
+
+
+def _renamed(dependencies: VariableDependencies, names: Mapping[str, str]) -> VariableDependencies:
+    """Return dependencies on variables by other names."""
+    renamed: dict[str, tuple[str, ...] | None] = {}
+    for unknown, knowns in dependencies.items():
+        renamed[unknown] = knowns and tuple(names.get(known, known) for known in knowns)
+    return renamed
 
 
 def _is_unclocked(variable: Variable) -> bool:

@@ -15,7 +15,8 @@ from cosim.fmi.driving.residual import DaeForm
 class FmuOptions:
     """How an FMU is opened.
 
-    All but ``interface_type``, ``start``, ``outputs`` and ``apart`` are for model exchange.
+    All but ``interface_type``, ``start``, ``outputs``, ``apart`` and ``called`` are for model
+    exchange.
 
     Parameters
     ----------
@@ -35,6 +36,8 @@ class FmuOptions:
         Names of local variables and parameters that become outputs too.
     apart : collection of str
         Names of variables that are signals of their own, though they may look like elements.
+    called : collection of str
+        Of an input that has several names, the one that it has as a port; it may have others, too.
     """
 
     interface_type: InterfaceType | None = None
@@ -44,6 +47,7 @@ class FmuOptions:
     start: Starts = field(default_factory=dict)
     outputs: Sequence[str] = ()
     apart: Collection[str] = ()
+    called: Collection[str] = ()
 
 
 DEFAULT_OPTIONS: Final = FmuOptions()

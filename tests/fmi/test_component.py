@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import cosim
 from cosim.core.contracts import Stopped
 from cosim.core.linear import Linear
 from cosim.core.signals import Interface, Signal
@@ -16,7 +17,9 @@ from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from tests.core.parts import driven
+from tests.fmi.compiled import compile_fmu
 from tests.fmi.plant import INTERFACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
+from tests.fmi.probes import xml3
 
 # At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below
 # 2000 * 8 * 2^-53 = 1.8e-12.
@@ -417,3 +420,37 @@ def test_components_keep_the_contract_of_the_interface(exported):
     with load(exported, FmuOptions(interface_type="cs")) as fmu:
         assert fmu.interface_type == "cs"
     assert A.shape == B.shape
+
+
+ALIASED = """
+[scenario]
+name = "aliased"
+stop = 1.0
+step = 0.5
+[components]
+ramp = {{ kind = "ramp", slope = 1.0 }}
+plant = {{ kind = "fmu", path = "probe.fmu", interface_type = "{interface_type}" }}
+[connections]
+"plant.{name}" = "ramp.y"
+"""
+
+
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_an_input_is_connected_by_any_of_its_names(interface_type, tmp_path):
+    """The log has the name that was connected; the numbers are the same, and so is a replay."""
+    alias = 'intermediateUpdate="true"><Alias name="push"/></Float64>'
+    xml = xml3().replace('intermediateUpdate="true"/>', alias)
+    compile_fmu(tmp_path / "probe.fmu", xml, "probe3.c")
+    logs = {}
+    for name in ("u", "push"):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(ALIASED.format(interface_type=interface_type, name=name))
+        logs[name] = cosim.run(path, out=tmp_path / f"{name}.mcap")
+    assert logs["push"]["plant.push"].tolist() == logs["u"]["plant.u"].tolist() == [0.0, 0.5, 1.0]
+    assert logs["push"]["plant.x"].tolist() == logs["u"]["plant.x"].tolist()
+    assert logs["u"]["plant.x"][-1] == pytest.approx(0.5, rel=1e-9)
+    again_too = {"rerun": True, "allow_code": True}
+    for options in ({}, again_too, {**again_too, "components": ["plant"]}):
+        again = cosim.replay(tmp_path / "push.mcap", **options)
+        assert again["plant.push"].tolist() == [0.0, 0.5, 1.0]
+        assert again["plant.x"].tolist() == logs["u"]["plant.x"].tolist()

@@ -555,3 +555,21 @@ def test_mutants_are_read_or_refused(described, tmp_path, monkeypatch, count):
             assert description.interface.n_u <= description.n_states + 2**25
         assert check(tmp_path / "x.fmu")
     assert 0.2 * count < refused < 0.8 * count
+
+
+def test_an_input_has_the_name_that_it_is_connected_by(described):
+    """An Alias of FMI 3 takes the place of the first name, and feeds through as that did."""
+    xml = FMI3.replace('<Alias name="second"', '<Alias name="third"/><Alias name="second"')
+    description = described(xml)
+    own = description.interface
+    called = description.calling({"second", "y", "nothing"}).interface
+    names = ["second" if signal.name == "u" else signal.name for signal in own.inputs]
+    assert [signal.name for signal in called.inputs] == names
+    assert called.by_name["second"].size == own.by_name["u"].size
+    for output, inputs in own.feedthrough.items():
+        expected = inputs and tuple("second" if name == "u" else name for name in inputs)
+        assert called.feedthrough[output] == expected
+    assert description.calling({"u"}) is description
+    for names in ({"u", "second"}, {"second", "third"}):
+        with pytest.raises(FmuError, match="are one input by two names; connect one of them"):
+            description.calling(names)

@@ -345,8 +345,8 @@ def _interpolated_inputs(specification: InstanceSpecification) -> NDArray[np.uin
     """Return the references of the inputs that will be set in Intermediate Updates."""
     references = []
     if specification.capabilities.interpolates_inputs:
-        for variable in specification.description.variables:
-            is_input = variable.causality == "input" and variable.variability == "continuous"
-            if is_input and variable.type == "Float64" and variable.inside_steps:
+        for variable in specification.description.references("input").variables:
+            is_continuous = variable.type == "Float64" and variable.variability == "continuous"
+            if is_continuous and variable.inside_steps:
                 references.append(variable.reference)
     return np.array(references, np.uint32)
