@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 from cosim.core.signals import SignalType
 from cosim.units import BaseUnit
@@ -31,7 +31,6 @@ VariableType: TypeAlias = Literal[
 IntervalVariability: TypeAlias = Literal[
     "constant", "fixed", "tunable", "changing", "countdown", "triggered"
 ]
-LARGEST_EXACT: Final = 2**53  # integers beyond it are not all float64
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,3 +153,11 @@ class Variable:
         if self.type in ("Float32", "Float64"):
             return "real"
         return "boolean" if self.type in ("Boolean", "Clock") else "integer"
+
+
+def is_exact(number: int) -> bool:
+    """Whether a float64, which carries it, is the same number: up to 2**53 each one is."""
+    try:
+        return float(number) == number
+    except OverflowError:
+        return False

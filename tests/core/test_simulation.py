@@ -461,6 +461,9 @@ def test_whole_numbers_stay_whole():
     assert np.isnan(simulation.step()["s.o"]).all()
     with pytest.raises(GraphError, match=r"'s\.n':.*an integer.*0\.5"):
         simulation["s.n"] = 0.5
+    with pytest.raises(GraphError, match=r"'s\.n':.*exactly, got 9007199254740993"):
+        simulation["s.n"] = 2**53 + 1  # as a float 2**53
+    simulation["s.n"] = -(2**63)
     with pytest.raises(GraphError, match=r"'s.b': .*0 or 1 .*, got 2\.0"):
         simulation["s.b"] = 2
 

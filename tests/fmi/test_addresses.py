@@ -12,8 +12,9 @@ from tests.fmi import lag
 from tests.fmi.probes import NUMBERS, opened
 
 LARGEST = {"Int8": 127, "UInt8": 255, "Int16": 32767, "UInt16": 65535, "Boolean": 1}
-LARGEST |= {"Int32": 2**31 - 1, "UInt32": 2**32 - 1, "Int64": 2**53, "UInt64": 2**53}
-SMALLEST = {"Int8": -128, "Int16": -32768, "Int32": -(2**31), "Int64": -(2**53)}
+LARGEST |= {"Int32": 2**31 - 1, "UInt32": 2**32 - 1, "Int64": 2**63 - 1024}
+LARGEST |= {"UInt64": 2**64 - 2048}
+SMALLEST = {"Int8": -128, "Int16": -32768, "Int32": -(2**31), "Int64": -(2**63)}
 
 
 class Compiled:
@@ -83,7 +84,7 @@ def test_no_value_is_set_where_one_does_not_fit_its_type(instance, subtests):
     """Exactly where the method refuses it."""
     instance, references = instance
 
-    for value in [0.5, np.nan, np.inf, -np.inf, 2.0**54, -(2.0**54), 2.0**31]:
+    for value in [0.5, np.nan, np.inf, -np.inf, 2.0**64, -(2.0**64), 2.0**31]:
         with subtests.test(value=value):
             compiled = Compiled(instance, references)
             zeros = np.zeros(references.size)
@@ -105,14 +106,16 @@ def test_no_value_is_set_where_one_does_not_fit_its_type(instance, subtests):
 
 
 def test_an_integer_that_is_no_float_is_declined_when_read(probe3, subtests):
-    for value in [2**53 + 1, -(2**53) - 1, -(2**63)]:
+    """2**63 - 1 is rounded to 2**63, which the type does not have."""
+    of_type = {"Int64": (2**53 + 1, -(2**53) - 1, 2**63 - 1), "UInt64": (2**53 + 1, 2**64 - 1)}
+    for name, value in ((name, value) for name, values in of_type.items() for value in values):
         with (
-            subtests.test(value=value),
+            subtests.test(name=name, value=value),
             opened(probe3, interface_type="cs") as (_, instance),
         ):
-            references = instance.description.references_of(["Int64"])
+            references = instance.description.references_of([name])
             compiled = Compiled(instance, references)
-            raw = np.array([value], np.int64)
+            raw = np.array([value], name.lower())
             instance._calls.access("Set", references.groups[0], raw)
             assert compiled.get(np.zeros(1)) == DECLINED
             with pytest.raises(RunError, match="cannot be carried exactly"):

@@ -7,23 +7,27 @@ from cosim.errors import RunError
 from cosim.fmi.binary.loaded import from_fmu_type, to_fmu_type
 from tests.fmi.probes import opened
 
+WHOLE = [
+    *((value, "Int64") for value in (0, 2**53, -(2**53), 2**53 + 2, -(2**63), 2**63 - 1024)),
+    *((value, "UInt64") for value in (2**53, 2**64 - 2048)),
+]
+ROUNDED = [
+    *((value, "Int64") for value in (2**53 + 1, -(2**53) - 1, 1 - 2**63, 2**63 - 1)),
+    *((value, "UInt64") for value in (2**53 + 1, 2**64 - 1)),
+]
 
-@pytest.mark.parametrize("value", [2**53, -(2**53), 0])
-def test_integers_up_to_2_53_are_carried_exactly(value):
-    """float64 holds every one of them."""
-    assert from_fmu_type("m", np.array([value], np.int64)).tolist() == [float(value)]
 
-
-@pytest.mark.parametrize(
-    ("value", "dtype"),
-    [(2**53 + 1, np.int64), (-(2**53) - 1, np.int64), (-(2**63), np.int64), (2**53 + 1, np.uint64)],
-)
-def test_integers_beyond_2_53_are_refused(value, dtype):
-    """2**53 + 1 is rounded to 2**53 as a float, and the smallest int64 has no absolute value."""
-    with pytest.raises(
-        RunError, match=rf"m: an integer beyond 2\*\*53 cannot be carried exactly: \[{value}\]"
-    ):
-        from_fmu_type("m", np.array([value], dtype))
+def test_integers_are_carried_exactly_or_not_at_all():
+    """float64 holds every one up to 2**53, beyond it those with 53 significant bits."""
+    for value, variable_type in WHOLE:
+        dtype = np.dtype(variable_type.lower())
+        received = from_fmu_type("m", np.array([value], dtype))
+        assert [int(number) for number in received] == [value]
+        assert to_fmu_type("m", variable_type, dtype, received).tolist() == [value]
+    for value, variable_type in ROUNDED:
+        text = rf"m: an integer beyond 2\*\*53 cannot be carried exactly: \[{value}\]"
+        with pytest.raises(RunError, match=text):
+            from_fmu_type("m", np.array([value], variable_type.lower()))
 
 
 def test_numbers_outside_a_type_are_refused(subtests):
@@ -31,6 +35,8 @@ def test_numbers_outside_a_type_are_refused(subtests):
     for variable_type, value in [
         ("Int32", 1e300),
         ("Int64", 2.0**63),
+        ("UInt64", 2.0**64),
+        ("Int64", -(2.0**63) - 2048.0),
         ("UInt8", -1.0),
         ("Boolean", 2.0),
         ("Int32", np.nan),

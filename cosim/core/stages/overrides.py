@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.arguments import kind_of
-from cosim.core.signals import LARGEST_WHOLE, Signal
+from cosim.core.signals import Signal
 from cosim.core.stages.faults import Fault, FaultInstant
 from cosim.core.structure.ports import ConnectionEnd
 from cosim.errors import GraphError
@@ -203,6 +203,10 @@ def _as_list(to: str, value: OverrideValue, end: ConnectionEnd) -> list[float]:
         raise GraphError(
             f"override of '{to}': expected numbers, got true or false (the signal is not Boolean)"
         )
+    if array.dtype.kind in "iu" and values != array.reshape(-1).tolist():
+        raise GraphError(
+            f"override of '{to}': expected integers that float64 represents exactly, got {value}"
+        )
     if len(values) != end.size or array.ndim > 1:
         needed = "1 value" if end.size == 1 else f"{end.size} values, one per element"
         found = f"an array of shape {array.shape}" if array.ndim > 1 else f"{len(values)} values"
@@ -224,5 +228,5 @@ def _check_value(to: str, value: float, signal: Signal) -> None:
         raise GraphError(f"override of '{to}': expected a finite number, got {value}")
     if signal.type == "boolean" and value not in (0.0, 1.0):
         raise GraphError(f"override of '{to}': expected 0 or 1 (Boolean), got {value}")
-    if signal.type == "integer" and (value != math.floor(value) or abs(value) > LARGEST_WHOLE):
-        raise GraphError(f"override of '{to}': expected an integer within 2**53, got {value}")
+    if signal.type == "integer" and value != math.floor(value):
+        raise GraphError(f"override of '{to}': expected an integer, got {value}")

@@ -26,7 +26,7 @@ from cosim.fmi.binary.messages import Message, Messages
 from cosim.fmi.description import Description, InterfaceType
 from cosim.fmi.instance import ClockCalls
 from cosim.fmi.references import ReferenceMap
-from cosim.fmi.variable import LARGEST_EXACT, Variable
+from cosim.fmi.variable import Variable
 
 VERSIONS: Final[Mapping[str, tuple[str, type[Fmi1] | type[Fmi2] | type[Fmi3]]]] = {
     "1": ("{identifier}_fmi", Fmi1),
@@ -426,19 +426,19 @@ def to_fmu_type(name: str, variable_type: str, dtype: DTypeLike, values: Vector)
     Raises
     ------
     RunError
-        If a value is no number of that type, or an integer beyond 2**53.
+        If a value is no number of that type.
     """
-    with np.errstate(invalid="ignore", over="ignore"):  # what does not fit is found below
-        converted = values.astype(dtype)
     if variable_type in ("Float32", "Float64"):
-        return converted
-    exact = (converted == values) & (np.abs(values) <= LARGEST_EXACT)
-    fits = bool(exact.all())
+        with np.errstate(over="ignore"):
+            return values.astype(dtype)
     if variable_type == "Boolean":
-        fits = fits and bool(np.isin(values, (0.0, 1.0)).all())
-    if not fits:
+        fits = np.isin(values, (0.0, 1.0))
+    else:
+        low, end = _range(dtype)
+        fits = (low <= values) & (values < end) & (values == np.floor(values))
+    if not fits.all():
         raise RunError(f"{name}: expected numbers of type {variable_type}, got {values.tolist()}")
-    return converted
+    return values.astype(dtype)
 
 
 def from_fmu_type(name: str, received: NDArray[Any]) -> Vector:
@@ -447,13 +447,21 @@ def from_fmu_type(name: str, received: NDArray[Any]) -> Vector:
     Raises
     ------
     RunError
-        If an integer is too large for that.
+        If an integer is no float64.
     """
-    if received.dtype.kind in "iu":
-        # Not by the absolute value: the smallest int64 has none.
-        too_large = (received > LARGEST_EXACT) | (received < -LARGEST_EXACT)
-        if too_large.any():
+    values = received.astype(np.float64)
+    if received.dtype.kind in "iu" and received.dtype.itemsize == 8:
+        _, end = _range(received.dtype)
+        with np.errstate(invalid="ignore"):  # what is rounded up to the end of the type
+            exact = (values < end) & (values.astype(received.dtype) == received)
+        if not exact.all():
             raise RunError(
                 f"{name}: an integer beyond 2**53 cannot be carried exactly: {received.tolist()}"
             )
-    return received.astype(np.float64)
+    return values
+
+
+def _range(dtype: DTypeLike) -> tuple[float, float]:
+    """Return the smallest integer of a type, and the first one above it: both are float64."""
+    limits = np.iinfo(np.dtype(dtype))
+    return float(limits.min), float(limits.max) + 1.0

@@ -24,7 +24,7 @@ from cosim.fmi.driving.clocks import EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.instance import Instance
 from cosim.fmi.references import ReferenceMap
-from cosim.fmi.variable import LARGEST_EXACT, Variable
+from cosim.fmi.variable import Variable, is_exact
 
 StartScalar: TypeAlias = bool | int | float | str
 StartValue: TypeAlias = "StartScalar | Sequence[StartValue]"
@@ -367,7 +367,10 @@ def _hexadecimal(scalar: StartScalar) -> str:
 def _number(variable: Variable, scalar: StartScalar) -> float:
     """Return the value of a variable that is carried as a number."""
     if isinstance(scalar, str):
-        return float(_item(variable, scalar))
+        item = _item(variable, scalar)
+        if not is_exact(item):
+            raise ValueError(f"item {scalar!r} is {item}, which no float64 represents exactly")
+        return float(item)
     if variable.type == "Boolean":
         if scalar not in (0, 1):
             raise ValueError(f"expected true or false, got {scalar}")
@@ -398,11 +401,12 @@ def _check_integer(variable: Variable, scalar: float) -> None:
     if scalar != int(scalar):
         raise ValueError(f"expected an integer, got {scalar}")
     limits = np.iinfo(variable.type.lower())
-    low = max(limits.min, -LARGEST_EXACT)
-    high = min(limits.max, LARGEST_EXACT)
-    if not low <= scalar <= high:
+    if not limits.min <= scalar <= limits.max:
+        raise ValueError(f"expected {limits.min} to {limits.max} ({variable.type}), got {scalar}")
+    if not is_exact(int(scalar)):
         raise ValueError(
-            f"expected {low} to {high} ({variable.type}, exactly representable), got {scalar}"
+            f"expected an integer that a float64 represents exactly, got {scalar}; nearest: "
+            f"{int(float(scalar))}"
         )
     if variable.items and scalar not in variable.items.values():
         items = [f"{number} ({name})" for name, number in variable.items.items()]

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element
 from cosim.errors import listing
 from cosim.fmi.reading.clocks import read_timing, with_clocks
 from cosim.fmi.reading.markup import Attributes, Value, flag
-from cosim.fmi.variable import LARGEST_EXACT, Initial, Variable, VariableType
+from cosim.fmi.variable import Initial, Variable, VariableType, is_exact
 from cosim.units import BASE, BaseUnit, base_unit
 
 LARGEST_ARRAY: Final = 2**24  # elements
@@ -307,7 +307,7 @@ class _VariableReader:
                 return None
             return values
         numbers = self._attributes.integers(typed, "start", where)
-        if numbers is None or any(abs(number) > LARGEST_EXACT for number in numbers):
+        if numbers is None or not all(map(is_exact, numbers)):
             return None
         return tuple(map(float, numbers))
 

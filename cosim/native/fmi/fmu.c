@@ -4,9 +4,6 @@
 
 #include "cosim.h"
 
-/* The largest integer up to which all are float64. */
-#define LARGEST_EXACT 9007199254740992.0
-
 typedef int (*directional_2)(void *instance, const uint32_t *unknowns, size_t n_unknowns,
                              const uint32_t *knowns, size_t n_knowns, const double *seed,
                              double *result);
@@ -39,12 +36,12 @@ int32_t cosim_fmu_check_other(cosim_fmu *fmu, cosim_fmu_call *call, int32_t stat
 
 /* --- conversions --- */
 
-/* Smallest and largest value of the integers of a carrier, as far as they are exact. */
+/* Smallest and largest float64 among the integers of a carrier. */
 static const double range[][2] = {
     [COSIM_INT8] = {INT8_MIN, INT8_MAX},           [COSIM_UINT8] = {0, UINT8_MAX},
     [COSIM_INT16] = {INT16_MIN, INT16_MAX},        [COSIM_UINT16] = {0, UINT16_MAX},
     [COSIM_INT32] = {INT32_MIN, INT32_MAX},        [COSIM_UINT32] = {0, UINT32_MAX},
-    [COSIM_INT64] = {-LARGEST_EXACT, LARGEST_EXACT}, [COSIM_UINT64] = {0, LARGEST_EXACT},
+    [COSIM_INT64] = {-0x1p63, 0x1.fffffffffffffp62}, [COSIM_UINT64] = {0, 0x1.fffffffffffffp63},
     [COSIM_BOOL] = {0, 1},
 };
 
@@ -119,10 +116,11 @@ static bool are_exact(const cosim_fmu_group *group)
     for (size_t i = 0; i < group->size; ++i) {
         const int64_t value = ((const int64_t *)group->values)[i];
         const uint64_t unsigned_value = ((const uint64_t *)group->values)[i];
-        const int64_t most = (int64_t)LARGEST_EXACT;
-        if (group->carrier == COSIM_INT64 && (value > most || value < -most))
-            return false;
-        if (group->carrier == COSIM_UINT64 && unsigned_value > (uint64_t)most)
+        const bool is_signed = group->carrier == COSIM_INT64;
+        const double carried = is_signed ? (double)value : (double)unsigned_value;
+        if (carried > range[group->carrier][1])
+            return false; /* rounded up to what the type does not have */
+        if (is_signed ? (int64_t)carried != value : (uint64_t)carried != unsigned_value)
             return false;
     }
     return true;
