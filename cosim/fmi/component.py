@@ -237,13 +237,13 @@ def load(
             resources.callback(shared.give_back)
             if shared.keeps_values and shared.openings > 1:
                 shared = None  # its values would be those of the other instance, too
-        if shared is not None:
-            folder = shared.path
-        else:
+        if archive is None or shared is None:
             temporary = TemporaryFolder("fmu")
             resources.callback(temporary.remove)
             folder = temporary.path
             archive = _unpack(path, archive, folder)
+        else:
+            folder = shared.path
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)

@@ -428,8 +428,7 @@ def test_without_event_mode_no_clock_is_activated(opened):
     """Nor is one a port: in co-simulation clocks are active in event mode only."""
     fmu = opened("cs", "in", "out", can=("any step",))
     assert fmu.notes[0] == (
-        "clocked: its clocks are not activated, as it has no event mode (hasEventMode is false): "
-        "in, out"
+        "clocked: its clocks are not activated, as it has no event mode: in, out"
     )
     assert "in" not in [signal.name for signal in fmu.component.interface.inputs]
 

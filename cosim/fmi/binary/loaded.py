@@ -98,7 +98,8 @@ class LoadedInstance:
                 )
                 self.description = description.without("event_mode", interface_type)
                 specification = replace(specification, description=self.description)
-                self._instantiate(type(calls)(calls.library, specification), interface_type)
+                _, bind = VERSIONS[description.version[0]]
+                self._instantiate(bind(calls.library, specification), interface_type)
             if not calls.library.instance:
                 raise calls.library.load_error("it refuses to instantiate")
         self._freed = False
