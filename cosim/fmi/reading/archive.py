@@ -187,7 +187,7 @@ def _is_folder(entry: zipfile.ZipInfo) -> bool:
 
 def _name_problem(name: str) -> str | None:
     """Return what is wrong with the name of an entry."""
-    if re.match(r"[/\\]|[A-Za-z]:", name):
+    if any(re.match(r"[/\\]|[A-Za-z]:", path) for path in (name, _member(name))):
         return "an entry with an absolute path"
     if ".." in re.split(r"[/\\]", name):
         return "an entry that leads out of it"

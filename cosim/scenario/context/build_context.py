@@ -486,12 +486,11 @@ class ScenarioBuildContext:
         """Load an FMU; see :meth:`ScenarioFmus.component`.
 
         What a recording has as signals of their own is no vector: of different units, it once was
-        none. An input has the name that its connection or a recording has for it.
+        none. An input has the one of its names that is connected.
         """
-        recorded = self.recorded_signals(name)
         connected = [port for port in self._scenario.connections if port.component == name]
-        called = {*recorded, *(text for port in connected for text in (port.name, port.signal))}
-        options = replace(options, apart=recorded, called=called)
+        called = {text for port in connected for text in (port.name, port.signal)}
+        options = replace(options, apart=self.recorded_signals(name), called=called)
         return self.fmus.component(name, path, options)
 
     def add_states(self, name: str, component: ModelExchange) -> None:
