@@ -14,10 +14,8 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Vector
-
 StepNs: TypeAlias = int | Fraction  # of a whole number of nanoseconds an int
-Numbers = TypeVar("Numbers", int, NDArray[np.int64])
+PointNumbers = TypeVar("PointNumbers", int, NDArray[np.int64])
 
 NANOSECONDS = 1_000_000_000  # in a second
 LARGEST_DENOMINATOR = 1_000_000  # of a fraction that a double may have meant
@@ -87,7 +85,7 @@ def step_value(step_ns: StepNs) -> float | str:
 class Grid:
     """Points at equal distances: the stamp of a point, and the number of a stamp.
 
-    Numbers and stamps may be integers or arrays of them.
+    PointNumbers and stamps may be integers or arrays of them.
 
     >>> Grid(0, Fraction(50_000_000, 3)).stamp(2)  # 2/60 s
     33333333
@@ -103,7 +101,7 @@ class Grid:
     start_ns: int
     step_ns: StepNs
 
-    def stamp(self, number: Numbers) -> Numbers:
+    def stamp(self, number: PointNumbers) -> PointNumbers:
         """Return the whole nanosecond next to a point."""
         step_ns = self.step_ns
         if isinstance(step_ns, int):
@@ -112,14 +110,14 @@ class Grid:
         multiple = self._first + number
         return (2 * numerator * multiple + denominator) // (2 * denominator)
 
-    def number(self, stamp: Numbers) -> Numbers:
+    def number(self, stamp: PointNumbers) -> PointNumbers:
         """Return the last point whose stamp is not after this one."""
         step_ns = self.step_ns
         if isinstance(step_ns, int):
             return (stamp - self.start_ns) // step_ns
         return _multiple(stamp, step_ns) - self._first
 
-    def time(self, numbers: NDArray[np.int64]) -> Vector:
+    def time(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the doubles next to points [s]."""
         if isinstance(self.step_ns, int):
             return self.stamp(numbers) / NANOSECONDS
@@ -133,7 +131,7 @@ class Grid:
         return _multiple(self.start_ns, self.step_ns)
 
 
-def _multiple(stamp: Numbers, step_ns: Fraction) -> Numbers:
+def _multiple(stamp: PointNumbers, step_ns: Fraction) -> PointNumbers:
     """Return the last multiple of a fraction whose stamp is not after this one."""
     numerator, denominator = step_ns.as_integer_ratio()
     return ((2 * stamp + 1) * denominator - 1) // (2 * numerator)

@@ -62,7 +62,7 @@ def _interval(value: object) -> object:
     return Fraction(int(numbers["numerator"]), int(numbers["denominator"]))
 
 
-Interval = Annotated[Number | InstanceOf[Fraction], BeforeValidator(_interval)]
+StepTime = Annotated[Number | InstanceOf[Fraction], BeforeValidator(_interval)]
 
 
 def _pole(value: object) -> complex:
@@ -162,7 +162,7 @@ class Settings(TomlTable):
     name: Name = Field(description="name of the scenario and of its logs")
     start_time: Number = Field(0.0, description="start of the run [s], >= 0")
     stop: Number = Field(description="end of the run [s]")
-    step: Interval = Field(description='communication step [s], or a fraction such as "1/60"')
+    step: StepTime = Field(description='communication step [s], or a fraction such as "1/60"')
     coupling: Literal["gauss-seidel", "jacobi", "newton"] = Field(
         "gauss-seidel",
         description='coupling of loops: "gauss-seidel", "jacobi", or "newton" (solves for the '

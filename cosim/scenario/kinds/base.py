@@ -20,7 +20,7 @@ from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit, Signal
 from cosim.instants import StepNs
-from cosim.scenario.document.schema import AnyUnit, Interval, TomlTable
+from cosim.scenario.document.schema import AnyUnit, StepTime, TomlTable
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.theory.plants.descriptor import DescriptorSystem
@@ -558,7 +558,7 @@ class Kind(TomlTable):
 class PeriodicKind(Kind):
     """A component that may have a sample period of its own, ``period``."""
 
-    period: Interval | None = Field(
+    period: StepTime | None = Field(
         None,
         description="sample period [s], a multiple of the communication step; default: one step",
     )

@@ -21,7 +21,7 @@ from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.instants import StepNs, step_part, step_seconds
 from cosim.native.numerics.linear import first_order_hold
-from cosim.scenario.document.schema import Interval, Number, NumberRow, NumberRows, matrix
+from cosim.scenario.document.schema import Number, NumberRow, NumberRows, StepTime, matrix
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -35,7 +35,7 @@ from cosim.scenario.kinds.base import (
 class SampledKind(PeriodicKind):
     """A controller that samples its inputs and holds them over its period, if it has one."""
 
-    period: Interval | None = Field(
+    period: StepTime | None = Field(
         None,
         description="sample period [s], a multiple of the communication step; default: continuous",
     )
@@ -161,7 +161,7 @@ class DiscreteStateSpaceKind(SampledKind, ExportableKind):
 
     ports: ClassVar[str] = "u -> y, x"
     kind: Literal["discrete-state-space"]
-    period: Interval = Field(description="sample period [s], a multiple of the communication step")
+    period: StepTime = Field(description="sample period [s], a multiple of the communication step")
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")
     C: NumberRows = Field(description="matrix (outputs, n)")

@@ -28,7 +28,7 @@ from cosim.core.signals import PortUnit
 from cosim.errors import AssumptionError, UsageError
 from cosim.instants import StepNs
 from cosim.native.estimation.rayleigh import MOST_TERMS
-from cosim.scenario.document.schema import Flag, Interval, Limit, Number, NumberRow, NumberRows
+from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, NumberRows, StepTime
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
@@ -85,7 +85,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         "to compute it (default: 1e-3 each); output-error takes its initial values from mu from "
         "T_id on, but uses y from the first sample on",
     )
-    period: Interval | None = Field(
+    period: StepTime | None = Field(
         None,
         description="period of the estimates of theta [s], a multiple of the communication step; "
         "all samples count; default: one step",

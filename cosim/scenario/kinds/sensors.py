@@ -15,7 +15,7 @@ from cosim.core.contracts import Component
 from cosim.core.signals import samples_of
 from cosim.errors import UsageError
 from cosim.instants import StepNs
-from cosim.scenario.document.schema import Flag, Interval, Number, NumberRow, Size, Whole
+from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, StepTime, Whole
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
 
 EACH = ", one number or one per element"
@@ -63,7 +63,7 @@ class SensorKind(PeriodicKind):
         description="seed of noise, jitter and dropouts, required with any of them; sensors with "
         "equal seeds have equal random numbers",
     )
-    period: Interval | None = Field(
+    period: StepTime | None = Field(
         None,
         description="sample period [s], a multiple of the communication step, with zero-order hold "
         "of y; default: one step, y interpolated like u. With period, dropout or time_stamps the "
