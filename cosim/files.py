@@ -21,7 +21,13 @@ _ENDINGS: Final[dict[str, FileType]] = {
     ".fmu": "FMU",
     ".toml": "scenario",
     ".csv": "table",
+    ".tsv": "table",
+    ".txt": "table",
+    ".dat": "table",
     ".parquet": "table",
+    ".xlsx": "table",
+    ".xlsm": "table",
+    ".mat": "table",
 }
 # Opening a pipe waits for its other end; on Windows there are none among the files.
 _NO_WAITING: Final = getattr(os, "O_NONBLOCK", 0)

@@ -56,11 +56,24 @@ class FieldSignal:
         One for all elements, or one for each; None: not declared.
     values : Matrix, shape (N, size)
         NaN: not measured.
+    columns : tuple of str
+        What its elements are in the file, or one name for all of them.
     """
 
     name: str
     unit: str | tuple[str, ...] | None
     values: Matrix
+    columns: tuple[str, ...] = ()
+
+    @property
+    def element_labels(self) -> list[str]:
+        """How messages name its elements: with their columns, where these have other names."""
+        size = self.values.shape[1]
+        columns = self.columns if len(self.columns) == size else self.columns[:1] * size
+        labels = []
+        for column in columns or (self.name,) * size:
+            labels.append(repr(self.name) if column == self.name else f"{self.name!r} ({column})")
+        return labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +93,12 @@ class FieldData:
         The time in the file that is t = 0 [ns]; None: its times are no whole ns.
     discrete : tuple of str
         Signals that are known to have nothing between two samples.
+    end : float or None
+        When the recording ends [s]; None: at its last time.
+    restart : (float, str) or None
+        Where the largest gap begins [s], and the offset by which t = 0 is behind it.
+    reading : tuple of (str, str, str, str)
+        What was found in the file: what, as what, why, and the key that says it otherwise.
     """
 
     source: str
@@ -88,6 +107,9 @@ class FieldData:
     diagnostics: tuple[str, ...] = ()
     zero_ns: int | None = None
     discrete: tuple[str, ...] = ()
+    end: float | None = None
+    restart: tuple[float, str] | None = None
+    reading: tuple[tuple[str, str, str, str], ...] = ()
 
     def __getitem__(self, name: str) -> Matrix:
         """Return the samples of a signal, shape (N, size); NaN: not measured.

@@ -38,7 +38,7 @@ AlternativesOption = Annotated[
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
         help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs, a recorded log "
-        "(.mcap) or time-stamped samples (.csv, .parquet). Repeatable.",
+        "(.mcap) or time-stamped samples (.csv, .xlsx, ...). Repeatable.",
     ),
 ]
 

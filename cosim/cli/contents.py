@@ -26,7 +26,7 @@ def info(
         str,
         typer.Argument(
             metavar="LOG|FMU|SCENARIO",
-            help="A log (.mcap, also of other tools), an FMU (.fmu), samples (.csv, .parquet) or"
+            help="A log (.mcap, also of other tools), an FMU (.fmu), samples (.csv, .xlsx, ...) or"
             " a scenario.",
             autocompletion=completion.complete_source,
         ),

@@ -50,7 +50,7 @@ SwapOption = Annotated[
         metavar=PAIRS["swap"],
         autocompletion=completion.complete_swap,
         help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded "
-        "component (.mcap) or time-stamped samples (.csv, .parquet, .mcap of other "
+        "component (.mcap) or time-stamped samples (.csv, .xlsx, ..., .mcap of other "
         "tools). Repeatable.",
     ),
 ]

@@ -175,7 +175,7 @@ class Scenario:
         return self.parse(document)
 
     def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
-        """Replace components: by an FMU (.fmu), a recorded one (.mcap), samples (.csv, .parquet).
+        """Replace components: by an FMU (.fmu), a recorded one (.mcap), samples (.csv, ...).
 
         ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
         :mod:`cosim.scenario.document.swap`.

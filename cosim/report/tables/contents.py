@@ -26,7 +26,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
     path = path_argument("source", source)
     if path.is_dir():
         raise UsageError(
-            f"{source}: expected a log (.mcap), an FMU (.fmu), samples (.csv, .parquet) or a "
+            f"{source}: expected a log (.mcap), an FMU (.fmu), samples (.csv, .xlsx, ...) or a "
             "scenario, got a folder"
         )
     source_type = file_type(path)

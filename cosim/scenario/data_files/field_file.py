@@ -1,8 +1,8 @@
-"""Field data: samples with times of their own, from CSV, Parquet and MCAP files.
+"""Field data: samples with times of their own, from tables and MCAP files.
 
-The first line of a CSV file, or the names of the columns of a Parquet file, say what the columns
-are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``, ``x_a[1]``; a field of a Parquet file may
-have its unit in its metadata, too. The times are the index that pandas wrote, where its name or
+The names of the columns say what these are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``,
+``x_a[1]``; :mod:`~cosim.scenario.data_files.tables` says where the names and further units stand.
+The times are the index that pandas wrote, where its name or
 type is that of times; else the column of a name such as ``t``, ``time`` or ``Timestamp``, else the
 one in a unit of time, else the one of time stamps; else the index or the first one, which is said.
 Times are numbers, dates (ISO 8601) or durations as pandas writes them (``0 days 00:00:00.02``). An
@@ -15,51 +15,39 @@ A message tells where a file is wrong, and of what stands there only the times.
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
-from datetime import UTC, datetime
+from collections.abc import Collection, Mapping, Sequence
 from decimal import Decimal
-from itertools import chain
+from itertools import chain, groupby, pairwise
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final, Literal, Protocol, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from cosim.arrays import NAN
+from cosim.arrays import Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, warn
-from cosim.files import read_bounded
-from cosim.instants import NANOSECONDS
-from cosim.scenario.data_files.csv_file import (
-    LARGEST,
-    MOST_COLUMNS,
-    NO_UNIT,
+from cosim.scenario.data_files.headers import (
     Header,
     find_headers,
-    is_number,
-    read_lines,
     second_of,
     unit_of,
 )
 from cosim.scenario.data_files.recorded_fields import (
     MCAP,
     check_asked,
+    offset_text,
     read_samples,
     recorded_data,
+    without_codes,
 )
+from cosim.scenario.data_files.tables import Reading, Table, TableForm, read_table
 
 TimeOffset: TypeAlias = float | Literal["first"]
+SameTime: TypeAlias = Literal["last", "spread"]
 
-PARQUET: Final = ".parquet"
-_SEPARATORS: Final = ("\t", ";", "|", ",")
-_BYTES: Final = 8  # of a number
+SPREAD: Final = "spread"
 
 
 def read_field_data(
@@ -70,14 +58,19 @@ def read_field_data(
     offset: TimeOffset | None = None,
     columns: Mapping[str, str | Sequence[str]] | None = None,
     separator: str | None = None,
-    decimal: str = ".",
+    decimal: str | None = None,
+    skip: int | None = None,
+    comment: str | None = None,
+    missing: Sequence[float | str] = (),
+    sheet: str | None = None,
+    same_time: SameTime | None = None,
 ) -> FieldData:
-    """Read samples with times of their own from a CSV or Parquet file, or an MCAP of another tool.
+    """Read samples with times of their own from a table, or an MCAP of another tool.
 
     Parameters
     ----------
     path : str or Path
-        Of a file whose name ends in .parquet or .mcap, or of a CSV file.
+        Of a file whose name ends in .parquet, .xlsx, .mat or .mcap, or of a text, such as CSV.
     time : str, optional
         Name of the column of the times; by default the index that pandas wrote, if it is of times,
         the column that is named as times are (``t``, ``time``, ``timestamp``, ``date``, ...), has a
@@ -86,23 +79,41 @@ def read_field_data(
         "header.stamp".
     time_unit : str, optional
         Unit of the times; by default the one in the name of their column, or s.
-    offset : float or "first", optional
-        The time stamp, as the file has it, that is t = 0; of an MCAP in ``time_unit``. "first":
-        the first one, of an MCAP the first by which every field has a sample. By default 0, of an
-        MCAP "first".
+    offset : float, int or "first", optional
+        The time stamp, as the file has it, that is t = 0; of dates in ns since 1970, of an MCAP in
+        ``time_unit``. An integer is exact. "first": the first one, of an MCAP the first by which
+        every field has a sample. By default 0, of an MCAP "first".
     columns : mapping of signal to the name of a column, or names of several, optional
         By default every other column is a signal of its name, and ``x[0]``, ``x[1]``, ... are the
         elements of ``x``. Of an MCAP the fields, such as ``/drive/state.position``; needed there.
-    separator : str, optional
-        Between the columns of a CSV file; by default what the first line has: tabs, semicolons,
-        bars or commas.
-    decimal : str
-        The decimal sign of a CSV file, "." or ",".
+    separator, decimal : str, optional
+        Between the columns of a text, and the decimal sign, "." or ","; by default as found.
+    skip : int, optional
+        Lines, or rows of a sheet, before the names of the columns; by default they are found, above
+        the first row of numbers.
+    comment : str, optional
+        What a line begins with that is left out; by default "#".
+    missing : sequence of numbers and texts
+        That stand for no measured value, such as ``[-9999, "NA"]``, beside empty cells and NaN.
+    sheet : str, optional
+        Of a workbook with several.
+    same_time : "last" or "spread", optional
+        Of samples with one time stamp the last one counts, or they are spread evenly up to the next
+        time stamp; the first and the last group may be cut off, and take the distance of their
+        neighbor. By default they are refused; in a trajectory of Dymola the last one counts.
 
     Raises
     ------
     UsageError
         If the file cannot be read, is no such table, or has times that do not ascend.
+
+    Examples
+    --------
+    >>> with open("level.csv", "w") as file:
+    ...     _ = file.write("# tank 3\nt;level\ns;mm\n0,0;1,5\n0,5;-9999\n1,0;2,5\n")
+    >>> data = read_field_data("level.csv", missing=[-9999])
+    >>> data["level"][:, 0].tolist()
+    [1.5, nan, 2.5]
     """
     data = field_data(
         path,
@@ -110,8 +121,8 @@ def read_field_data(
         time_unit=time_unit,
         offset=offset,
         columns=columns,
-        separator=separator,
-        decimal=decimal,
+        same_time=same_time,
+        form=TableForm(separator, decimal, skip, comment, tuple(missing), sheet),
     )
     warn(data.diagnostics)
     return data
@@ -124,55 +135,48 @@ def field_data(
     time_unit: str | None = None,
     offset: TimeOffset | None = None,
     columns: Mapping[str, str | Sequence[str]] | None = None,
-    separator: str | None = None,
-    decimal: str = ".",
+    same_time: SameTime | None = None,
+    form: TableForm | None = None,
 ) -> FieldData:
     """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics."""
     path = Path(path)
+    form = form or TableForm()
     if isinstance(offset, int | float) and not math.isfinite(offset):
         raise UsageError(f'offset: expected a finite number or "first", got {offset}')
     if path.suffix.lower() == MCAP:
-        return _read_recorded(path, time, time_unit, offset=offset, columns=columns or {})
-    table: _FieldTable
-    if path.suffix.lower() == PARQUET:
-        table = _ParquetTable(path)
-    else:
-        table = _CsvTable(path, separator, decimal)
+        fields = listed_columns(columns or {})
+        check_asked(path, fields)
+        samples = read_samples(
+            path, chain.from_iterable(fields.values()), time=time, time_unit=time_unit
+        )
+        return recorded_data(
+            path, fields, samples, offset=offset, time_unit=time_unit, missing=form.missing
+        )
+    table = read_table(path, form)
     headers = _Headers(table)
     if time is None:
         clock = headers.clock()
     else:
         (clock,) = find_headers(table.label, headers.all, [time])
     chosen = headers.signals(clock, columns)
-    stamps = _TimeStamps(table, offset or 0.0, _seconds(table, clock, time_unit))
-    values: dict[int, list[float]] = {}
-    for parts in chosen.values():
-        for part in parts:
-            values[part.position] = []
-    table.read(clock, stamps, values)
-    if not stamps.t:
-        raise UsageError(f"{table.label}: expected rows of numbers, got none")
+    stamps = _Stamps(
+        table, clock, offset=offset, time_unit=time_unit, same_time=same_time or table.same_time
+    )
     signals = []
     for name, parts in chosen.items():
-        stacked = np.array([values[part.position] for part in parts]).T
-        signals.append(FieldSignal(name, unit_of(table.label, name, parts), stacked))
+        stacked = np.stack([table.values(part.position) for part in parts], axis=1)[stamps.rows]
+        stacked = without_codes(stacked, form.missing)
+        unit = unit_of(table.label, name, parts)
+        signals.append(FieldSignal(name, unit, stacked, tuple(part.text for part in parts)))
     notes = () if time is not None else headers.notes(clock, time_unit or "s")
-    return FieldData(table.label, np.array(stamps.t), tuple(signals), notes)
-
-
-def _read_recorded(
-    path: Path,
-    time: str | None,
-    time_unit: str | None,
-    *,
-    offset: TimeOffset | None,
-    columns: Mapping[str, str | Sequence[str]],
-) -> FieldData:
-    fields = listed_columns(columns)
-    check_asked(path, fields)
-    names = chain.from_iterable(fields.values())
-    samples = read_samples(path, names, time=time, time_unit=time_unit)
-    return recorded_data(path, fields, samples, offset=offset, time_unit=time_unit)
+    return FieldData(
+        table.label,
+        stamps.t,
+        tuple(signals),
+        (*notes, *stamps.notes),
+        restart=stamps.restart,
+        reading=(*table.reading, *headers.reading(clock, time), *stamps.reading),
+    )
 
 
 def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list[str]]:
@@ -197,36 +201,13 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
 class _Headers:
     """The columns of a table that have a name."""
 
-    def __init__(self, table: _FieldTable) -> None:
+    def __init__(self, table: Table) -> None:
         self._label = table.label
         self._table = table
-        self.all: list[Header] = []
-        self._unnamed: list[Header] = []
-        for position, text in enumerate(table.names):
-            header = Header.parse(text, position)
-            if header.text:
-                self.all.append(self._with_unit(header, table.units.get(position)))
-            elif position in table.index:
-                self._unnamed.append(header)
-        if len(self._unnamed + self.all) < 2:
-            raise UsageError(
-                f"{table.label}: expected at least two named columns (times and samples), got "
-                f"{len(self.all)}{table.hint}"
-            )
-        if all(is_number(header.name) for header in self.all):
-            raise UsageError(f"{table.label}: expected column names in line 1, got numbers")
-
-    def _with_unit(self, header: Header, declared: str | None) -> Header:
-        """Return a column with the unit that is declared beside its name."""
-        if declared is None:
-            return header
-        unit = "1" if declared in NO_UNIT else declared
-        if header.unit not in (None, unit):
-            raise UsageError(
-                f"{self._label}, column {header.text!r}: expected one unit, got "
-                f"{header.unit!r} in its name and {unit!r} in its metadata"
-            )
-        return replace(header, unit=unit)
+        self.all = [header for header in table.headers if header.text]
+        self._unnamed = [
+            header for header in table.headers if not header.text and header.position in table.index
+        ]
 
     def clock(self) -> Header:
         """Return the column of the times, where none is selected.
@@ -273,6 +254,16 @@ class _Headers:
             "another",
         )
 
+    def reading(self, clock: Header, time: str | None) -> list[Reading]:
+        """Return which column has the times, and why."""
+        reason = "given"
+        if time is None:
+            reason = "no column says that it has times"
+            if self._candidates():
+                is_named = clock.times is not None or clock.time_unit is not None
+                reason = "says so by its name or unit" if is_named else "has dates or durations"
+        return [Reading("times", repr(clock.name) if clock.name else "index", reason, "time")]
+
     def signals(
         self, clock: Header, columns: Mapping[str, str | Sequence[str]] | None
     ) -> dict[str, list[Header]]:
@@ -296,9 +287,83 @@ class _Headers:
 # --- times ---
 
 
-def _seconds(table: _FieldTable, clock: Header, unit: str | None) -> Decimal:
+class _Stamps:
+    """The times of the rows that count.
+
+    ``t`` [s] ascends, ``rows`` are those rows, ``restart`` where the largest gap begins [s] and the
+    offset by which t = 0 is behind it.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        clock: Header,
+        *,
+        offset: TimeOffset | None,
+        time_unit: str | None,
+        same_time: str | None,
+    ) -> None:
+        second = _second(table, clock, time_unit)
+        stamps = table.times(clock.position)
+        if not stamps:
+            raise UsageError(f"{table.label}: expected rows of numbers, got none")
+        for row, stamp in enumerate(stamps):
+            if not stamp.is_finite():
+                raise UsageError(
+                    f"{table.label}, {table.place(row)}: expected a finite time, got "
+                    f"{float(stamp)!r} s"
+                )
+        self.notes: tuple[str, ...] = ()
+        repeated = sum(after == before for before, after in pairwise(stamps))
+        self.rows = np.arange(len(stamps))
+        if repeated and same_time == SPREAD:
+            stamps = _spread(table.label, stamps)
+        elif repeated and same_time is not None:
+            is_last = [after != before for before, after in pairwise(stamps)]
+            self.rows = np.flatnonzero([*is_last, True])
+            stamps = [stamps[row] for row in self.rows]
+            self.notes = (
+                f"{table.label}: {repeated} of {len(stamps) + repeated} rows dropped: a later one "
+                "has the same time",
+            )
+        zero = stamps[0] if offset == "first" else Decimal(repr(offset or 0))
+        seconds = [float((stamp - zero) * second) for stamp in stamps]
+        for row, t in enumerate(seconds):
+            if not math.isfinite(t):
+                raise UsageError(
+                    f"{table.label}, {table.place(row)}: expected a finite time, got {t!r} s"
+                )
+            if row and not t > seconds[row - 1]:
+                way_out = "select another column by time"
+                if t == seconds[row - 1]:
+                    way_out += (
+                        ', or samples of one time stamp by same_time: "spread" spreads them '
+                        'evenly up to the next one, "last" takes the last'
+                    )
+                raise UsageError(
+                    f"{table.label}, {table.place(row)}: expected increasing times, got {t!r} s "
+                    f"after {seconds[row - 1]!r} s in {table.place(row - 1)}; {way_out}"
+                )
+        self.t: Vector = np.array(seconds)
+        self.restart: tuple[float, str] | None = None
+        if len(stamps) > 1:
+            gap = int(np.argmax(np.diff(self.t)))
+            self.restart = (seconds[gap], offset_text(stamps[gap + 1]))
+        unit = table.stamp_unit(clock.position) or time_unit or clock.time_unit or "s"
+        reason = "given" if time_unit is not None else "of its name, its type or s"
+        origin = "the first time stamp" if offset == "first" else str(offset or 0)
+        self.reading = [
+            Reading("time unit", unit, reason, "time_unit"),
+            Reading("t = 0", origin, "the default" if offset is None else "given", "offset"),
+        ]
+        if repeated:
+            found = f"{repeated} rows have the time of the one before"
+            self.reading.append(Reading("same time", found, str(same_time), "same_time"))
+
+
+def _second(table: Table, clock: Header, unit: str | None) -> Decimal:
     """Return the unit of the times in s."""
-    own = table.stamp_unit(clock)
+    own = table.stamp_unit(clock.position)
     if own is not None and unit is not None:
         raise UsageError(
             f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is {unit!r}, "
@@ -308,321 +373,29 @@ def _seconds(table: _FieldTable, clock: Header, unit: str | None) -> Decimal:
     return second_of(table.label, clock, own or unit, way_out)
 
 
-class _TimeStamps:
-    """Turns time stamps to seconds, one after the other."""
+def _spread(label: str, stamps: Sequence[Decimal]) -> list[Decimal]:
+    """Return time stamps of which equal ones are spread evenly up to the next other one.
 
-    def __init__(self, table: _FieldTable, offset: TimeOffset, seconds: Decimal) -> None:
-        self.t: list[float] = []
-        self._label = table.label
-        self._offset = None if offset == "first" else Decimal(repr(offset))
-        self._seconds = seconds
-        self._last = ""
-
-    def add(self, stamp: Decimal, place: str) -> None:
-        """Take the next time stamp."""
-        t = float(stamp)
-        if math.isfinite(t):
-            if self._offset is None:
-                self._offset = stamp
-            t = float((stamp - self._offset) * self._seconds)
-        if not math.isfinite(t):
-            raise UsageError(f"{self._label}, {place}: expected a finite time, got {t!r} s")
-        if self.t and not t > self.t[-1]:
-            raise UsageError(
-                f"{self._label}, {place}: expected increasing times, got {t!r} s after "
-                f"{self.t[-1]!r} s in {self._last}; select another column by time"
-            )
-        self.t.append(t)
-        self._last = place
-
-
-_DURATION: Final = re.compile(
-    r"(?:(?P<days>-?\d{1,9}) days?)?\s*(?:\+?(?P<h>\d{1,9}):(?P<min>\d\d):(?P<s>\d\d(?:\.\d+)?))?"
-)
-_DATE: Final = re.compile(
-    r"(?P<day>\d{4}-\d\d-\d\d)(?:[T ](?P<time>\d\d:\d\d(?::\d\d)?)(?P<fraction>\.\d+)?"
-    r"(?P<zone>Z|[+-]\d\d:?\d\d)?)?"
-)
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-
-
-def _nanoseconds(text: str) -> Decimal | None:
-    """Return a duration, or a date since 1970, in ns; None: it is neither."""
-    date = _DATE.fullmatch(text)
-    if date is not None:
-        try:
-            day = datetime.fromisoformat(
-                f"{date['day']}T{date['time'] or '00:00'}{date['zone'] or 'Z'}"
-            )
-        except ValueError:
-            return None
-        since = day - _EPOCH
-        seconds = 86400 * since.days + since.seconds + Decimal(date["fraction"] or 0)
-        return seconds * NANOSECONDS
-    duration = _DURATION.fullmatch(text)
-    if duration is None or not text:
-        return None
-    hours = 24 * int(duration["days"] or 0) + int(duration["h"] or 0)
-    minutes = 60 * hours + int(duration["min"] or 0)
-    return (60 * minutes + Decimal(duration["s"] or 0)) * NANOSECONDS
-
-
-# --- files ---
-
-
-class _FieldTable(Protocol):
-    """A table in a file: ``label`` names it in messages, ``hint`` says how it was split.
-
-    ``units`` are those that are declared beside the names of columns, ``index`` has the columns
-    that were the index of a frame, ``stamps`` those whose type is that of dates or durations.
+    The recording may begin and end between two of them: fewer samples than their neighbors have
+    are as far apart as these.
     """
-
-    label: str
-    names: Sequence[str]
-    hint: str
-    units: Mapping[int, str]
-    index: Collection[int]
-    stamps: Collection[int]
-    numbers: Collection[int]
-
-    def stamp_unit(self, clock: Header) -> str | None:
-        """Return the unit of dates or durations; None: the times are numbers."""
-        ...
-
-    def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
-        """Read times, and the columns that ``values`` has by their positions."""
-        ...
-
-
-class _CsvTable:
-    """A CSV file."""
-
-    units: Mapping[int, str] = MappingProxyType({})
-
-    def __init__(self, path: Path, separator: str | None, decimal: str) -> None:
-        self.label = f"file {str(path)!r}"
-        if decimal not in (".", ","):
-            raise UsageError(f'decimal: expected "." or ",", got {decimal!r}')
-        self._lines = read_lines(path, repr(str(path)))
-        self._separator = self._likely_separator() if separator is None else separator
-        if len(self._separator) != 1 or self._separator in f'{decimal}"\r\n' + "0123456789":
-            raise UsageError(
-                f"separator: expected one character other than the decimal separator {decimal!r}, "
-                f"got {self._separator!r}"
-            )
-        self._decimal = decimal
-        rows = self._rows()
-        self.names: Sequence[str] = next(rows, ("", []))[1]
-        self.hint = f" (separated by {self._separator!r})" if any(self.names) else ""
-        if len(self.names) > MOST_COLUMNS:
-            raise UsageError(
-                f"{self.label}: expected at most {MOST_COLUMNS} columns, got {len(self.names)}"
-            )
-        # pandas writes an index without a name so
-        self.index: Collection[int] = [0] if self.names and not self.names[0].strip() else []
-        _, cells = next(rows, ("", []))
-        self.stamps: Collection[int] = set()
-        self.numbers: Collection[int] = set()
-        for position, cell in enumerate(cells):
-            if is_number(cell.strip().replace(",", ".")):
-                self.numbers.add(position)
-            elif _nanoseconds(cell.strip()) is not None:
-                self.stamps.add(position)
-
-    def _likely_separator(self) -> str:
-        """Return the separator in the first line that says something, outside of quotes."""
-        header = next((line for line in self._lines if line.strip()), "")
-        plain = re.sub('"[^"]*"', "", header)
-        return next((separator for separator in _SEPARATORS if separator in plain), ",")
-
-    def _rows(self) -> Iterator[tuple[str, list[str]]]:
-        """Yield where each row stands, and its cells; empty lines are left out."""
-        rows = csv.reader(self._lines, delimiter=self._separator, strict=True)
-        number = 0
-        while True:
-            try:
-                cells = next(rows, None)
-            except csv.Error:
-                raise UsageError(f"{self.label}: line {number + 1} cannot be split") from None
-            if cells is None:
-                return
-            if rows.line_num > number + 1:
-                raise UsageError(
-                    f"{self.label}: a cell spans several lines, from line {number + 1}"
-                )
-            number = rows.line_num
-            if any(cell.strip() for cell in cells):
-                yield f"line {number}", cells
-
-    def stamp_unit(self, clock: Header) -> str | None:
-        return "ns" if clock.position in self.stamps else None
-
-    def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
-        has_stamps = self.stamp_unit(clock) is not None
-        rows = self._rows()
-        next(rows)
-        for place, cells in rows:
-            if len(cells) != len(self.names):
-                raise UsageError(
-                    f"{self.label}, {place}: expected {len(self.names)} cells, got {len(cells)}"
-                )
-            stamps.add(self._stamp(cells, clock.position, place, has_stamps=has_stamps), place)
-            for position, column in values.items():
-                column.append(self._measured(cells, position, place))
-
-    def _stamp(
-        self, cells: Sequence[str], position: int, place: str, *, has_stamps: bool
-    ) -> Decimal:
-        """Return a time: a number, or the nanoseconds of a date or duration."""
-        text = cells[position].strip()
-        if has_stamps and text:
-            nanoseconds = _nanoseconds(text)
-            if nanoseconds is None:
-                raise UsageError(
-                    f"{self._at(position, place)}: expected a date or duration as in the rows "
-                    "before, got other text"
-                )
-            return nanoseconds
-        number = self._number(cells, position, place)
-        if not number:
-            raise UsageError(f"{self._at(position, place)}: expected a time, got an empty cell")
-        return Decimal(number)
-
-    def _measured(self, cells: Sequence[str], position: int, place: str) -> float:
-        number = self._number(cells, position, place)
-        value = float(number) if number else NAN
-        if math.isinf(value):
-            raise UsageError(f"{self._at(position, place)}: expected a finite number, got {value}")
-        return value
-
-    def _number(self, cells: Sequence[str], position: int, place: str) -> str:
-        """Return a number as Python writes it; empty: nothing was measured."""
-        text = cells[position].strip()
-        other = "," if self._decimal == "." else "."
-        number = text.replace(",", ".")
-        if number and is_number(number) and other not in text:
-            return "" if math.isnan(float(number)) else number
-        if text:
-            way_out = ""
-            if is_number(number):
-                way_out = f'; the decimal separator is {self._decimal!r}, see decimal = "{other}"'
-            raise UsageError(
-                f"{self._at(position, place)}: expected a number or an empty cell, got text"
-                f"{way_out}"
-            )
-        return ""
-
-    def _at(self, position: int, place: str) -> str:
-        return f"{self.label}, {place}, column {position + 1} ({self.names[position].strip()!r})"
-
-
-class _ParquetTable:
-    """A Parquet file."""
-
-    def __init__(self, path: Path) -> None:
-        self.label = f"file {str(path)!r}"
-        self.hint = ""
-        try:
-            import pyarrow
-            import pyarrow.parquet
-        except ImportError as error:
-            raise UsageError(
-                f"{self.label}: reading Parquet requires pyarrow: pip install 'cosim[parquet]', "
-                "or save the table as CSV"
-            ) from error
-        self._arrow = pyarrow
-        try:
-            content = read_bounded(path, LARGEST)
-        except OSError as error:
-            raise UsageError(f"{self.label} cannot be read: {error.strerror}") from error
-        with self._only_parquet():
-            self._file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
-            self._schema = self._file.schema_arrow
-            self.names: Sequence[str] = self._schema.names
-            rows = self._file.metadata.num_rows
-        self.units: Mapping[int, str] = self._declared_units()
-        types = pyarrow.types
-        self.stamps: Collection[int] = set()
-        self.numbers: Collection[int] = set()
-        for position, column in enumerate(self._schema.types):
-            if types.is_timestamp(column) or types.is_duration(column):
-                self.stamps.add(position)
-            elif types.is_integer(column) or types.is_floating(column):
-                self.numbers.add(position)
-        entries = self._pandas_index()
-        index = [position for position, name in enumerate(self.names) if name in entries]
-        # pandas keeps an index of evenly spaced integers, row numbers or others, only there
-        self._ranges = {}
-        for entry in entries:
-            if isinstance(entry, dict) and isinstance(entry.get("name"), str):
-                with suppress(KeyError, TypeError, ValueError, OverflowError):  # of another tool
-                    numbers = range(entry["start"], entry["stop"], entry["step"])
-                    header = Header.parse(entry["name"], 0)
-                    named = header.times is not None or header.time_unit is not None
-                    if len(numbers) == rows and (named or numbers.step > 1):
-                        self._ranges[len(self.names)] = numbers
-                        self.names = [*self.names, entry["name"]]
-        self.index: Collection[int] = [*index, *self._ranges]
-        if rows * max(1, len(self.names)) * _BYTES > LARGEST:
-            raise UsageError(
-                f"{self.label}: expected at most {LARGEST // _BYTES} numbers, got {rows} rows of "
-                f"{len(self.names)} columns"
-            )
-
-    @contextmanager
-    def _only_parquet(self) -> Iterator[None]:
-        try:
-            yield
-        except (self._arrow.ArrowException, OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"{self.label}: not a valid Parquet file") from error
-
-    def _pandas_index(self) -> list[Any]:
-        """Return what pandas wrote of the index: names of columns, and what makes a range."""
-        written = (self._schema.metadata or {}).get(b"pandas", b"null")
-        try:
-            return list(json.loads(written)["index_columns"])
-        except (ValueError, KeyError, TypeError, RecursionError):
-            return []  # of another tool
-
-    def _declared_units(self) -> dict[int, str]:
-        units = {}
-        for position, field in enumerate(self._schema):
-            unit = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace").strip()
-            if unit:
-                units[position] = unit
-        return units
-
-    def stamp_unit(self, clock: Header) -> str | None:
-        if clock.position not in self.stamps:
-            return None
-        return str(self._schema.field(clock.position).type.unit)
-
-    def read(self, clock: Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
-        for row, stamp in enumerate(self._column(clock.position, is_time=True), start=1):
-            if stamp is None or stamp != stamp:
-                raise UsageError(f"{self.label}, row {row}: expected a time, got none")
-            stamps.add(Decimal(repr(stamp)), f"row {row}")
-        for position, column in values.items():
-            for row, value in enumerate(self._column(position), start=1):
-                number = NAN if value is None or value != value else float(value)
-                if math.isinf(number):
-                    raise UsageError(
-                        f"{self.label}, row {row}, column {self.names[position]!r}: expected a "
-                        f"finite number, got {number}"
-                    )
-                column.append(number)
-
-    def _column(self, position: int, *, is_time: bool = False) -> list[Any]:
-        """Return the numbers of a column, None where there is none."""
-        if position in self._ranges:
-            return list(self._ranges[position])
-        is_stamp = is_time and position in self.stamps
-        if not is_stamp and position not in self.numbers:
-            raise UsageError(
-                f"{self.label}: column {self.names[position]!r}: expected numbers, got type "
-                f"{self._schema.field(position).type}"
-            )
-        with self._only_parquet():
-            column = self._file.read(columns=[self.names[position]]).column(0)
-            numbers: list[Any] = (column.cast("int64") if is_stamp else column).to_pylist()
-        return numbers
+    groups = [(stamp, len(list(group))) for stamp, group in groupby(stamps)]
+    if len(groups) < 2:
+        raise UsageError(f"{label}: expected at least two different time stamps, got one")
+    distances = []
+    for (stamp, count), (after, _) in pairwise(groups):
+        distances.append((after - stamp) / count)
+    first_count = groups[0][1]
+    begin, end = groups[0][0], groups[1][0]
+    if len(groups) > 2 and first_count < groups[1][1]:
+        distances[0] = min(distances[0], distances[1])
+        begin = end - first_count * distances[0]
+    last_distance = distances[-1]
+    if groups[-1][1] > groups[-2][1]:
+        last_distance = last_distance * groups[-2][1] / groups[-1][1]
+    distances.append(last_distance)
+    starts = [begin, *(stamp for stamp, _ in groups[1:])]
+    spread: list[Decimal] = []
+    for start, distance, (_, count) in zip(starts, distances, groups, strict=True):
+        spread += [start + number * distance for number in range(count)]
+    return spread

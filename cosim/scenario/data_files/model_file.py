@@ -5,17 +5,16 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from cosim.arrays import Matrix
+import numpy as np
+
+from cosim.arrays import Matrix, frozen
 from cosim.errors import UsageError, listing
 from cosim.files import read_bounded
-from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
+from cosim.scenario.data_files.mat_file import read_variables
 
 LARGEST: Final = 2**28  # bytes of a file
-HDF5: Final = b"\x89HDF\r\n\x1a\n"
-HEADER: Final = 512  # bytes that MATLAB writes before HDF5
-CURE: Final = "save it with: save -v7"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,29 +49,33 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
         raise UsageError(
             f"file {path} cannot be read ({error.strerror}); expected a MAT-file (.mat)"
         ) from error
-    variables = _variables(path, content)
+    variables = read_variables(f"file {path}", content)
     matrices = {}
     for name in letters:
         value = variables.pop(name, None)
-        if isinstance(value, OtherVariable):
-            raise UsageError(
-                f"file {path}: {name}: expected a matrix of real numbers, got {value.what}"
-            )
-        if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
-            matrices[name] = value
+        if value is not None and getattr(value, "shape", None) != (0, 0):  # MATLAB's [], for none
+            matrices[name] = _matrix(f"file {path}: {name}", value)
     sha256 = hashlib.sha256(content).hexdigest()
     return ModelFile(matrices, tuple(sorted(variables)), sha256)
 
 
-def _variables(path: Path, content: bytes) -> dict[str, Matrix | OtherVariable]:
-    if HDF5 in (content[: len(HDF5)], content[HEADER : HEADER + len(HDF5)]):
-        raise UsageError(
-            f"file {path}: expected a MAT-file of version 5 to 7, got 7.3 (HDF5); {CURE}"
-        )
-    try:
-        return read_variables(content)
-    except UsageError as error:
-        raise UsageError(f"file {path}: not a valid MAT-file: {error}; {CURE}") from error
+def _matrix(label: str, value: Any) -> Matrix:
+    """Return a variable as a matrix of real numbers, a sparse one as a full one."""
+    dense = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
+    what = ""
+    if dense.dtype.names is not None:
+        what = "a struct"
+    elif dense.dtype.kind == "U":
+        what = "text"
+    elif dense.dtype.kind == "c":
+        what = "a matrix of complex numbers"
+    elif dense.dtype.kind not in "biuf":
+        what = "a cell array or an object"
+    elif dense.ndim != 2:
+        what = f"an array of {dense.ndim} dimensions"
+    if what:
+        raise UsageError(f"{label}: expected a matrix of real numbers, got {what}")
+    return frozen(dense, 2)
 
 
 def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:

@@ -7,6 +7,7 @@ t = 0 all is measured, and of several components from one file all have the same
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
@@ -17,7 +18,8 @@ import numpy as np
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal
 from cosim.errors import UsageError, option
-from cosim.scenario.data_files.csv_file import seconds_in
+from cosim.instants import NANOSECONDS
+from cosim.scenario.data_files.headers import seconds_in
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
@@ -74,6 +76,7 @@ def recorded_data(
     *,
     offset: float | Literal["first"] | None,
     time_unit: str | None,
+    missing: Sequence[float | str] = (),
 ) -> FieldData:
     """Return fields of messages as signals.
 
@@ -88,6 +91,8 @@ def recorded_data(
         The time that is t = 0, in ``time_unit``; None: "first".
     time_unit : str or None
         None: s.
+    missing : sequence of numbers and texts
+        Numbers that stand for no measured value.
 
     Raises
     ------
@@ -113,7 +118,8 @@ def recorded_data(
     signals = []
     for name, fields in columns.items():
         parts = [_spread(samples[field], time_ns) for field in fields]
-        signals.append(FieldSignal(name, None, np.hstack(parts)))
+        values = without_codes(np.hstack(parts), missing)
+        signals.append(FieldSignal(name, None, values, tuple(fields)))
     spacings = {found.topic: found.spacing for found in used}
     notes = [_note(label, topic, spacing, offset_ns) for topic, spacing in spacings.items()]
     diagnostics = tuple(note for note in notes if note)
@@ -121,7 +127,33 @@ def recorded_data(
     for name, fields in columns.items():
         if any(samples[field].is_discrete for field in fields):
             discrete.append(name)
-    return FieldData(label, t, tuple(signals), diagnostics, offset_ns, tuple(discrete))
+    end_ns = max(int(found.time_ns[-1]) for found in samples.values())
+    gap = int(np.argmax(np.diff(time_ns))) if len(time_ns) > 1 else 0
+    after_gap = Decimal(int(time_ns[min(gap + 1, len(time_ns) - 1)]))
+    return FieldData(
+        label,
+        t,
+        tuple(signals),
+        diagnostics,
+        offset_ns,
+        tuple(discrete),
+        end=(end_ns - offset_ns) / NANOSECONDS,
+        restart=(float(t[gap]), offset_text(after_gap / _unit_ns(label, time_unit))),
+    )
+
+
+def without_codes(values: Matrix, missing: Sequence[float | str]) -> Matrix:
+    """Return values with NaN in the place of numbers that stand for no measured value."""
+    codes = [code for code in missing if not isinstance(code, str)]
+    return np.where(np.isin(values, codes), NAN, values) if codes else values
+
+
+def offset_text(stamp: Decimal) -> str:
+    """Return an offset that is a time stamp or, if that has too many digits, hardly later."""
+    if stamp == stamp.to_integral_value():
+        return str(int(stamp))
+    number = float(stamp)
+    return repr(number if Decimal(repr(number)) >= stamp else math.nextafter(number, math.inf))
 
 
 def _unit_ns(label: str, name: str | None) -> int:

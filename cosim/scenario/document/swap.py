@@ -119,7 +119,7 @@ def component_table(name: str, path: str) -> Tables:
         Of the component that is replaced; it has this name in a recorded log too.
     path : str
         Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, of a log (.mcap), or of
-        samples: a table (.csv, .parquet), or ``x.mcap#samples``, of another tool.
+        samples: a table (.csv, .xlsx, ...), or ``x.mcap#samples``, of another tool.
 
     Raises
     ------
@@ -147,7 +147,8 @@ def component_table(name: str, path: str) -> Tables:
         case _:
             raise UsageError(
                 "expected a path that ends in .fmu (an FMU), .mcap (a recorded log), or .csv, "
-                f".parquet or .mcap{SAMPLES} (samples with their times), got {path!r}"
+                f".txt, .parquet, .xlsx, .mat or .mcap{SAMPLES} (samples with their times), got "
+                f"{path!r}"
             )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field, StrictStr
@@ -29,6 +29,7 @@ from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import field_data, listed_columns
 from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
+from cosim.scenario.data_files.tables import TableForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
@@ -44,8 +45,9 @@ class FieldDataKind(PlantKind):
     is_recorded: ClassVar[bool] = True
     kind: Literal["field-data"]
     path: str = Field(
-        description="path of a CSV, Parquet (.parquet) or MCAP (.mcap) file; MCAP messages in "
-        "protobuf, JSON or CDR (ROS 2)"
+        description="path of a table: CSV and other text, .parquet, .xlsx, .mat (trajectory of "
+        "Dymola or OpenModelica, arrays); or of an MCAP (.mcap) with messages in protobuf, JSON or "
+        "CDR (ROS 2)"
     )
     time: str | None = Field(
         None,
@@ -57,9 +59,10 @@ class FieldDataKind(PlantKind):
     time_unit: UnitName | None = Field(
         None, description="unit of the times; default: from the column name, as in t [ms], or s"
     )
-    offset: Number | Literal["first"] | None = Field(
+    offset: Whole | Number | Literal["first"] | None = Field(
         None,
-        description='time stamp of t = 0, in the unit of the file, or "first"; default: 0; MCAP: '
+        description="time stamp of t = 0, in the unit of the file (dates: ns since 1970), an "
+        'integer exactly, or "first"; default: 0; MCAP: '
         'in time_unit, default "first", the first time when all fields used have a sample',
     )
     columns: dict[str, StrictStr | list[StrictStr]] | None = Field(
@@ -71,13 +74,41 @@ class FieldDataKind(PlantKind):
     )
     separator: str | None = Field(
         None,
-        description="column separator of a CSV file; default: tab, semicolon, vertical bar or "
-        "comma, as found in its first line",
+        description="column separator of a text; default: tab, semicolon, vertical bar or "
+        "comma, the one that splits its lines into equally many cells",
     )
-    decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
+    decimal: Literal[".", ","] | None = Field(
+        None, description="decimal separator of a text; default: as found in its numbers"
+    )
+    skip: Annotated[Whole, Field(ge=0)] | None = Field(
+        None,
+        description="lines before the names of the columns; default: the names are found, above "
+        "the first row of numbers, or between them a row of units",
+    )
+    comment: Annotated[str, Field(max_length=10)] | None = Field(
+        None, description='what lines begin with that are left out; default: "#"'
+    )
+    missing: tuple[Number | StrictStr, ...] = Field(
+        (),
+        description="what stands for no measured value, beside empty cells and NaN, as in "
+        '[-9999, "NA"]',
+    )
+    sheet: str | None = Field(None, description="sheet of a workbook; default: its only one")
+    same_time: Literal["last", "spread"] | None = Field(
+        None,
+        description='samples of one time stamp: the "last" counts, or they are "spread" evenly up '
+        "to the next time stamp, as where stamps are whole seconds; default: refused; trajectory "
+        'in a .mat, MCAP: "last"',
+    )
     maximum_gap: Number | None = Field(
         None,
-        description="longest time between two samples [s]; default: ten times the median",
+        description="longest time between two samples [s]; default: ten times the median; with "
+        "zero-order interpolation no limit, but a warning",
+    )
+    extrapolation: Literal["error", "hold"] = Field(
+        "error",
+        description='after the recording: "error", or "hold" (last sample); a sample that '
+        'interpolation = "zero-order" holds is held to the end of the recording in any case',
     )
     interpolation: Literal["linear", "zero-order"] | None = Field(
         None,
@@ -217,8 +248,10 @@ class FieldDataKind(PlantKind):
             time_unit=self.time_unit,
             offset=self.offset,
             columns=self.columns,
-            separator=self.separator,
-            decimal=self.decimal,
+            same_time=self.same_time,
+            form=TableForm(
+                self.separator, self.decimal, self.skip, self.comment, self.missing, self.sheet
+            ),
         )
 
     def _read_mcap(self, name: str, context: BuildContext) -> FieldData:
@@ -242,7 +275,14 @@ class FieldDataKind(PlantKind):
             f"samples of {path} by {self.time} in {self.time_unit}",
             lambda: read_samples(path, together, time=self.time, time_unit=self.time_unit),
         )
-        return recorded_data(path, columns, samples, offset=self.offset, time_unit=self.time_unit)
+        return recorded_data(
+            path,
+            columns,
+            samples,
+            offset=self.offset,
+            time_unit=self.time_unit,
+            missing=self.missing,
+        )
 
 
 def _samples_behind(source: Port, outputs: Mapping[str, Signal], most: int) -> Port | None:

@@ -15,7 +15,7 @@ from cosim.core.contracts import Component
 from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import Extrapolation
-from cosim.scenario.data_files.csv_file import read_csv
+from cosim.scenario.data_files.tables import read_table
 from cosim.scenario.document.schema import NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind
 
@@ -34,7 +34,8 @@ class LookUpTableKind(Kind):
         None, description="values at the breakpoints; with two inputs one row per entry of u1"
     )
     file: str | None = Field(
-        None, description="CSV file in place of the arrays: columns of the inputs, then y"
+        None,
+        description="CSV or another table in place of the arrays: columns of the inputs, then y",
     )
     columns: tuple[str, ...] | None = Field(
         None, description="names of the columns; default: all columns of the file"
@@ -86,27 +87,26 @@ class LookUpTableKind(Kind):
 
     def _read(self, path: Path) -> tuple[list[Vector], Matrix, dict[str, PortUnit]]:
         """Return breakpoints, values and the units of the ports."""
-        table = read_csv(path)
-        names = table.names if self.columns is None else self.columns
-        if len(names) not in (2, 3):
+        table = read_table(path)
+        headers = table.find(self.columns)
+        if len(headers) not in (2, 3):
             raise UsageError(
-                f"file {table.file}: expected one or two columns of inputs and one of y, got "
-                f"{len(names)}; select them with columns"
+                f"{table.label}: expected one or two columns of inputs and one of y, got "
+                f"{len(headers)}; select them with columns"
             )
-        headers = table.find(names)
         columns = table.columns(headers)
-        ports = ("u", "y") if len(names) == 2 else ("u1", "u2", "y")
+        ports = ("u", "y") if len(headers) == 2 else ("u1", "u2", "y")
         units: dict[str, PortUnit] = {
             port: header.unit
             for port, header in zip(ports, headers, strict=True)
             if header.unit is not None
         }
-        if len(names) == 2:
+        if len(headers) == 2:
             return [columns[:, 0]], columns[:, 1], units
-        return *_gridded(columns, table.file), units
+        return *_gridded(columns, table.label), units
 
 
-def _gridded(rows: Matrix, file: str) -> Points:
+def _gridded(rows: Matrix, label: str) -> Points:
     """Return rows (u1, u2, y) as a grid; each of its points is there once, in any order."""
     u1 = np.unique(rows[:, 0])
     u2 = np.unique(rows[:, 1])
@@ -120,6 +120,6 @@ def _gridded(rows: Matrix, file: str) -> Points:
         if len(different) == pairs:
             return [u1, u2], values
     raise UsageError(
-        f"file {file}: expected each pair of {len(u1)} x {len(u2)} breakpoints once ({pairs} "
+        f"{label}: expected each pair of {len(u1)} x {len(u2)} breakpoints once ({pairs} "
         f"rows), got {len(rows)} rows"
     )

@@ -321,13 +321,12 @@ class TableKind(Kind):
     def _read(self, path: Path) -> tuple[Vector, Matrix, str | tuple[str, ...] | None]:
         """Return times [s], values and their units."""
         # rarely needed
-        from cosim.scenario.data_files.csv_file import read_csv, second_of, unit_of
+        from cosim.scenario.data_files.headers import second_of, unit_of
+        from cosim.scenario.data_files.tables import read_table
 
-        table = read_csv(path)
+        table = read_table(path)
         (clock,) = table.find([self.time])
-        parts = [header for header in table.headers if header != clock]
-        if self.columns is not None:
-            parts = table.find(self.columns)
+        parts = [header for header in table.find(self.columns) if header != clock]
         second = second_of(table.label, clock)
         t = table.columns([clock])[:, 0]
         if second != 1:

@@ -1,18 +1,16 @@
 """Cases from a table: a column for each key, a row for each case.
 
-The cells of a CSV file, and texts of a Parquet file, are TOML where they can be, else strings, as
+The cells of text and of Excel, and texts of a Parquet file, are TOML where they can be, else strings, as
 the values of ``--set``. In an empty cell the scenario's own value is left as it is. A column
 ``replay`` has logs, one with the name of a component what takes its place.
 """
 
 from __future__ import annotations
 
-import csv
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,14 +19,13 @@ import numpy as np
 from cosim.errors import UsageError, quoted
 from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
-from cosim.scenario.data_files.csv_file import read_lines
+from cosim.scenario.data_files.tables import read_texts
 from cosim.scenario.document.edits import parse_value, plain, short
 from cosim.studies.contracts import RECORDING, SWAP
-from cosim.studies.design.columns import ColumnValues, packed, plain_values
+from cosim.studies.design.columns import ColumnValues, packed
 
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
-_BLOCK: Final = 2**15  # rows
 NO_ROWS: Final = "has no rows; expected a header line of keys and one row per case"
 
 
@@ -43,12 +40,14 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
         If the file cannot be read, or is no such table.
     """
     file = repr(str(path))
-    if file_type(path) != "table":
-        raise UsageError(f"cases: expected a path that ends in .csv or .parquet, got {file}")
+    if file_type(path) != "table" or path.suffix.lower() == ".mat":
+        raise UsageError(
+            f"cases: expected a path that ends in .csv, .txt, .xlsx or .parquet, got {file}"
+        )
     if path.suffix.lower() == ".parquet":
         names, columns = _read_parquet(path, file)
     else:
-        names, columns = _read_csv(path, file)
+        names, columns = _read_cells_of(path, file)
     found: dict[str, ColumnValues] = {}
     for name, values in zip(names, columns, strict=True):
         key = _key(name)
@@ -83,63 +82,21 @@ def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnVal
     return absolute
 
 
-# --- CSV ---
+# --- text and Excel ---
 
 
-def _read_csv(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
-    reader = csv.reader(read_lines(path, file), strict=True)
-    names: list[str] = []
-    parts: list[list[ColumnValues]] = []
-    try:
-        for row in reader:
-            if len(row) > 1 or (row and row[0].strip()):
-                names = [name.strip() for name in row]
-                _check_delimiter(names, file)
-                break
-        while rows := list(islice(_rows(reader, len(names), file), _BLOCK)):
-            columns = zip(*rows, strict=True)
-            label = f"file {file}"
-            named = zip(names, columns, strict=True)
-            parts.append([_read_cells(cells, label, name) for name, cells in named])
-    except csv.Error as error:
-        raise UsageError(f"file {file}, line {reader.line_num}: {error}") from error
-    if not parts:
+def _read_cells_of(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
+    table = read_texts(path)
+    names = [header.text for header in table.headers]
+    columns = []
+    for header in table.headers:
+        cells = table.texts(header.position)
+        if not cells:
+            raise UsageError(f"file {file} {NO_ROWS}")
+        columns.append(_read_cells(cells, f"file {file}", header.text))
+    if not columns:
         raise UsageError(f"file {file} {NO_ROWS}")
-    return names, [_joined(blocks) for blocks in zip(*parts, strict=True)]
-
-
-def _check_delimiter(names: Sequence[str], file: str) -> None:
-    if len(names) > 1:
-        return
-    for delimiter in (";", "\t", "|"):
-        if delimiter in names[0]:
-            raise UsageError(
-                f"file {file}: expected commas between columns and decimal points, got "
-                f"{delimiter!r} between columns"
-            )
-
-
-def _rows(reader: Any, width: int, file: str) -> Iterator[list[str]]:
-    """Yield the rows of cells; empty lines are none."""
-    for row in reader:
-        if len(row) == width and (width > 1 or row[0].strip()):
-            yield row
-        elif len(row) > 1 or (row and row[0].strip()):
-            raise UsageError(
-                f"file {file}, line {reader.line_num}: expected {width} cells, got {len(row)}; "
-                "quote a cell that contains commas"
-            )
-
-
-def _joined(blocks: Sequence[ColumnValues]) -> ColumnValues:
-    """Return a column of its blocks: an array where all of them are of one type."""
-    types = {block.dtype if isinstance(block, np.ndarray) else None for block in blocks}
-    if len(types) == 1 and None not in types:
-        return np.concatenate(blocks)
-    values: list[Any] = []
-    for block in blocks:
-        values += plain_values(block)
-    return values
+    return names, columns
 
 
 def _read_cells(texts: Sequence[str], file: str, name: str) -> ColumnValues:

@@ -13,7 +13,7 @@ from cosim.errors import UsageError
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.conversion.files import convert
 from cosim.report.inspection import describe_samples
-from cosim.scenario.data_files import field_file
+from cosim.scenario.data_files import tables
 from cosim.scenario.data_files.field_file import read_field_data
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.plants.descriptor import reduce
@@ -267,7 +267,7 @@ NO_SAMPLES = [
     (("t,y\n0,1\ninf,1\n", {}), r"line 3: expected a finite time, got inf"),
     (("t,y\n0,1\n1,n/a\n", {}), r"line 3, column 2 \('y'\): .*empty cell, got text$"),
     (("t,y\n0,1\n1,1_0\n", {}), r"line 3, column 2 \('y'\): .*got text$"),
-    (("t;y\n0;1\n1;2,5\n", {}), r"line 3, column 2 \('y'\): .*'\.', see decimal = \",\""),
+    (("t;y\n0;1.5\n1;2,5\n", {}), r"line 3, column 2 \('y'\): .*'\.', see decimal = \",\""),
     (("t;y\n0;1\n1;2.5\n", {"decimal": ","}), r"',', see decimal = \"\.\""),
     (("t,y\n0,1\n1,2,3\n", {}), r"line 3: expected 2 cells, got 3"),
     (("t,y\n0,1\n1\n", {}), r"line 3: expected 2 cells, got 1"),
@@ -277,7 +277,7 @@ NO_SAMPLES = [
     (("t,level\n0,1\n", {"columns": {"y": []}}), r"columns: expected a column .*'y': \[\]"),
     (("t [mm],y\n0,1\n", {}), r"column 't': .*unit of time.*'mm'"),
     (("t,x[0] [m],x[1]\n0,1,1\n", {}), r"'x', or in none, got 'x\[0\]' in m, 'x\[1\]' in no unit"),
-    (('t,y\n0,"1\n1,2"\n', {}), r"a cell spans several lines, from line 2"),
+    (('t,y\n0,"1\n1,2"\n', {}), r"line 2 cannot be split"),
     (('t,y\n0,"1"x\n', {}), r"line 2 cannot be split"),
     (("t,y\n0,1\n", {"decimal": ";"}), r"decimal: expected .*got ';'"),
     (("t,y\n0,1\n", {"decimal": ","}), r"separator: .*',', got ','"),
@@ -304,7 +304,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="cannot be read: it is a folder"):
         read_field_data(tmp_path)
     path = written(tmp_path, "t,y\n0,1\n")
-    monkeypatch.setattr("cosim.scenario.data_files.csv_file.LARGEST", 7)
+    monkeypatch.setattr("cosim.scenario.data_files.tables.LARGEST", 7)
     with pytest.raises(UsageError, match="cannot be read: it is too large: more than 7 bytes"):
         read_field_data(path)
 
@@ -376,8 +376,8 @@ def test_damaged_and_large_parquet_is_refused(tmp_path, monkeypatch):
         broken.write_bytes(damaged)
         with pytest.raises(UsageError, match=r"broken.parquet': not a valid Parquet file"):
             read_field_data(broken)
-    monkeypatch.setattr(field_file, "LARGEST", 63)
-    monkeypatch.setattr(field_file, "read_bounded", lambda path, largest: path.read_bytes())
+    monkeypatch.setattr(tables, "LARGEST", 63)
+    monkeypatch.setattr(tables, "read_bounded", lambda path, largest: path.read_bytes())
     with pytest.raises(UsageError, match="at most 7 numbers, got 4 rows of 2 columns"):
         read_field_data(path)
 
