@@ -28,7 +28,7 @@ from cosim.core.signals import (
     Variability,
     samples_of,
 )
-from cosim.errors import GraphError, UsageError, nearest
+from cosim.errors import GraphError, UsageError, listing, nearest
 from cosim.instants import NANOSECONDS
 from cosim.native.blocks.field_data import field_data_step
 from cosim.native.step import NativeStep
@@ -171,6 +171,8 @@ class FieldRecording:
         Samples that can be in one step.
     hold : bool
         A zero-order hold between samples: the outputs are discrete. Else straight lines.
+    end : float, optional
+        The last time at which all have a value [s], by default that of :func:`last_covered`.
 
     Raises
     ------
@@ -180,7 +182,9 @@ class FieldRecording:
         From ``advance``, where an output is measured no more.
     """
 
-    def __init__(self, data: FieldData, *, most: int, hold: bool = False) -> None:
+    def __init__(
+        self, data: FieldData, *, most: int, hold: bool = False, end: float | None = None
+    ) -> None:
         is_measured = data.measured
         self._t = data.t[is_measured]
         self._columns: list[Vector] = []
@@ -205,7 +209,7 @@ class FieldRecording:
         self.interface = Interface((), shown, rollback=True, native=True, continuous=True)
         self._lines = measured_lines(data)
         self._begin = max(line.t[0] for line in self._lines)
-        self._end = min(line.t[-1] for line in self._lines)
+        self._end = last_covered(data, hold=hold) if end is None else end
         self._source = data.source
         self._most = most
         self._hold = hold
@@ -345,7 +349,26 @@ def measured_lines(data: FieldData) -> list[_Line]:
     return lines
 
 
-def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> None:
+def last_covered(data: FieldData, *, hold: bool) -> float:
+    """Return the last time at which all signals have a value [s].
+
+    Samples that are held are so to the end of the recording.
+    """
+    ends = [float(line.t[-1]) for line in measured_lines(data)]
+    if hold:
+        recorded = float(data.t[-1]) if data.end is None else data.end
+        ends = [max(end, recorded) for end in ends]
+    return min(ends)
+
+
+def check_covers(
+    data: FieldData,
+    points: Vector,
+    maximum_gap: float | None,
+    *,
+    hold: bool = False,
+    extrapolate: bool = False,
+) -> list[str]:
     """Check that all is measured from the first to the last communication point.
 
     Parameters
@@ -354,7 +377,17 @@ def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> 
     points : Vector
         The communication points [s].
     maximum_gap : float or None
-        Longest time between two samples of a signal [s]; None: ten times the median.
+        Longest time between two samples of a signal [s]; None: ten times the median, no limit for
+        samples that are held.
+    hold : bool
+        Samples are held until the next one, or the end of the recording.
+    extrapolate : bool
+        The last sample is held to the end of the run.
+
+    Returns
+    -------
+    list of str
+        What is to be known of samples that are held for very long.
 
     Raises
     ------
@@ -362,22 +395,52 @@ def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> 
         If a signal begins later, ends earlier, or has a longer gap; says what can be done.
     """
     lines = measured_lines(data)
-    begin = max(float(line.t[0]) for line in lines)
-    end = min(float(line.t[-1]) for line in lines)
-    if begin > points[0] or end < points[-1]:
-        inside = points[(points >= begin) & (points <= end)]
-        way_out = 'offset = "first" makes its first time 0'
-        if len(inside) > 1:
-            way_out = f"start_time = {inside[0]} and stop = {inside[-1]} of [scenario] are inside"
-        raise UsageError(
-            f"{data.source}: expected samples over the whole run, from {points[0]} s to "
-            f"{points[-1]} s, got {begin} s to {end} s: {way_out}"
-        )
-    names = []
+    labels: list[str] = []
     for signal in data.signals:
-        names += [signal.name] * signal.values.shape[1]
-    for name, line in zip(names, lines, strict=True):
-        _check_gaps(data.source, name, line.t, points, maximum_gap)
+        labels += signal.element_labels
+    begin = max(float(line.t[0]) for line in lines)
+    end = np.inf if extrapolate else last_covered(data, hold=hold)
+    if begin > points[0] or end < points[-1]:
+        raise UsageError(_uncovered_text(data, points, labels, begin=begin, end=end, hold=hold))
+    notes = []
+    until = points[-1] if hold and maximum_gap is not None else None
+    for name, line in zip(labels, lines, strict=True):
+        t = line.t if until is None or until <= line.t[-1] else np.append(line.t, until)
+        note = _check_gaps(data, name, t, points, maximum_gap, hold=hold)
+        if note and data.zero_ns is None:  # of messages the largest gap is said anyway
+            notes.append(note)
+    return notes
+
+
+def _uncovered_text(
+    data: FieldData, points: Vector, labels: Sequence[str], *, begin: float, end: float, hold: bool
+) -> str:
+    """Return which signals do not cover a run, and what can be done."""
+    late = []
+    early = []
+    for name, line in zip(labels, measured_lines(data), strict=True):
+        if line.t[0] > points[0]:
+            late.append(f"{name} begins at {line.t[0]} s")
+        if end < points[-1] and line.t[-1] < points[-1]:
+            early.append(f"{name} ends at {line.t[-1]} s")
+    ways_out = []
+    inside = points[(points >= begin) & (points <= end)]
+    if len(inside) > 1:
+        ways_out.append(
+            f"start_time = {inside[0]} and stop = {inside[-1]} of [scenario] are inside"
+        )
+    elif data.t[0] != 0.0:
+        ways_out.append('offset = "first" makes its first time 0')
+    if early and not late:
+        if not hold and last_covered(data, hold=True) >= points[-1]:
+            ways_out.append('interpolation = "zero-order" holds a sample until the next one')
+        else:
+            ways_out.append('extrapolation = "hold" keeps the last sample')
+    return (
+        f"{data.source}: expected samples over the whole run, from {points[0]} s to {points[-1]} "
+        f"s, got {begin} s to {min(end, float(data.t[-1]))} s, as {listing([*late, *early])}: "
+        f"{', or '.join(ways_out) or 'choose other columns'}"
+    )
 
 
 def check_step(data: FieldData, step: float) -> None:
@@ -394,9 +457,9 @@ def check_step(data: FieldData, step: float) -> None:
     UsageError
         If it is, so that most points have a value of no sample; says what can be done.
     """
-    names = []
+    names: list[str] = []
     for signal in data.signals:
-        names += [signal.name] * signal.values.shape[1]
+        names += signal.element_labels
     for name, line in zip(names, measured_lines(data), strict=True):
         if len(line.t) < 2:
             continue
@@ -404,32 +467,49 @@ def check_step(data: FieldData, step: float) -> None:
         if median > JITTER * step:
             raise UsageError(
                 f"{data.source}: the communication step of {step:g} s is smaller than the "
-                f'sampling period of {name!r}, {median:g} s; set interpolation = "linear" or '
+                f'sampling period of {name}, {median:g} s; set interpolation = "linear" or '
                 f'"zero-order", or use a step of {median:g} s'
             )
 
 
 def _check_gaps(
-    source: str, name: str, t: Vector, points: Vector, maximum_gap: float | None
-) -> None:
+    data: FieldData,
+    name: str,
+    t: Vector,
+    points: Vector,
+    maximum_gap: float | None,
+    *,
+    hold: bool,
+) -> str:
+    """Check the times between samples; return what is to be known of one that is held for long."""
     begin = t[:-1]
     end = t[1:]
     in_run = (end > points[0]) & (begin < points[-1])
     gaps = end - begin
     limit = maximum_gap
     needed = f"a gap of at most maximum_gap = {maximum_gap} s"
+    median = float(np.median(gaps)) if len(gaps) else 0.0
     if limit is None:
-        median = float(np.median(gaps)) if len(gaps) else 0.0
         limit = USUAL_GAP * median
         needed = f"a gap of at most {USUAL_GAP:g} times the median sampling period, {median:g} s"
     too_long = np.flatnonzero(in_run & (gaps > limit))
-    if too_long.size:
-        first = too_long[0]
-        longest = float(gaps[in_run].max())
-        raise UsageError(
-            f"{source}: {name!r} has no sample between {begin[first]} s and {end[first]} s; "
-            f"expected {needed}; set maximum_gap = {longest!r}, or run before or after the gap"
+    if not too_long.size:
+        return ""
+    first = too_long[0]
+    longest = float(gaps[in_run].max())
+    if hold and maximum_gap is None:
+        return (
+            f"{data.source}: {name} is held from {begin[first]} s to {end[first]} s, the median "
+            f"distance of its samples is {median:g} s; maximum_gap refuses what is longer"
         )
+    way_out = f"set maximum_gap = {longest!r}, or run before or after the gap"
+    restart, offset = data.restart or (np.nan, "")
+    if begin[first] == restart and end[first] >= points[-1]:
+        way_out = f"offset = {offset} is the time stamp after the gap, as t = 0; or {way_out}"
+    raise UsageError(
+        f"{data.source}: {name} has no sample between {begin[first]} s and {end[first]} s; "
+        f"expected {needed}; {way_out}"
+    )
 
 
 def elements_named(names: Sequence[str]) -> dict[str, list[str]]:

@@ -127,7 +127,9 @@ def run(
     ] = None,
     cases: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Table of members (.csv, .xlsx, .parquet), one column per key."),
+        typer.Option(
+            metavar="FILE", help="Table of members (.csv, .xlsx, ...), one column per key."
+        ),
     ] = None,
     replay: Annotated[
         list[str] | None,

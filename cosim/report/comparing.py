@@ -389,7 +389,7 @@ def _port_names(component: str, path: str, maps: Mapping[str, PortNames]) -> lis
 
 
 def _sample_names(path: Path, maps: Mapping[str, PortNames]) -> list[str]:
-    from cosim.log.foreign.field_path import topic_of
+    from cosim.log.foreign.field_path import split_field
     from cosim.log.foreign.topics import read_channels
     from cosim.scenario.data_files.field_file import field_data
 
@@ -397,7 +397,7 @@ def _sample_names(path: Path, maps: Mapping[str, PortNames]) -> list[str]:
         return [signal.name for signal in field_data(path).signals]
     topics = [channel.topic for channel in read_channels(path)]
     names = chain.from_iterable(port_names(listed) for listed in maps.values())
-    return [name for name in names if topic_of(name, topics) is not None]
+    return [name for name in names if split_field(name, set(topics)) is not None]
 
 
 def _interface(component: str, table: Mapping[str, Any]) -> Interface:

@@ -239,7 +239,7 @@ def _differences(report: Section) -> list[Section]:
 
 
 def describe_samples(source: str) -> Section:
-    """Describe a table of samples: its times, and what was measured of its signals.
+    """Describe a table of samples: its times, what was measured of its signals, how it is read.
 
     Raises
     ------
@@ -265,7 +265,10 @@ def describe_samples(source: str) -> Section:
             "not measured": int(np.isnan(signal.values).any(axis=1).sum()),
         }
         signals.append(row)
-    return {"samples": about, "signals": signals}
+    reading = []
+    for what, found, reason, key in data.reading:
+        reading.append({"read as": what, "found": found, "why": reason, "key": key or None})
+    return {"samples": about, "signals": signals, "reading": reading}
 
 
 def describe_scenario(name: str) -> Section:

@@ -163,7 +163,7 @@ def test_more_samples_than_places_are_never_dropped():
         (
             [0.0004, 0.2],
             None,
-            "the whole run, from 0.0 s to 0.1 s, got 0.0004 s to 0.2 s: start_time = 0.001 and",
+            "from 0.0 s to 0.1 s, got 0.0004 s to 0.2 s, as 'y' begins at 0.0004 s: start_time = 0.001",
         ),
         ([7.0, 8.0], None, 'offset = "first" makes its first time 0'),
         (

@@ -2,54 +2,82 @@
 
 A field is written as a topic, a dot and the path into a message: names of fields with dots between
 them, and indices of elements, from 0, in brackets. ``[0:3]`` at the end selects several elements.
+In quotes, as in TOML, a name is itself whatever is in it: ``/drive."motor.speed"``; so is a topic:
+``"/drive.left".speed``. A message that is an array has ``/drive[0]``, one that is a number
+``/drive``.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable
 from typing import Final, TypeAlias
 
-from cosim.core.port import split_element
-
 Step: TypeAlias = str | int | range
 FieldPath: TypeAlias = tuple[Step, ...]
 
-_PART: Final = re.compile(r"(?P<name>[^.\[\]]+)(?P<elements>(?:\[\d{1,9}\])*)")
-_ELEMENT: Final = re.compile(r"\[(\d+)\]")
+_QUOTED: Final = r'"(?:[^"\\]|\\.)*"'
+_STEP: Final = re.compile(
+    rf"(?P<dot>\.)?(?P<name>[^.\[\]\"]+|{_QUOTED})|\[(?P<index>\d{{1,9}})(:(?P<stop>\d{{1,9}}))?\]"
+)
+_TOPIC: Final = re.compile(_QUOTED)
 
 
 class FieldProblem(ValueError):
     """What is wrong with a field of a message: it is missing, or no number."""
 
 
+class Quoted(str):
+    """A name that was written in quotes: it is no part of another one."""
+
+
 def parse_path(text: str) -> FieldPath:
-    """Return the way into a message that a text names.
+    """Return the way into a message that a text names; () where that is the message.
 
     Raises
     ------
     FieldProblem
         If it names none.
     """
-    whole, elements = split_element(text)
-    last: FieldPath = ()
-    if isinstance(elements, range):
-        if not elements:
-            raise FieldProblem(f"{text!r}: expected a slice such as [0:2], got an empty one")
-        text = whole
-        last = (elements,)
     steps: list[Step] = []
-    for part in text.split("."):
-        match = _PART.fullmatch(part)
-        if match is None:
-            raise FieldProblem(f"{text!r}: expected field names separated by dots, such as a.b[3]")
-        steps.append(match["name"])
-        steps += [int(number) for number in _ELEMENT.findall(match["elements"])]
-    return (*steps, *last)
+    position = 0
+    while position < len(text):
+        match = _STEP.match(text, position)
+        is_name = match is not None and match["name"] is not None
+        is_after_range = bool(steps) and isinstance(steps[-1], range)
+        is_joined = not is_name or (match is not None and (match["dot"] is None) == (not steps))
+        if match is None or is_after_range or not is_joined:
+            raise FieldProblem(
+                f"{text!r}: expected field names separated by dots, such as a.b[3], those with "
+                "dots or brackets in quotes"
+            )
+        steps.append(_step(text, match))
+        position = match.end()
+    return tuple(steps)
+
+
+def _step(text: str, match: re.Match[str]) -> Step:
+    name = match["name"]
+    if name is not None:
+        return Quoted(_unquoted(text, name)) if name.startswith('"') else name
+    if match["stop"] is None:
+        return int(match["index"])
+    elements = range(int(match["index"]), int(match["stop"]))
+    if not elements:
+        raise FieldProblem(f"{text!r}: expected a slice such as [0:2], got an empty one")
+    return elements
+
+
+def _unquoted(text: str, name: str) -> str:
+    try:
+        return str(json.loads(name))
+    except ValueError as error:
+        raise FieldProblem(f"{text!r}: the quotes of {name} cannot be read") from error
 
 
 def path_text(path: Iterable[Step]) -> str:
-    """Return a path as it is written."""
+    """Return a path as it is written, without quotes."""
     text = ""
     for step in path:
         match step:
@@ -62,7 +90,36 @@ def path_text(path: Iterable[Step]) -> str:
     return text
 
 
-def topic_of(field: str, topics: Iterable[str]) -> str | None:
-    """Return the topic of a field: the longest that it begins with; None: there is none."""
-    matches = [topic for topic in topics if field.startswith(f"{topic}.")]
-    return max(matches, key=len, default=None)
+def exact_text(path: Iterable[Step]) -> str:
+    """Return a path with every name in quotes: it names nothing else."""
+    quoted: list[Step] = []
+    for step in path:
+        quoted.append(json.dumps(step, ensure_ascii=False) if isinstance(step, str) else step)
+    return path_text(quoted)
+
+
+def field_text(topic: str, path: str) -> str:
+    """Return the written name of a field of a topic."""
+    return f"{topic}.{path}" if path and not path.startswith("[") else f"{topic}{path}"
+
+
+def split_field(field: str, topics: Iterable[str]) -> tuple[str, str] | None:
+    """Return the topic of a field and the path in it; None: there is no such topic.
+
+    Raises
+    ------
+    FieldProblem
+        If the name begins with several topics, of which none is in quotes.
+    """
+    quoted = _TOPIC.match(field)
+    if quoted is not None:
+        topic = _unquoted(field, quoted[0])
+        return (topic, field[quoted.end() :].removeprefix(".")) if topic in set(topics) else None
+    matches = []
+    for topic in topics:
+        if field == topic or field.startswith((f"{topic}.", f"{topic}[")):
+            matches.append(topic)
+    if len(matches) > 1:
+        names = " or ".join(json.dumps(topic, ensure_ascii=False) for topic in matches)
+        raise FieldProblem(f"it begins with several topics; expected one in quotes, {names}")
+    return (matches[0], field[len(matches[0]) :].removeprefix(".")) if matches else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 from array import array
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ import numpy as np
 from cosim.arrays import NAN, Matrix
 from cosim.errors import LogError, nearest
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.field_path import FieldProblem, parse_path, topic_of
+from cosim.log.foreign.field_path import FieldProblem, field_text, parse_path, split_field
 from cosim.log.foreign.formats import format_of
 from cosim.log.foreign.spacing import Instants, Spacing, spacing_of
 from cosim.log.foreign.topics import ForeignChannel, ForeignMessage, read_channels, read_messages
@@ -46,6 +46,8 @@ class FieldSamples:
         Of the messages of the topic.
     is_discrete : bool
         All are truth values or enumerations: there is nothing between two of them.
+    end_ns : int
+        The last time of the recording: of all its messages, if they are not timed by a field.
     """
 
     field: str
@@ -54,6 +56,7 @@ class FieldSamples:
     values: Matrix
     spacing: Spacing
     is_discrete: bool
+    end_ns: int
 
 
 def read_fields(
@@ -81,14 +84,15 @@ def read_fields(
         topics[channel.topic].append(channel)
     collectors: dict[str, _Collector] = {}
     for name in dict.fromkeys(fields):
-        topic = _known_topic(path, name, topics)
+        topic, inside = _known_topic(path, name, topics)
         if topic not in collectors:
             collectors[topic] = _Collector(path, topics[topic], time, time_unit_ns)
-        collectors[topic].add_field(name)
+        collectors[topic].add_field(name, inside)
     for collector in collectors.values():
         collector.begin()
     kept = 0
-    for message in read_messages(path, lambda channel: channel.topic in collectors):
+    last = _LastTime(time)
+    for message in read_messages(path, lambda channel: channel.topic in collectors, last.take):
         kept += collectors[message.channel.topic].take(message)
         if kept > MOST_NUMBERS:
             raise LogError(
@@ -99,22 +103,37 @@ def read_fields(
     for collector in collectors.values():
         for found in collector.samples():
             samples[found.field] = found
-    return [samples[name] for name in fields]
+    end_ns = max([last.time_ns, *(int(found.time_ns[-1]) for found in samples.values())])
+    return [replace(samples[name], end_ns=end_ns) for name in fields]
 
 
-def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> str:
-    """Return the topic of a field.
+class _LastTime:
+    """The last time of the messages that are not read, if it is not in a field of them."""
+
+    def __init__(self, time: str) -> None:
+        self.time_ns = -(2**63)
+        self._place = {LOG_TIME: 0, PUBLISH_TIME: 1}.get(time)
+
+    def take(self, *times: int) -> None:
+        """Take the log time and the publish time of a message."""
+        if self._place is not None:
+            self.time_ns = max(self.time_ns, times[self._place])
+
+
+def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the topic of a field, and the path in it.
 
     Raises
     ------
     LogError
-        If there is none.
+        If there is none, or there are several.
     """
-    topic = topic_of(name, topics)
-    if topic is not None:
-        return topic
-    if name in topics:
-        raise LogError(f"{path}: expected {name}.FIELD, got the topic {name!r} alone")
+    try:
+        found = split_field(name, topics)
+    except FieldProblem as error:
+        raise LogError(f"{path}: {name!r}: {error}") from error
+    if found is not None:
+        return found
     choice = nearest(name.partition(".")[0], topics)
     raise LogError(f"{path}: no topic for {name!r}, expected TOPIC.FIELD; {choice}")
 
@@ -127,8 +146,9 @@ def _is_discrete(value: Any) -> bool:
 class _Column:
     """What is kept of a field: as many numbers of every message."""
 
-    def __init__(self, field: str) -> None:
+    def __init__(self, field: str, inside: str) -> None:
         self.field = field
+        self.inside = inside
         self.size: int | None = None
         self._numbers = array("d")
         self._before = 0  # messages before the first that had it
@@ -177,16 +197,15 @@ class _Collector:
         self._path = path
         self._topic = channels[0].topic
         self._channels = list(channels)
-        self._checked: set[int] = set()
         self._time = time
         self._time_unit_ns = time_unit_ns
         self._columns: list[_Column] = []
         self._stamps = array("q")
-        self._pick: Picker
+        self._picks: dict[int, Picker] = {}
 
-    def add_field(self, field: str) -> None:
-        """Add a field of the topic that is kept."""
-        self._columns.append(_Column(field))
+    def add_field(self, field: str, inside: str) -> None:
+        """Add a field of the topic that is kept, by its name and the path in the messages."""
+        self._columns.append(_Column(field, inside))
 
     def begin(self) -> None:
         """Find the fields in the messages, as far as their schema tells.
@@ -196,32 +215,28 @@ class _Collector:
         LogError
             If one is not there, or the messages cannot be decoded.
         """
-        first = self._channels[0]
-        self._check_one_schema()
+        self._picker_of(self._channels[0])
+
+    def _picker_of(self, channel: ForeignChannel) -> Picker:
+        """Return what takes the fields, and the time, out of the messages of a channel."""
         paths = []
         name = self._topic
         try:
-            message_format = format_of(first)
+            message_format = format_of(channel)
             for column in self._columns:
                 name = column.field
-                paths.append(parse_path(name[len(self._topic) + 1 :]))
+                path = parse_path(column.inside)
+                if channel.encoding != "json" and not (path and isinstance(path[0], str)):
+                    raise FieldProblem(f"expected {self._topic}.FIELD")
+                paths.append(path)
                 message_format.picker(paths[-1:])
             if self._is_field_time:
                 name = f"{self._topic}.{self._time}"
                 paths.append(parse_path(self._time))
-            self._pick = message_format.picker(paths)
+            return message_format.picker(paths)
         except FieldProblem as error:
-            raise LogError(f"{self._path}: {name!r}: {error}") from error
-
-    def _check_one_schema(self) -> None:
-        first = self._channels[0]
-        for other in self._channels:
-            if (other.encoding, other.schema) != (first.encoding, first.schema):
-                names = ", ".join(sorted({_schema_text(channel) for channel in self._channels}))
-                raise LogError(
-                    f"{self._path}: topic {self._topic!r}: expected messages of one schema, got "
-                    f"several: {names}"
-                )
+            of_schema = f"schema {_schema_text(channel)}: " if len(self._channels) > 1 else ""
+            raise LogError(f"{self._path}: {name!r}: {of_schema}{error}") from error
 
     @property
     def _is_field_time(self) -> bool:
@@ -236,12 +251,13 @@ class _Collector:
             If one is not there, or not a number; names the message.
         """
         name = self._topic
-        if message.channel.id not in self._checked:  # a summary need not list every channel
-            self._channels.append(message.channel)
-            self._check_one_schema()
-            self._checked.add(message.channel.id)
+        pick = self._picks.get(message.channel.id)
+        if pick is None:
+            if message.channel not in self._channels:  # a summary need not list every channel
+                self._channels.append(message.channel)
+            pick = self._picks[message.channel.id] = self._picker_of(message.channel)
         try:
-            values = self._pick(message.data)
+            values = pick(message.data)
             kept = 1
             for column, value in zip(self._columns, values, strict=False):
                 name = column.field
@@ -287,7 +303,13 @@ class _Collector:
                 raise LogError(self._nothing_text(column))
             values = column.values(count)[kept]
             found = FieldSamples(
-                column.field, self._topic, stamps[kept], values, spacing, column.is_discrete
+                column.field,
+                self._topic,
+                stamps[kept],
+                values,
+                spacing,
+                column.is_discrete,
+                int(stamps[kept[-1]]),
             )
             samples.append(found)
         return samples
@@ -299,7 +321,7 @@ class _Collector:
             return f"{text}expected numbers, got no elements"
         for message in read_messages(self._path, lambda channel: channel.topic == self._topic):
             fields = format_of(message.channel).fields(message.data)
-            names = [f"{self._topic}.{name}" for name in fields]
+            names = [field_text(self._topic, name) for name in fields]
             return f"{text}no message has this field; {nearest(column.field, names)}"
         raise AssertionError("there are messages, or nothing would be asked of them")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import LogError
-from cosim.log.foreign.field_path import FieldProblem
+from cosim.log.foreign.field_path import FieldProblem, field_text
 from cosim.log.foreign.formats import format_of
 from cosim.log.foreign.spacing import Spacing, spacing_of
 from cosim.log.foreign.topics import ForeignChannel, read_channels, read_messages
@@ -91,7 +91,7 @@ def _surveyed(messages: _KeptMessages) -> TopicSurvey:
     problem = ""
     try:
         for name, type_name in format_of(channel).fields(messages.first).items():
-            fields[f"{channel.topic}.{name}"] = type_name
+            fields[field_text(channel.topic, name)] = type_name
     except FieldProblem as error:
         problem = str(error)
     schema = channel.schema

@@ -166,8 +166,14 @@ def _stream_of(content: bytes) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(content))
 
 
-def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Iterator[ForeignMessage]:
+def read_messages(
+    path: Path,
+    wanted: Callable[[ForeignChannel], bool],
+    skipped: Callable[[int, int], object] | None = None,
+) -> Iterator[ForeignMessage]:
     """Yield the messages of the wanted channels in the order of the file.
+
+    ``skipped`` is called with the two times of each other message.
 
     Raises
     ------
@@ -190,7 +196,10 @@ def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Itera
                         f"{path} is damaged: a message of the undeclared channel {number}"
                     )
                 is_wanted[number] = wanted(table.channels[number])
-            if is_wanted[number]:
+            if not is_wanted[number]:
+                if skipped is not None:
+                    skipped(log_time, publish_time)
+            else:
                 data = block[begin + _MESSAGE.size : stop]
                 yield ForeignMessage(table.channels[number], log_time, publish_time, data)
 

@@ -127,7 +127,7 @@ def recorded_data(
     for name, fields in columns.items():
         if any(samples[field].is_discrete for field in fields):
             discrete.append(name)
-    end_ns = max(int(found.time_ns[-1]) for found in samples.values())
+    end_ns = max(found.end_ns for found in samples.values())
     gap = int(np.argmax(np.diff(time_ns))) if len(time_ns) > 1 else 0
     after_gap = Decimal(int(time_ns[min(gap + 1, len(time_ns) - 1)]))
     return FieldData(

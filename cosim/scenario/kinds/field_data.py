@@ -175,12 +175,14 @@ class FieldDataKind(PlantKind):
     def build(self, name: str, context: BuildContext) -> Component:
         data = context.field_data(name, lambda: self._read(name, context))
         points = context.clock.points
-        check_covers(data, points, self.maximum_gap)
+        hold = self.interpolation == "zero-order"
+        extrapolate = self.extrapolation == "hold"
+        notes = check_covers(data, points, self.maximum_gap, hold=hold, extrapolate=extrapolate)
         if self._is_mcap and self.interpolation is None:
             check_step(data, context.clock.h)
-        for text in data.diagnostics:
+        for text in (*data.diagnostics, *notes):
             context.warn(name, text)
-        if data.discrete and self.interpolation != "zero-order":
+        if data.discrete and not hold:
             context.warn(
                 name,
                 f"{data.source}: linear interpolation between Booleans or enumerations, "
@@ -196,16 +198,17 @@ class FieldDataKind(PlantKind):
             )
         in_run = (data.t >= points[0]) & (data.t <= points[-1])
         samples = int(np.count_nonzero(data.measured & in_run))
-        if samples < FEWEST_SAMPLES:
+        if samples < FEWEST_SAMPLES and not (hold and len(data.t) < FEWEST_SAMPLES):
             context.warn(name, self._too_few(data, samples, points))
         context.add_metadata(name, {"samples": samples, "samples_in_a_step": most})
         if data.zero_ns is not None:
             context.add_metadata(name, {"zero_ns": data.zero_ns})
-        return FieldRecording(data, most=most, hold=self.interpolation == "zero-order")
+        end = np.inf if extrapolate else None
+        return FieldRecording(data, most=most, hold=hold, end=end)
 
     def _too_few(self, data: FieldData, samples: int, points: Vector) -> str:
         """Return what may be wrong where a run has hardly a sample."""
-        distance = float(np.median(np.diff(data.t)))
+        distance = float(np.median(np.diff(data.t))) if len(data.t) > 1 else 0.0
         text = (
             f"{data.source}: {samples} of {len(data.t)} samples are within the run, {points[0]:g} "
             f"s to {points[-1]:g} s, as their median distance is {distance:g} s"

@@ -42,7 +42,7 @@ class StudySettings(TomlTable):
     )
     cases: str | None = Field(
         None,
-        description="table of members (.csv, .xlsx, .parquet): a column for each key, a row per case",
+        description="table of members (.csv, .xlsx, ...): a column for each key, a row per case",
     )
     sampling: SamplingMethod | None = Field(
         None,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import LogError
+from cosim.log.foreign.survey import survey
 from tests.log.foreign.field_logs import COUNT, EPOCH, STEP, raw_file, read, write_json
 
 
@@ -74,3 +75,42 @@ def test_messages_that_are_no_json_are_refused(tmp_path):
     path = raw_file(tmp_path, "json", None, [b"{"])
     with pytest.raises(LogError, match="message 1: the message is not JSON"):
         read(path, "/topic.a")
+
+
+def test_names_in_json_may_have_dots_and_brackets(tmp_path):
+    """They are taken as they are listed, with and without quotes."""
+    value = {"motor.speed": 3, "x[0]": {"y.z": [4, 5]}, "": 6, 'a"b': 7, "x": [8]}
+    path = write_json(tmp_path / "log.mcap", {"/t": [(EPOCH, value)]})
+    (topic,) = survey(path)
+    listed = list(topic.fields)
+    assert listed[0] == "/t.motor.speed"
+    values = [samples.values[0].tolist() for samples in read(path, *listed)]
+    assert values == [[3.0], [4.0, 5.0], [6.0], [7.0], [8.0]]
+    found = read(path, '/t."motor.speed"', '/t."x[0]"."y.z"[1]', "/t.x[0].y.z[0]")
+    assert [samples.values.item() for samples in found] == [3.0, 5.0, 4.0]
+
+
+def test_two_fields_of_one_written_name_are_refused_with_a_way_to_say_which(tmp_path):
+    """Names in quotes; so they are listed."""
+    rows = [(EPOCH, {"a.b": 1}), (EPOCH + 1, {"a.b": 2, "a": {"b": -1}})]
+    path = write_json(tmp_path / "log.mcap", {"/t": rows})
+    with pytest.raises(LogError, match=r'message 2: several fields.* "a"\."b" and "a\.b"'):
+        read(path, "/t.a.b")
+    whole, inner = read(path, '/t."a.b"', '/t."a"."b"')
+    np.testing.assert_array_equal(whole.values[:, 0], [1.0, 2.0])
+    np.testing.assert_array_equal(inner.values[:, 0], [np.nan, -1.0])
+    path = write_json(tmp_path / "log.mcap", {"/t": rows[1:]})
+    assert list(survey(path)[0].fields) == ['/t."a.b"', '/t."a"."b"']
+
+
+def test_a_message_may_be_a_number_or_an_array(tmp_path):
+    """Then its field is the topic, or its elements."""
+    rows = {"/n": [(EPOCH, 5), (EPOCH + 1, 6.5)], "/v": [(EPOCH, [1, 2]), (EPOCH + 1, [3, 4])]}
+    path = write_json(tmp_path / "log.mcap", rows)
+    assert [list(topic.fields) for topic in survey(path)] == [["/n"], ["/v[0:2]"]]
+    number, vector, last = read(path, "/n", "/v[0:2]", "/v[1]")
+    assert number.values.tolist() == [[5.0], [6.5]]
+    assert vector.values.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert last.values.tolist() == [[2.0], [4.0]]
+    with pytest.raises(LogError, match=r"'/n', message 1: the message is not a list"):
+        read(path, "/n[0]")
