@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -187,6 +189,59 @@ def test_a_gap_outside_of_the_run_does_not_matter():
     t = [-5.0, -1e-3, *np.arange(0.0, 0.1005, 1e-3), 5.0]
     check_covers(recorded(t, signal("y", np.ones(len(t)))), POINTS, None)
     check_covers(recorded([0.0, 0.1], signal("y", [1.0, 2.0])), POINTS, 0.1)
+
+
+def test_what_begins_late_or_ends_early_is_named():
+    """With its column, where that has another name."""
+    t = np.arange(0.0, 0.11, 0.01)
+    late = FieldSignal("z", None, np.where(t < 0.03, np.nan, t)[:, np.newaxis], ("level",))
+    early = signal("x", np.ones(11), np.where(t > 0.05, np.nan, t))
+    with pytest.raises(UsageError) as refused:
+        check_covers(recorded(t, signal("y", t), late, early), POINTS, None)
+    named = "as 'z' (level) begins at 0.03 s, 'x' ends at 0.05 s: start_time = 0.03 and"
+    assert named in str(refused.value)
+
+
+def test_held_samples_hold_to_the_end_of_the_recording():
+    """Of the run where that is asked for; with a limit on the distance, not beyond it."""
+    once = recorded([0.0, 0.05], FieldSignal("y", None, np.array([[3.0], [np.nan]]), ("/map.n",)))
+    cases = [
+        (once, {}, r"'y' \(/map.n\) ends at 0.0 s: extrapolation = \"hold\" keeps"),
+        (replace(once, end=0.1), {}, r'interpolation = "zero-order" holds a sample'),
+        (once, {"hold": True}, r"stop = 0.05 .*, or extrapolation"),
+        (replace(once, end=0.0999), {"hold": True}, r"got 0.0 s to 0.0999 s"),
+    ]
+    for data, options, text in cases:
+        with pytest.raises(UsageError, match=text):
+            check_covers(data, POINTS, None, **options)
+    assert check_covers(replace(once, end=0.1), POINTS, None, hold=True) == []
+    assert check_covers(once, POINTS, None, extrapolate=True) == []
+    with pytest.raises(UsageError, match=r"no sample between 0.0 s and 0.1 s.* maximum_gap = 0.06"):
+        check_covers(replace(once, end=0.1), POINTS, 0.06, hold=True)
+    component = FieldRecording(replace(once, end=0.1), most=1, hold=True)
+    component.initialize(0.0, NONE)
+    rows = component.advance(POINTS, H, np.zeros((101, 0)))
+    assert rows[:, 0].tolist() == [3.0] * 100
+    with pytest.raises(Stopped, match="the samples end at 0.1 s"):
+        component.advance(np.array([0.1, 0.101]), H, np.zeros((2, 0)))
+
+
+def test_samples_on_change_may_be_held_for_long():
+    """It is said; straight lines over such a gap are refused."""
+    t = [*np.arange(0.0, 0.02, 1e-3), 0.1]
+    data = recorded(t, signal("mode", np.arange(21)))
+    (note,) = check_covers(data, POINTS, None, hold=True)
+    assert "'mode' is held from 0.019 s to 0.1 s" in note
+    with pytest.raises(UsageError, match="no sample between 0.019 s and 0.1 s"):
+        check_covers(data, POINTS, None)
+
+
+def test_after_a_first_stamp_of_zero_the_offset_is_the_way_out():
+    """Not a gap of 54 years."""
+    t = [0.0, *(1.7e9 + np.arange(3))]
+    data = replace(recorded(t, signal("y", np.ones(4))), restart=(0.0, "1700000000"))
+    with pytest.raises(UsageError, match=r"0.0 s and 1700000000.0 s; .*; offset = 1700000000 is"):
+        check_covers(data, POINTS, None)
 
 
 def test_a_signal_that_is_never_measured_is_refused():

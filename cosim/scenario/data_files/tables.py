@@ -499,6 +499,9 @@ class TextTable(Table):
             self.reading.append(Reading("comments", found, reason, "comment"))
         reason = _reason(form.skip, "above the first row of numbers")
         self.reading.append(Reading("names", self._at(names), reason, "skip"))
+        codes = ", ".join(["empty cells, NaN", *map(str, form.missing)])
+        reason = "given" if form.missing else "the default"
+        self.reading.append(Reading("not measured", codes, reason, "missing"))
         if sheet.rows and sheet.rows[0].number < names.number:
             found = f"{sheet.unit}s {sheet.rows[0].number} to {names.number - 1}"
             self.reading.append(Reading("left out", found, "above the names", "skip"))

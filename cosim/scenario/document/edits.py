@@ -127,7 +127,9 @@ def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
 
 
 def given_twice(key: str, table: str) -> str:
-    """Return what to say of a key that a table of the scenario has twice."""
+    """Return what to say of a key that a table of the scenario has twice, or of a table."""
+    if key.startswith("["):
+        return f"the table {key} is given twice; put its keys below one heading"
     match table:
         case "connections":
             reason = ONE_SOURCE

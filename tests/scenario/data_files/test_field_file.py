@@ -399,6 +399,49 @@ def test_samples_of_a_file_are_a_data_set(tmp_path):
     assert disturbed_plant(reduce(academic()), [0, 0]).C.shape == (1, 2)
 
 
+def test_samples_of_one_time_stamp_are_spread_or_the_last_counts(tmp_path):
+    """By whole seconds, of which the first and the last are cut off; else refused with both ways."""
+    stamps = [10, 10, 11, 11, 11, 11, 12, 12, 12, 12, 13]
+    lines = [f"{stamp},{number}" for number, stamp in enumerate(stamps)]
+    path = written(tmp_path, "\n".join(["t [s],y", *lines]))
+    with pytest.raises(UsageError, match=r'line 3: .*same_time: "spread" .*, "last" takes'):
+        read_field_data(path)
+    spread = read_field_data(path, same_time="spread")
+    np.testing.assert_array_equal(spread.t, 10.5 + 0.25 * np.arange(11))
+    last = read_field_data(path, same_time="last")
+    assert (last.t.tolist(), last["y"][:, 0].tolist()) == ([10, 11, 12, 13], [1, 5, 9, 10])
+    assert "7 of 11 rows dropped" in last.diagnostics[0]
+    uneven = written(tmp_path, "t,y\n0,1\n0,2\n2,3\n3,4\n3,5\n")
+    assert read_field_data(uneven, same_time="spread").t.tolist() == [0.0, 1.0, 2.0, 3.0, 3.5]
+    with pytest.raises(UsageError, match="two different time stamps, got one"):
+        read_field_data(written(tmp_path, "t,y\n0,1\n0,2\n"), same_time="spread")
+
+
+def test_codes_for_missing_values_are_not_measured(tmp_path):
+    """Numbers in every format, as they are; texts as they are written."""
+    values = {"t": [0.0, 1.0, 2.0], "y": [-9999.0, 5.0, 7.0]}
+    path = written(tmp_path, "t,y,z\n0,-9999,NA\n1,5,1\n2,7.0,-\n")
+    for file in (path, parquet(tmp_path, values)):
+        data = read_field_data(file, columns={"y": "y"}, missing=[-9999, "NA", 7])
+        np.testing.assert_array_equal(data["y"][:, 0], [np.nan, 5.0, np.nan])
+    with pytest.raises(UsageError, match=r"line 2, column 3 \('z'\): .*got text"):
+        read_field_data(path, missing=[-9999])
+
+
+def test_a_whole_offset_is_exact_to_the_ns(tmp_path):
+    """Of 19 digits, of which a double has 16."""
+    begin = 1_700_000_000_123_456_789
+    path = written(tmp_path, f"t [ns],y\n{begin},1\n{begin + 3},2\n")
+    assert read_field_data(path, offset=begin).t.tolist() == [0.0, 3e-9]
+    text = f"""
+    scenario = {{ name = "s", stop = 3e-9, step = 1e-9 }}
+    [components]
+    d = {{ kind = "field-data", path = "field.csv", offset = {begin} }}
+    """
+    log = cosim.run(written(tmp_path, text, "s.toml"))
+    np.testing.assert_allclose(log["d.y"], 1.0 + np.arange(4) / 3.0, rtol=1e-12)
+
+
 def test_info_shows_what_is_read(tmp_path):
     """Times, distances, signals with their units, and how much was not measured."""
     path = written(tmp_path, "t [ms];y [mm];x[0];x[1]\n0;1;2;3\n1;;2;4\n4;1;2;4\n")
@@ -413,3 +456,13 @@ def test_info_shows_what_is_read(tmp_path):
         {"signal": "y", "size": 1, "unit": "mm", "not measured": 1},
         {"signal": "x", "size": 2, "unit": None, "not measured": 0},
     ]
+    found = {row["read as"]: (row["found"], row["key"]) for row in content["reading"]}
+    assert found == {
+        "separator": (";", "separator"),
+        "decimal sign": (".", "decimal"),
+        "names": ("line 1", "skip"),
+        "not measured": ("empty cells, NaN", "missing"),
+        "times": ("'t'", "time"),
+        "time unit": ("ms", "time_unit"),
+        "t = 0": ("0", "offset"),
+    }

@@ -120,6 +120,10 @@ CASES = {
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n"plant.u" = "delta.y"')],
         r'/mine\.toml:57: "plant\.u" is given twice',
     ),
+    "table given twice": (
+        [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n[connections]')],
+        r"/mine\.toml:57: the table \[connections\] is given twice; put its keys below one",
+    ),
     "setting given twice": (
         [("step = 1e-3", "step = 1e-3\nstep = 2e-3")],
         r"/mine\.toml:\d+: step is given twice; remove one$",

@@ -299,3 +299,41 @@ def test_an_own_log_is_no_field_recording(loop, tmp_path):
     for path in (own, copied):
         again = cosim.run(loop.set({"command.rate": 1.0}).swap(plant=path))
         np.testing.assert_array_equal(again["plant.y"], log["plant.y"])
+
+
+def test_a_topic_published_once_or_on_change_is_held(tmp_path):
+    """To the end of the recording, whatever other topic ends it; further where that is asked for."""
+    step = 10_000_000
+    topics = {
+        "/map": [(EPOCH, {"size": 3})],
+        "/mode": [(EPOCH, {"m": 1}), (EPOCH + 40 * step, {"m": 2}), (EPOCH + 41 * step, {"m": 3})],
+        "/pose": [(EPOCH + i * step, {"x": i}) for i in range(151)],
+    }
+    write_json(tmp_path / "once.mcap", topics)
+    table = 'kind = "field-data", path = "once.mcap", columns = { y = "/map.size", m = "/mode.m" }'
+
+    def run(stop, keys):
+        text = f"scenario = {{ name = 's', stop = {stop}, step = 0.1 }}\n"
+        (tmp_path / "s.toml").write_text(f"{text}[components]\nd = {{ {table}{keys} }}\n")
+        return cosim.run(tmp_path / "s.toml")
+
+    with pytest.raises(ScenarioError, match=r"'y' \(/map.size\) ends .*: interpolation = \"zero"):
+        run(1.5, "")
+    held = ', interpolation = "zero-order"'
+    log = run(1.5, held)
+    assert log["d.y"].tolist() == [3.0] * 16
+    assert log["d.m"].tolist() == [1.0] * 4 + [2.0] + [3.0] * 11
+    with pytest.raises(ScenarioError, match=r"stop = 1.5 .* inside, or extrapolation = \"hold\""):
+        run(2.0, held)
+    assert run(2.0, f'{held}, extrapolation = "hold"')["d.y"].tolist() == [3.0] * 21
+
+
+def test_a_whole_offset_of_messages_is_exact_to_the_ns(tmp_path):
+    """As an integer in ns, of 19 digits."""
+    begin = EPOCH + 123_456_789
+    topics = {"/t": [(begin + i, {"x": i}) for i in range(9)]}
+    path = write_json(tmp_path / "log.mcap", topics)
+    columns = {"x": "/t.x"}
+    data = cosim.read_field_data(path, columns=columns, time_unit="ns", offset=begin + 2)
+    assert data.t.tolist() == [i / 1e9 for i in range(-2, 7)]
+    assert data.zero_ns == begin + 2
