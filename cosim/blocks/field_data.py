@@ -436,9 +436,10 @@ def _uncovered_text(
             ways_out.append('interpolation = "zero-order" holds a sample until the next one')
         else:
             ways_out.append('extrapolation = "hold" keeps the last sample')
+    last = end if np.isfinite(end) else float(data.t[-1])
     return (
         f"{data.source}: expected samples over the whole run, from {points[0]} s to {points[-1]} "
-        f"s, got {begin} s to {end if np.isfinite(end) else float(data.t[-1])} s, as {listing([*late, *early])}: "
+        f"s, got {begin} s to {last} s, as {listing([*late, *early])}: "
         f"{', or '.join(ways_out) or 'choose other columns'}"
     )
 

@@ -165,7 +165,7 @@ def test_more_samples_than_places_are_never_dropped():
         (
             [0.0004, 0.2],
             None,
-            "from 0.0 s to 0.1 s, got 0.0004 s to 0.2 s, as 'y' begins at 0.0004 s: start_time = 0.001",
+            "got 0.0004 s to 0.2 s, as 'y' begins at 0.0004 s: start_time = 0.001",
         ),
         ([7.0, 8.0], None, 'offset = "first" makes its first time 0'),
         (
@@ -222,7 +222,7 @@ def test_held_samples_hold_to_the_end_of_the_recording():
     component.initialize(0.0, NONE)
     rows = component.advance(POINTS, H, np.zeros((101, 0)))
     assert rows[:, 0].tolist() == [3.0] * 100
-    with pytest.raises(Stopped, match="the samples end at 0.1 s"):
+    with pytest.raises(Stopped, match=r"the samples end at 0\.1 s"):
         component.advance(np.array([0.1, 0.101]), H, np.zeros((2, 0)))
 
 
@@ -232,7 +232,7 @@ def test_samples_on_change_may_be_held_for_long():
     data = recorded(t, signal("mode", np.arange(21)))
     (note,) = check_covers(data, POINTS, None, hold=True)
     assert "'mode' is held from 0.019 s to 0.1 s" in note
-    with pytest.raises(UsageError, match="no sample between 0.019 s and 0.1 s"):
+    with pytest.raises(UsageError, match=r"no sample between 0\.019 s and 0\.1 s"):
         check_covers(data, POINTS, None)
 
 

@@ -42,7 +42,8 @@ from cosim.scenario.data_files.recorded_fields import (
     recorded_data,
     without_codes,
 )
-from cosim.scenario.data_files.tables import Reading, Table, TableForm, read_table
+from cosim.scenario.data_files.table import Reading, Table, TableForm
+from cosim.scenario.data_files.tables import read_table
 
 TimeOffset: TypeAlias = float | Literal["first"]
 SameTime: TypeAlias = Literal["last", "spread"]
@@ -65,7 +66,7 @@ def read_field_data(
     sheet: str | None = None,
     same_time: SameTime | None = None,
 ) -> FieldData:
-    """Read samples with times of their own from a table, or an MCAP of another tool.
+    r"""Read samples with times of their own from a table, or an MCAP of another tool.
 
     Parameters
     ----------
@@ -307,12 +308,12 @@ class _Stamps:
         stamps = table.times(clock.position)
         if not stamps:
             raise UsageError(f"{table.label}: expected rows of numbers, got none")
-        for row, stamp in enumerate(stamps):
-            if not stamp.is_finite():
-                raise UsageError(
-                    f"{table.label}, {table.place(row)}: expected a finite time, got "
-                    f"{float(stamp)!r} s"
-                )
+        infinite = next((row for row, stamp in enumerate(stamps) if not stamp.is_finite()), None)
+        if infinite is not None:
+            raise UsageError(
+                f"{table.label}, {table.place(infinite)}: expected a finite time, got "
+                f"{float(stamps[infinite])!r} s"
+            )
         self.notes: tuple[str, ...] = ()
         repeated = sum(after == before for before, after in pairwise(stamps))
         self.rows = np.arange(len(stamps))
@@ -328,37 +329,44 @@ class _Stamps:
             )
         zero = stamps[0] if offset == "first" else Decimal(repr(offset or 0))
         seconds = [float((stamp - zero) * second) for stamp in stamps]
-        for row, t in enumerate(seconds):
-            if not math.isfinite(t):
-                raise UsageError(
-                    f"{table.label}, {table.place(row)}: expected a finite time, got {t!r} s"
-                )
-            if row and not t > seconds[row - 1]:
-                way_out = "select another column by time"
-                if t == seconds[row - 1]:
-                    way_out += (
-                        ', or samples of one time stamp by same_time: "spread" spreads them '
-                        'evenly up to the next one, "last" takes the last'
-                    )
-                raise UsageError(
-                    f"{table.label}, {table.place(row)}: expected increasing times, got {t!r} s "
-                    f"after {seconds[row - 1]!r} s in {table.place(row - 1)}; {way_out}"
-                )
         self.t: Vector = np.array(seconds)
+        self._check_increasing(table, seconds)
         self.restart: tuple[float, str] | None = None
         if len(stamps) > 1:
             gap = int(np.argmax(np.diff(self.t)))
             self.restart = (seconds[gap], offset_text(stamps[gap + 1]))
-        unit = table.stamp_unit(clock.position) or time_unit or clock.time_unit or "s"
-        reason = "given" if time_unit is not None else "of its name, its type or s"
+        own = table.stamp_unit(clock.position) or clock.time_unit
+        reason = "given" if time_unit is not None else "the default"
+        if own is not None and time_unit is None:
+            reason = "of dates or durations" if clock.position in table.stamps else "of the column"
         origin = "the first time stamp" if offset == "first" else str(offset or 0)
+        why = 'the default; "first" is the first time stamp' if offset is None else "given"
         self.reading = [
-            Reading("time unit", unit, reason, "time_unit"),
-            Reading("t = 0", origin, "the default" if offset is None else "given", "offset"),
+            Reading("time unit", time_unit or own or "s", reason, "time_unit"),
+            Reading("t = 0", origin, why, "offset"),
         ]
         if repeated:
             found = f"{repeated} rows have the time of the one before"
             self.reading.append(Reading("same time", found, str(same_time), "same_time"))
+
+    def _check_increasing(self, table: Table, seconds: Sequence[float]) -> None:
+        for number, t in enumerate(seconds):
+            is_after = number == 0 or t > seconds[number - 1]
+            if is_after and math.isfinite(t):
+                continue
+            place = table.place(int(self.rows[number]))
+            if not math.isfinite(t):
+                raise UsageError(f"{table.label}, {place}: expected a finite time, got {t!r} s")
+            way_out = "select another column by time"
+            if t == seconds[number - 1]:
+                way_out += (
+                    ', or samples of one time stamp by same_time: "spread" spreads them evenly up '
+                    'to the next one, "last" takes the last'
+                )
+            raise UsageError(
+                f"{table.label}, {place}: expected increasing times, got {t!r} s after "
+                f"{seconds[number - 1]!r} s in {table.place(int(self.rows[number - 1]))}; {way_out}"
+            )
 
 
 def _second(table: Table, clock: Header, unit: str | None) -> Decimal:

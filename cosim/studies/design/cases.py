@@ -1,8 +1,8 @@
 """Cases from a table: a column for each key, a row for each case.
 
 The cells of text and of Excel, and texts of a Parquet file, are TOML where they can be, else
-strings, as the values of ``--set``. In an empty cell the scenario's own value is left as it is. A column
-``replay`` has logs, one with the name of a component what takes its place.
+strings, as the values of ``--set``. In an empty cell the scenario's own value is left as it is. A
+column ``replay`` has logs, one with the name of a component what takes its place.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from cosim.errors import UsageError
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.conversion.files import convert
 from cosim.report.inspection import describe_samples
-from cosim.scenario.data_files import tables
+from cosim.scenario.data_files import table, typed_table
 from cosim.scenario.data_files.field_file import read_field_data
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.plants.descriptor import reduce
@@ -304,7 +304,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="cannot be read: it is a folder"):
         read_field_data(tmp_path)
     path = written(tmp_path, "t,y\n0,1\n")
-    monkeypatch.setattr("cosim.scenario.data_files.tables.LARGEST", 7)
+    monkeypatch.setattr("cosim.scenario.data_files.table.LARGEST", 7)
     with pytest.raises(UsageError, match="cannot be read: it is too large: more than 7 bytes"):
         read_field_data(path)
 
@@ -376,8 +376,8 @@ def test_damaged_and_large_parquet_is_refused(tmp_path, monkeypatch):
         broken.write_bytes(damaged)
         with pytest.raises(UsageError, match=r"broken.parquet': not a valid Parquet file"):
             read_field_data(broken)
-    monkeypatch.setattr(tables, "LARGEST", 63)
-    monkeypatch.setattr(tables, "read_bounded", lambda path, largest: path.read_bytes())
+    monkeypatch.setattr(typed_table, "LARGEST", 63)
+    monkeypatch.setattr(table, "read_bounded", lambda path, largest: path.read_bytes())
     with pytest.raises(UsageError, match="at most 7 numbers, got 4 rows of 2 columns"):
         read_field_data(path)
 
@@ -400,7 +400,7 @@ def test_samples_of_a_file_are_a_data_set(tmp_path):
 
 
 def test_samples_of_one_time_stamp_are_spread_or_the_last_counts(tmp_path):
-    """By whole seconds, of which the first and the last are cut off; else refused with both ways."""
+    """By whole seconds, of which the first and the last are cut off; else both are the ways out."""
     stamps = [10, 10, 11, 11, 11, 11, 12, 12, 12, 12, 13]
     lines = [f"{stamp},{number}" for number, stamp in enumerate(stamps)]
     path = written(tmp_path, "\n".join(["t [s],y", *lines]))

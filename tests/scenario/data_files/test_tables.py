@@ -17,7 +17,9 @@ from cosim.errors import UsageError
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.conversion.files import convert
 from cosim.scenario.data_files.field_file import read_field_data
-from cosim.scenario.data_files.tables import MOST_COLUMNS, TableForm, read_table
+from cosim.scenario.data_files.table import TableForm
+from cosim.scenario.data_files.tables import read_table
+from cosim.scenario.data_files.text_table import MOST_COLUMNS
 from tests.scenario.refusals import check_refused
 
 

@@ -302,7 +302,7 @@ def test_an_own_log_is_no_field_recording(loop, tmp_path):
 
 
 def test_a_topic_published_once_or_on_change_is_held(tmp_path):
-    """To the end of the recording, whatever other topic ends it; further where that is asked for."""
+    """To the end of the recording, whatever topic ends it; further where that is asked for."""
     step = 10_000_000
     topics = {
         "/map": [(EPOCH, {"size": 3})],

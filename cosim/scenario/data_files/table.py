@@ -1,0 +1,171 @@
+"""A table: columns by their places, what was found in its file, and what is given of its form.
+
+A message tells where a file is no table, and never what stands there: whoever runs a scenario of
+another may be able to read what that other is not.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import UsageError
+from cosim.files import read_bounded
+from cosim.scenario.data_files.headers import NO_UNIT, Header, find_headers
+
+LARGEST: Final = 2**28  # bytes
+
+
+class Reading(NamedTuple):
+    """What was found in a file, and the key that says it otherwise."""
+
+    what: str
+    found: str
+    reason: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class TableForm:
+    """What is given of the form of a table; see the keys of the kind field-data.
+
+    Parameters
+    ----------
+    separator, decimal, comment, sheet : str or None
+    skip : int or None
+        Lines before the names of the columns; None: they are found.
+    missing : tuple of numbers and texts
+        That stand for no measured value.
+    """
+
+    separator: str | None = None
+    decimal: str | None = None
+    skip: int | None = None
+    comment: str | None = None
+    missing: tuple[float | str, ...] = ()
+    sheet: str | None = None
+
+    @property
+    def missing_texts(self) -> frozenset[str]:
+        """The cells that are no measured values."""
+        return frozenset(code for code in self.missing if isinstance(code, str))
+
+
+class Table:
+    """Columns of numbers, each with its place from 0.
+
+    ``headers`` are the columns with a name, ``index`` those that were the index of a frame,
+    ``stamps`` those of dates or durations, ``numbers`` those of numbers. ``same_time`` says what is
+    done with rows of one time where nobody says it.
+    """
+
+    hint = ""
+    same_time: str | None = None
+
+    def __init__(self, path: Path) -> None:
+        self.label = f"file {str(path)!r}"
+        self.headers: list[Header] = []
+        self.index: set[int] = set()
+        self.stamps: set[int] = set()
+        self.numbers: set[int] = set()
+        self.reading: list[Reading] = []
+
+    def place(self, row: int) -> str:
+        """Return how messages name a row."""
+        return f"row {row + 1}"
+
+    def stamp_unit(self, position: int) -> str | None:
+        """Return the unit of dates or durations; None: the times are numbers."""
+        return "ns" if position in self.stamps else None
+
+    def times(self, position: int) -> list[Decimal]:
+        """Return the time stamps of a column, in its unit.
+
+        Raises
+        ------
+        UsageError
+            If one is missing, or is none.
+        """
+        raise NotImplementedError
+
+    def values(self, position: int) -> Vector:
+        """Return the numbers of a column; NaN: not measured.
+
+        Raises
+        ------
+        UsageError
+            If it has something else, or an infinite number.
+        """
+        raise NotImplementedError
+
+    def find(self, names: Iterable[str] | None) -> list[Header]:
+        """Return columns by their names, or all; see :func:`find_headers`."""
+        if names is not None:
+            return find_headers(self.label, self.headers, names)
+        name, count = Counter(header.text for header in self.headers).most_common(1)[0]
+        if count > 1:
+            raise UsageError(
+                f"{self.label}: expected unique column names, got {count} columns {name!r}"
+            )
+        return self.headers
+
+    def columns(self, headers: Sequence[Header]) -> Matrix:
+        """Return columns without gaps side by side, shape (N, number of ``headers``).
+
+        Raises
+        ------
+        UsageError
+            If a cell is empty, or no finite number.
+        """
+        columns = [self.values(header.position) for header in headers]
+        for header, column in zip(headers, columns, strict=True):
+            empty = np.flatnonzero(np.isnan(column))
+            if empty.size:
+                raise UsageError(
+                    f"{self.label}, {self.place(int(empty[0]))}, column {header.text!r}: expected "
+                    "a number, got an empty cell"
+                )
+        return np.stack(columns, axis=1)
+
+    def _refuse_infinite(self, values: Vector, name: str) -> None:
+        infinite = np.flatnonzero(np.isinf(values))
+        if infinite.size:
+            row = int(infinite[0])
+            raise UsageError(
+                f"{self.label}, {self.place(row)}, column {name}: expected a finite number, got "
+                f"{values[row]}"
+            )
+
+
+def with_unit(label: str, header: Header, unit: str, source: str) -> Header:
+    """Return a column with the unit that is declared beside its name."""
+    if not unit:
+        return header
+    unit = "1" if unit in NO_UNIT else unit
+    if header.unit not in (None, unit):
+        raise UsageError(
+            f"{label}, column {header.text!r}: expected one unit, got {header.unit!r} in its name "
+            f"and {unit!r} in {source}"
+        )
+    return replace(header, unit=unit)
+
+
+def content_of(path: Path) -> bytes:
+    """Return the bytes of a file.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be read, or is too large.
+    """
+    try:
+        return read_bounded(path, LARGEST)
+    except OSError as error:
+        raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
