@@ -5,14 +5,12 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-
-from cosim.arrays import Matrix, frozen
+from cosim.arrays import Matrix
 from cosim.errors import UsageError, listing
 from cosim.files import read_bounded
-from cosim.scenario.data_files.mat_file import read_variables
+from cosim.scenario.data_files.mat_file import OtherVariable, variables_of
 
 LARGEST: Final = 2**28  # bytes of a file
 
@@ -49,33 +47,18 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
         raise UsageError(
             f"file {path} cannot be read ({error.strerror}); expected a MAT-file (.mat)"
         ) from error
-    variables = read_variables(f"file {path}", content)
+    variables = variables_of(f"file {path}", content)
     matrices = {}
     for name in letters:
         value = variables.pop(name, None)
-        if value is not None and getattr(value, "shape", None) != (0, 0):  # MATLAB's [], for none
-            matrices[name] = _matrix(f"file {path}: {name}", value)
+        if isinstance(value, OtherVariable):
+            raise UsageError(
+                f"file {path}: {name}: expected a matrix of real numbers, got {value.what}"
+            )
+        if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
+            matrices[name] = value
     sha256 = hashlib.sha256(content).hexdigest()
     return ModelFile(matrices, tuple(sorted(variables)), sha256)
-
-
-def _matrix(label: str, value: Any) -> Matrix:
-    """Return a variable as a matrix of real numbers, a sparse one as a full one."""
-    dense = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
-    what = ""
-    if dense.dtype.names is not None:
-        what = "a struct"
-    elif dense.dtype.kind == "U":
-        what = "text"
-    elif dense.dtype.kind == "c":
-        what = "a matrix of complex numbers"
-    elif dense.dtype.kind not in "biuf":
-        what = "a cell array or an object"
-    elif dense.ndim != 2:
-        what = f"an array of {dense.ndim} dimensions"
-    if what:
-        raise UsageError(f"{label}: expected a matrix of real numbers, got {what}")
-    return frozen(dense, 2)
 
 
 def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:

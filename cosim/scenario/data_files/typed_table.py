@@ -16,7 +16,7 @@ import numpy as np
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import UsageError
 from cosim.scenario.data_files.headers import Header
-from cosim.scenario.data_files.mat_file import read_variables
+from cosim.scenario.data_files.mat_file import OtherVariable, variables_of
 from cosim.scenario.data_files.table import LARGEST, Reading, Table, content_of, with_unit
 
 _BYTES: Final = 8  # of a number
@@ -147,108 +147,106 @@ class MatTable(Table):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        variables = read_variables(self.label, content_of(path))
-        self._columns: list[Vector] = []
-        if {"Aclass", "name", "dataInfo"} <= variables.keys():
-            form = "a trajectory of Dymola or OpenModelica"
-            self.same_time = "last"
-            with self._only_trajectories():
-                self._take_trajectory(variables)
-        elif getattr(variables.get("signals"), "dtype", np.dtype(float)).names:
-            form = "a log that cosim converted"
-            with self._only_trajectories():
-                self._take_log(variables)
-        else:
-            form = "columns of equally many numbers"
-            self._take_columns(variables)
+        variables = variables_of(self.label, content_of(path))
+        matrices: dict[str, Matrix] = {}
+        others: dict[str, OtherVariable] = {}
+        for name, value in variables.items():
+            if isinstance(value, OtherVariable):
+                others[name] = value
+            else:
+                matrices[name] = value
+        self._columns: list[tuple[Matrix, int, float]] = []  # a matrix, a column of it, its sign
+        self._rows = 0
+        try:
+            if {"Aclass", "name"} <= others.keys() and "dataInfo" in matrices:
+                form = "a trajectory of Dymola or OpenModelica"
+                self._take_trajectory(matrices, others)
+            elif "signals" in others and others["signals"].structs:
+                form = "a log that cosim converted"
+                self._take_log(matrices, others["signals"])
+            else:
+                form = "matrices of equally many rows"
+                self._take_matrices(matrices)
+        except (KeyError, IndexError, ValueError) as error:
+            raise UsageError(f"{self.label}: a damaged trajectory: {error}") from error
         self.reading.append(Reading("variables", form, "by their names and sizes", ""))
         self.numbers = set(range(len(self._columns)))
 
-    @contextmanager
-    def _only_trajectories(self) -> Iterator[None]:
-        try:
-            yield
-        except (KeyError, IndexError, ValueError, TypeError) as error:
-            raise UsageError(f"{self.label}: a damaged trajectory: {error}") from error
-
-    def _add(self, name: str, unit: str, values: Vector) -> None:
-        position = len(self._columns)
-        if len(values) != len(self._columns[0] if self._columns else values):
-            raise UsageError(
-                f"{self.label}, {name!r}: expected {len(self._columns[0])} rows, got {len(values)}"
-            )
-        header = Header(name, name, None, position)
+    def _add(self, name: str, unit: str, column: tuple[Matrix, int, float]) -> None:
+        header = Header(name, name, None, len(self._columns))
         self.headers.append(with_unit(self.label, header, unit, "its description"))
-        self._columns.append(np.asarray(values, np.float64))
+        self._columns.append(column)
 
-    def _take_trajectory(self, variables: Mapping[str, Any]) -> None:
+    def _take_trajectory(
+        self, matrices: Mapping[str, Matrix], others: Mapping[str, OtherVariable]
+    ) -> None:
         """Take the variables of a simulation; parameters have one value."""
-        is_transposed = _texts(variables["Aclass"])[3] == "binTrans"
-        names, described = [
-            _texts(variables[key].T if is_transposed else variables[key])
-            for key in ("name", "description")
-        ]
-        info = np.asarray(variables["dataInfo"])
-        info = info.T if is_transposed else info
-        blocks = {}
-        for key, block in variables.items():
-            if re.fullmatch(r"data_\d+", key):
-                blocks[int(key[5:])] = block.T if is_transposed else block
-        rows = max(blocks.items(), key=lambda item: item[0] != 1)[1]
-        for name, text, (block, column, *_) in zip(names, described, info.tolist(), strict=True):
-            unit = _UNIT.fullmatch(text)
-            if block == 0:  # the abscissa of all
-                values = rows[:, 0]
-            else:
-                values = blocks[block][:, abs(column) - 1]
-                if len(values) != len(rows) and (values == values[0]).all():
-                    values = np.full(len(rows), values[0])
+        self.same_time = "last"
+        is_transposed = others["Aclass"].rows[3].strip("\0 ") == "binTrans"
+        names, texts = [others[key].rows for key in ("name", "description")]
+        blocks = dict(matrices)
+        if is_transposed:
+            names = tuple(map("".join, zip(*names, strict=True)))
+            texts = tuple(map("".join, zip(*texts, strict=True)))
+            blocks = {name: matrix.T for name, matrix in matrices.items()}
+        self._rows = len(blocks["data_2"])
+        info = blocks["dataInfo"].astype(np.int64).tolist()
+        for name, text, (block, column, *_) in zip(names, texts, info, strict=True):
+            unit = _UNIT.fullmatch(text.strip("\0 "))
+            data = blocks[f"data_{block or 2}"]  # 0: the time, which is that of all
+            if not 0 < abs(column) <= data.shape[1] or len(data) not in (2, self._rows):
+                raise ValueError(f"{name.strip()!r} is in a column that is not there")
             sign = -1.0 if column < 0 else 1.0
-            self._add(name, unit["unit"].strip() if unit else "", sign * values)
+            shown = (data, abs(column) - 1, sign)
+            self._add(name.strip("\0 "), unit["unit"].strip() if unit else "", shown)
 
-    def _take_log(self, variables: Mapping[str, Any]) -> None:
+    def _take_log(self, matrices: Mapping[str, Matrix], described: OtherVariable) -> None:
         """Take what ``cosim convert`` wrote, at every time that a component has a row."""
         signals = []
-        for entry in np.ravel(variables["signals"]):
-            keys = ("name", "variable", "time", "unit")
-            signals.append({key: "".join(np.ravel(entry[key])) for key in keys})
-        clocks = {signal["time"]: np.ravel(variables[signal["time"]]) for signal in signals}
-        t = np.unique(np.concatenate(list(clocks.values())))
-        self._add("time", "s", t)
+        for entry in described.structs:
+            texts = {}
+            for key in ("name", "variable", "time", "unit"):
+                value = entry[key]
+                texts[key] = "".join(value.rows) if isinstance(value, OtherVariable) else ""
+            signals.append(texts)
+        t = np.unique(np.concatenate([matrices[signal["time"]].ravel() for signal in signals]))
+        self._rows = len(t)
+        self._add("time", "s", (t[:, np.newaxis], 0, 1.0))
         for signal in signals:
-            block = np.asarray(variables[signal["variable"]], np.float64)
-            spread = np.full((len(t), block.shape[1]), NAN)
-            spread[np.searchsorted(t, clocks[signal["time"]])] = block
-            self._take_block(signal["name"], signal["unit"], spread)
+            rows = matrices[signal["variable"]]
+            spread = np.full((len(t), rows.shape[1]), NAN)
+            spread[np.searchsorted(t, matrices[signal["time"]].ravel())] = rows
+            self._take_columns(signal["name"], signal["unit"], spread)
 
-    def _take_block(self, name: str, unit: str, block: Matrix) -> None:
-        """Take the columns of a matrix as elements of a vector."""
-        for column in range(block.shape[1]):
-            element = name if block.shape[1] == 1 else f"{name}[{column}]"
-            self._add(element, unit, block[:, column])
+    def _take_columns(self, name: str, unit: str, matrix: Matrix) -> None:
+        """Take the columns of a matrix as the elements of a vector."""
+        for column in range(matrix.shape[1]):
+            element = name if matrix.shape[1] == 1 else f"{name}[{column}]"
+            self._add(element, unit, (matrix, column, 1.0))
 
-    def _take_columns(self, variables: Mapping[str, Any]) -> None:
-        """Take the variables that have as many rows as most of them."""
-        blocks = {}
-        for name, value in variables.items():
-            if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 2:
-                blocks[name] = value.T if value.shape[0] == 1 else value
-        counts = Counter(len(block) for block in blocks.values() if len(block) > 1)
-        rows = counts.most_common(1)[0][0] if counts else 0
-        for name, block in blocks.items():
-            if len(block) == rows:
-                self._take_block(name, "", block)
+    def _take_matrices(self, matrices: Mapping[str, Matrix]) -> None:
+        """Take the matrices that have as many rows as most of them."""
+        upright = {name: m.T if m.shape[0] == 1 else m for name, m in matrices.items()}
+        counts = Counter(len(matrix) for matrix in upright.values() if len(matrix) > 1)
+        self._rows = counts.most_common(1)[0][0] if counts else 0
+        for name, matrix in upright.items():
+            if len(matrix) == self._rows:
+                self._take_columns(name, "", matrix)
 
     def times(self, position: int) -> list[Decimal]:
-        """Return numbers, or what dates and durations count."""
-        return [Decimal(repr(t)) for t in self._columns[position].tolist()]
+        """Return numbers."""
+        return [Decimal(repr(t)) for t in self.values(position).tolist()]
 
     def values(self, position: int) -> Vector:
-        """Return the numbers of a column; NaN for null."""
-        self._refuse_infinite(self._columns[position], repr(self.headers[position].text))
-        return self._columns[position]
-
-
-def _texts(characters: Any) -> list[str]:
-    """Return the rows of a matrix of characters."""
-    return ["".join(row).strip("\0 ") for row in characters.tolist()]
+        """Return the numbers of a column; a parameter has its value at all times."""
+        matrix, column, sign = self._columns[position]
+        values: Vector = sign * matrix[:, column]
+        name = repr(self.headers[position].text)
+        if len(values) != self._rows:
+            if values[0] != values[-1]:
+                raise UsageError(
+                    f"{self.label}: {name}: expected one value of a parameter, got two"
+                )
+            values = np.full(self._rows, values[0])
+        self._refuse_infinite(values, name)
+        return values

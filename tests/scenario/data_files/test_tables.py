@@ -394,3 +394,34 @@ def test_numbers_come_back_bit_for_bit(tmp_path_factory, rows):
     for position in (0, 1):
         for found, row in zip(table.values(position).tolist(), rows, strict=True):
             assert found == row[position] or (math.isnan(found) and math.isnan(row[position]))
+
+
+@pytest.mark.slow
+def test_a_damaged_file_of_matlab_is_refused_or_read(tmp_path):
+    """Of structs and texts, too: no other error, no crash."""
+    log = cosim.run("pair", set={"scenario.stop": 0.01}, out=tmp_path / "a.mcap")
+    path = tmp_path / "a.mat"
+    convert(LogChoice.of(log), path)
+    trajectory = mat4(
+        Aclass=characters("Atrajectory", "1.1", "", "binNormal"),
+        name=characters("time", "y"),
+        description=characters("Time in [s]", ""),
+        dataInfo=np.array([[0, 1, 0, -1], [2, 2, 0, -1]]),
+        data_1=np.zeros((2, 1)),
+        data_2=np.array([T, Y]).T,
+    )
+    rng = np.random.default_rng(0)
+    refused = 0
+    for good in (path.read_bytes(), trajectory):
+        for trial in range(300):
+            damaged = bytearray(good)
+            for place in rng.integers(0, len(good), 3):
+                damaged[place] = rng.integers(256)
+            path.write_bytes(damaged[: rng.integers(len(damaged))] if trial % 5 == 0 else damaged)
+            try:
+                table = read_table(path)
+                for header in table.headers:
+                    table.values(header.position)
+            except UsageError:
+                refused += 1
+    assert refused > 100
