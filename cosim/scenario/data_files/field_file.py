@@ -340,7 +340,7 @@ class _Stamps:
         if own is not None and time_unit is None:
             reason = "of dates or durations" if clock.position in table.stamps else "of the column"
         origin = "the first time stamp" if offset == "first" else str(offset or 0)
-        why = 'the default; "first" is the first time stamp' if offset is None else "given"
+        why = 'the default, or "first"' if offset is None else "given"
         self.reading = [
             Reading("time unit", time_unit or own or "s", reason, "time_unit"),
             Reading("t = 0", origin, why, "offset"),

@@ -206,7 +206,7 @@ def _structs(
     keys = []
     for begin in range(0, len(names), length):
         keys.append(names[begin : begin + length].split(b"\0")[0].decode("ascii"))
-    structs = []
+    structs: list[Mapping[str, Any]] = []
     while keys and len(structs) < math.prod(dimensions):
         values = [_variable(next(elements)[1], order, depth + 1)[1] for _ in keys]
         structs.append(dict(zip(keys, values, strict=True)))

@@ -11,6 +11,7 @@ import codecs
 import csv
 import math
 import re
+import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,14 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError, listing, nearest
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number
-from cosim.scenario.data_files.table import Reading, Table, TableForm, content_of, with_unit
+from cosim.scenario.data_files.table import (
+    LARGEST,
+    Reading,
+    Table,
+    TableForm,
+    content_of,
+    with_unit,
+)
 from cosim.units import base_unit
 
 MOST_COLUMNS: Final = 100_000
@@ -316,7 +324,7 @@ class TextTable(Table):
         """Note what was found."""
         if sheet.separator is not None:
             name = _NAMES.get(sheet.separator, sheet.separator)
-            reason = _reason(form.separator, "splits the lines into equally many cells")
+            reason = _reason(form.separator, "splits the lines equally")
             self.reading.append(Reading("separator", name, reason, "separator"))
         reason = "as in its numbers" if self._decimal == "," else "no number has a comma"
         if sheet.separator == ",":
@@ -557,20 +565,28 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     label = f"file {str(path)!r}"
     try:
         import openpyxl
-        from openpyxl.utils.exceptions import InvalidFileException
     except ImportError as error:
         raise UsageError(
             f"{label}: reading Excel requires openpyxl: pip install 'cosim[excel]', or save the "
             "table as CSV"
         ) from error
+    stream = BytesIO(content_of(path))
+    sheets: dict[str, list[list[str]]] = {}
     try:
-        book = openpyxl.load_workbook(BytesIO(content_of(path)), read_only=True, data_only=True)
-        sheets: dict[str, list[list[str]]] = {}
-        for sheet in book.worksheets:
-            if form.sheet in (None, sheet.title):
-                rows = sheet.iter_rows(values_only=True)
-                sheets[sheet.title] = [[_cell_text(cell) for cell in row] for row in rows]
-    except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+        with zipfile.ZipFile(stream) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > LARGEST:
+            raise OverflowError
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of styles and the like
+            book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
+            for sheet in book.worksheets:
+                if form.sheet in (None, sheet.title):
+                    rows = sheet.iter_rows(values_only=True)
+                    sheets[sheet.title] = [[_cell_text(cell) for cell in row] for row in rows]
+    except OverflowError:
+        raise UsageError(f"{label}: expected at most {LARGEST} bytes of sheets, got more") from None
+    except Exception as error:  # openpyxl raises whatever a damaged byte leads to
         raise UsageError(f"{label}: not a valid Excel file (.xlsx)") from error
     if form.sheet is not None and not sheets:
         raise UsageError(
