@@ -505,7 +505,7 @@ def _check_gaps(
         )
     way_out = f"set maximum_gap = {longest!r}, or run before or after the gap"
     restart, offset = data.restart or (np.nan, "")
-    if begin[first] == restart and end[first] >= points[-1]:
+    if np.isclose(begin[first], restart) and end[first] >= points[-1]:
         way_out = f"offset = {offset} is the time stamp after the gap, as t = 0; or {way_out}"
     raise UsageError(
         f"{data.source}: {name} has no sample between {begin[first]} s and {end[first]} s; "

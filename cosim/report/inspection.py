@@ -246,7 +246,8 @@ def describe_samples(source: str) -> Section:
     UsageError
         If it is no such table; see :func:`cosim.scenario.data_files.field_file.read_field_data`.
     """
-    data = field_data(source)
+    unread: dict[str, str] = {}
+    data = field_data(source, unread=unread)
     distances = np.diff(data.t)
     about: Section = {
         "samples": len(data.t),
@@ -268,7 +269,10 @@ def describe_samples(source: str) -> Section:
     reading = []
     for what, found, reason, key in data.reading:
         reading.append({"read as": what, "found": found, "why": reason, "key": key or None})
-    return {"samples": about, "signals": signals, "reading": reading}
+    content = {"samples": about, "signals": signals, "reading": reading}
+    if unread:
+        content["not read"] = [{"signal": name, "problem": unread[name]} for name in unread]
+    return content
 
 
 def describe_scenario(name: str) -> Section:

@@ -138,15 +138,19 @@ def field_data(
     columns: Mapping[str, str | Sequence[str]] | None = None,
     same_time: SameTime | None = None,
     form: TableForm | None = None,
+    unread: dict[str, str] | None = None,
 ) -> FieldData:
-    """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics."""
+    """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics.
+
+    ``unread`` takes the signals that cannot be read, and why, where that shall be no error.
+    """
     path = Path(path)
     form = form or TableForm()
     if isinstance(offset, int | float) and not math.isfinite(offset):
         raise UsageError(f'offset: expected a finite number or "first", got {offset}')
     if path.suffix.lower() == MCAP:
         fields = listed_columns(columns or {})
-        check_asked(path, fields)
+        check_asked(path, fields, same_time)
         samples = read_samples(
             path, chain.from_iterable(fields.values()), time=time, time_unit=time_unit
         )
@@ -165,8 +169,14 @@ def field_data(
     )
     signals = []
     for name, parts in chosen.items():
-        stacked = np.stack([table.values(part.position) for part in parts], axis=1)[stamps.rows]
-        stacked = without_codes(stacked, form.missing)
+        try:
+            columns_of = [table.values(part.position) for part in parts]
+        except UsageError as error:
+            if unread is None:
+                raise
+            unread[name] = str(error).removeprefix(f"{table.label}, ")
+            continue
+        stacked = without_codes(np.stack(columns_of, axis=1)[stamps.rows], form.missing)
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, stacked, tuple(part.text for part in parts)))
     notes = () if time is not None else headers.notes(clock, time_unit or "s")

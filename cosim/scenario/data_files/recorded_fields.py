@@ -52,14 +52,18 @@ def read_samples(
     return dict(zip(names, found, strict=True))
 
 
-def check_asked(path: Path, columns: Mapping[str, Sequence[str]]) -> None:
-    """Check that some field of a file is asked for.
+def check_asked(path: Path, columns: Mapping[str, Sequence[str]], same_time: str | None) -> None:
+    """Check that some field of a file is asked for, and of messages of one time the last.
 
     Raises
     ------
     UsageError
-        If none is.
+        If that is not so.
     """
+    if same_time not in (None, "last"):
+        raise UsageError(
+            f'file {str(path)!r}: same_time: expected "last" of messages, got {same_time!r}'
+        )
     if columns:
         return
     map_option = option("map", "PORT", "/topic.field")

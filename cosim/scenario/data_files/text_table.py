@@ -216,11 +216,11 @@ class TextTable(Table):
         if not above and data < len(rows):
             return self._commented(sheet, data), data
         for row in rows[:data]:
-            is_number_row = row.width > 1 and all(map(self._is_value, row.values))
-            if is_number_row and row.number < above[-1].number:
+            begins_so = row.width > 1 and self._is_value(row.values[0])
+            if begins_so and row.number < above[-1].number:
                 raise UsageError(
-                    f"{self.label}, {self._at(row)}: expected nothing but text above the names of "
-                    f"the columns, in {self._at(above[-1])}, got numbers; skip = "
+                    f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
+                    f"the columns, in {self._at(above[-1])}; skip = "
                     f"{above[-1].number - 1} reads the table that begins there"
                 )
         if len(above) > 1 and self._values_in(above[-1]):

@@ -264,7 +264,7 @@ class FieldDataKind(PlantKind):
         """
         path = context.file(self.path)
         columns = self.fields(context.mapped(name))
-        check_asked(path, columns)
+        check_asked(path, columns, self.same_time)
         together = list(chain.from_iterable(columns.values()))
         for other, spec in context.of_kind(FieldDataKind).items():
             is_beside = (spec.path, spec.time, spec.time_unit) == (

@@ -466,3 +466,13 @@ def test_info_shows_what_is_read(tmp_path):
         "time unit": ("ms", "time_unit"),
         "t = 0": ("0", "offset"),
     }
+
+
+def test_info_shows_what_cannot_be_read_beside_what_can(tmp_path):
+    """A column of texts is no reason to say nothing of the others."""
+    path = written(tmp_path, "t,state,y\n0,on,1\n1,off,2\n")
+    content = describe_samples(str(path))
+    assert [row["signal"] for row in content["signals"]] == ["y"]
+    (row,) = content["not read"]
+    assert row["signal"] == "state"
+    assert "line 2, column 2 ('state'): expected a number" in row["problem"]

@@ -58,6 +58,7 @@ def test_options_that_select_no_samples_are_refused(recording):
     cases = [
         ({}, r"expected a map, .*columns"),
         ({"columns": {"y": []}}, r"columns: expected a column .*'y': \[\]"),
+        ({"columns": {"y": "/fast.x"}, "same_time": "spread"}, r"same_time: .*\"last\" .*'spread'"),
         ({"columns": {"y": "/fast.x"}, "time_unit": "ps"}, r"time_unit: .*'ps'"),
         ({"columns": {"y": "/fast.x"}, "offset": 1e12}, r"within 2\*\*63 ns of the offset"),
     ]

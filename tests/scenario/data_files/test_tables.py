@@ -123,7 +123,7 @@ def test_keys_say_what_is_not_found(tmp_path):
     data = read_field_data(path, skip=2, comment="%", missing=[-9999, "NA", "-"])
     np.testing.assert_array_equal(data["3"][:, 0], [np.nan, 7.0, np.nan])
     np.testing.assert_array_equal(data["4"][:, 0], [np.nan, np.nan, 1.0])
-    with pytest.raises(UsageError, match=r"line 2: expected nothing but text above.*skip = 2"):
+    with pytest.raises(UsageError, match=r"line 2: expected no row of numbers above.*skip = 2"):
         read_field_data(path, comment="%", missing=["NA", "-"])
     with pytest.raises(UsageError, match=r"line 5, column 3 \('4'\): expected a number .*got text"):
         read_field_data(path, skip=2, comment="%")
