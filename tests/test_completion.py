@@ -13,7 +13,7 @@ def complete(tmp_path, monkeypatch, capsys):
     (tmp_path / "academic-mine.toml").write_text("no = 'scenario'")
     (tmp_path / "plants").mkdir()
     (tmp_path / "plants" / "a.fmu").touch()
-    (tmp_path / "plants" / "a.txt").touch()
+    (tmp_path / "plants" / "a.pdf").touch()
     (tmp_path / "plants" / "a.mcap").touch()
     (tmp_path / "plants" / "a.csv").touch()
     (tmp_path / ".hidden.toml").touch()

@@ -42,7 +42,7 @@ from cosim.scenario.data_files.recorded_fields import (
     recorded_data,
     without_codes,
 )
-from cosim.scenario.data_files.table import Reading, Table, TableForm
+from cosim.scenario.data_files.table import DataTable, Reading, TableForm
 from cosim.scenario.data_files.tables import read_table
 
 TimeOffset: TypeAlias = float | Literal["first"]
@@ -212,7 +212,7 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
 class _Headers:
     """The columns of a table that have a name."""
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: DataTable) -> None:
         self._label = table.label
         self._table = table
         self.all = [header for header in table.headers if header.text]
@@ -307,7 +307,7 @@ class _Stamps:
 
     def __init__(
         self,
-        table: Table,
+        table: DataTable,
         clock: Header,
         *,
         offset: TimeOffset | None,
@@ -359,7 +359,7 @@ class _Stamps:
             found = f"{repeated} rows have the time of the one before"
             self.reading.append(Reading("same time", found, str(same_time), "same_time"))
 
-    def _check_increasing(self, table: Table, seconds: Sequence[float]) -> None:
+    def _check_increasing(self, table: DataTable, seconds: Sequence[float]) -> None:
         for number, t in enumerate(seconds):
             is_after = number == 0 or t > seconds[number - 1]
             if is_after and math.isfinite(t):
@@ -379,7 +379,7 @@ class _Stamps:
             )
 
 
-def _second(table: Table, clock: Header, unit: str | None) -> Decimal:
+def _second(table: DataTable, clock: Header, unit: str | None) -> Decimal:
     """Return the unit of the times in s."""
     own = table.stamp_unit(clock.position)
     if own is not None and unit is not None:

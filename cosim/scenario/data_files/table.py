@@ -58,7 +58,7 @@ class TableForm:
         return frozenset(code for code in self.missing if isinstance(code, str))
 
 
-class Table:
+class DataTable:
     """Columns of numbers, each with its place from 0.
 
     ``headers`` are the columns with a name, ``index`` those that were the index of a frame,

@@ -7,14 +7,14 @@ from typing import Final
 
 from cosim.errors import UsageError
 from cosim.scenario.data_files.headers import is_number
-from cosim.scenario.data_files.table import Table, TableForm
+from cosim.scenario.data_files.table import DataTable, TableForm
 from cosim.scenario.data_files.text_table import TextTable, excel_table, text_table
 from cosim.scenario.data_files.typed_table import MatTable, ParquetTable
 
 EXCEL: Final = (".xlsx", ".xlsm")
 
 
-def read_table(path: Path, form: TableForm | None = None) -> Table:
+def read_table(path: Path, form: TableForm | None = None) -> DataTable:
     """Read a table by the ending of its name; all that is none of the others is text.
 
     Raises
@@ -23,7 +23,7 @@ def read_table(path: Path, form: TableForm | None = None) -> Table:
         If the file cannot be read, is too large, is no table, or a library is missing.
     """
     form = form or TableForm()
-    table: Table
+    table: DataTable
     match path.suffix.lower():
         case ".parquet":
             table = ParquetTable(path)

@@ -30,8 +30,8 @@ from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number
 from cosim.scenario.data_files.table import (
     LARGEST,
+    DataTable,
     Reading,
-    Table,
     TableForm,
     content_of,
     with_unit,
@@ -111,7 +111,7 @@ class _Sheet:
     separator: str | None = None
 
 
-class TextTable(Table):
+class TextTable(DataTable):
     """Names of columns, and rows of cells below them.
 
     ``is_text``: the cells need not be numbers, and there are no units.
@@ -259,10 +259,12 @@ class TextTable(Table):
         units = [unit.strip() for unit in row.values]
         named = list(zip(above.values, units, strict=False))
         is_beside = row.width == above.width and all(name.strip() for name, unit in named if unit)
-        if not is_beside or self._values_in(above) or self._is_data(row):
+        if not is_beside or self._is_data(row):
             return False
         if any(Header.parse(name, 0).times for name in above.values):  # then any text is a unit
             return not any(Header.parse(unit, 0).times and unit != "t" for unit in units)
+        if self._values_in(above):
+            return False
         return all(map(_is_unit, units)) and not any(Header.parse(unit, 0).times for unit in units)
 
     def _check_widths(self, rows: Sequence[_Row], names: _Row) -> None:

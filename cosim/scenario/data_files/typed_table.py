@@ -17,12 +17,12 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import UsageError
 from cosim.scenario.data_files.headers import Header
 from cosim.scenario.data_files.mat_file import OtherVariable, variables_of
-from cosim.scenario.data_files.table import LARGEST, Reading, Table, content_of, with_unit
+from cosim.scenario.data_files.table import LARGEST, DataTable, Reading, content_of, with_unit
 
 _BYTES: Final = 8  # of a number
 
 
-class ParquetTable(Table):
+class ParquetTable(DataTable):
     """A Parquet file."""
 
     def __init__(self, path: Path) -> None:
@@ -139,7 +139,7 @@ class ParquetTable(Table):
 _UNIT: Final = re.compile(r".*\[(?P<unit>[^\[\]|]+)(?:\|[^\[\]]*)?\]\s*", re.DOTALL)
 
 
-class MatTable(Table):
+class MatTable(DataTable):
     """A MAT-file: a trajectory of Dymola or OpenModelica, a converted log, or columns of numbers.
 
     A trajectory has two rows at each event; the later one counts.
