@@ -389,15 +389,21 @@ def _port_names(component: str, path: str, maps: Mapping[str, PortNames]) -> lis
 
 
 def _sample_names(path: Path, maps: Mapping[str, PortNames]) -> list[str]:
-    from cosim.log.foreign.field_path import split_field
+    from cosim.log.foreign.field_path import FieldProblem, split_field
     from cosim.log.foreign.topics import read_channels
     from cosim.scenario.data_files.field_file import field_data
 
     if file_type(path) != "log":
         return [signal.name for signal in field_data(path).signals]
-    topics = [channel.topic for channel in read_channels(path)]
-    names = chain.from_iterable(port_names(listed) for listed in maps.values())
-    return [name for name in names if split_field(name, set(topics)) is not None]
+    topics = {channel.topic for channel in read_channels(path)}
+    found = []
+    for name in chain.from_iterable(port_names(listed) for listed in maps.values()):
+        try:
+            if split_field(name, topics) is not None:
+                found.append(name)
+        except FieldProblem:
+            found.append(name)  # whoever reads it says what is wrong
+    return found
 
 
 def _interface(component: str, table: Mapping[str, Any]) -> Interface:

@@ -39,7 +39,7 @@ FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
 class FieldDataKind(PlantKind):
-    """Recorded samples of a file (.csv, .parquet, .mcap of another tool) at their own times."""
+    """Recorded samples of a table or of an MCAP of another tool, at their own times."""
 
     ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
     is_recorded: ClassVar[bool] = True

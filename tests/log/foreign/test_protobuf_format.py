@@ -40,6 +40,7 @@ def test_fields_in_protobuf_are_what_the_stock_decoder_reads(states, subtests):
     path, messages = states
     for field, value in [
         ("position", lambda state: state.position),
+        ('"position"', lambda state: state.position),
         ("effort", lambda state: list(state.effort)),
         ("effort[2]", lambda state: state.effort[2]),
         ("effort[1:3]", lambda state: list(state.effort[1:3])),
