@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field, StrictStr
@@ -29,16 +29,16 @@ from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import field_data, listed_columns
 from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
-from cosim.scenario.data_files.table import TableForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
+from cosim.scenario.kinds.table_keys import TableKeys
 
 MOST_SAMPLES: Final = 1000  # in one communication step
 FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
-class FieldDataKind(PlantKind):
+class FieldDataKind(TableKeys, PlantKind):
     """Recorded samples of a table or of an MCAP of another tool, at their own times."""
 
     ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
@@ -72,28 +72,11 @@ class FieldDataKind(PlantKind):
         '{ y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those in the '
         "map of the swap",
     )
-    separator: str | None = Field(
-        None,
-        description="column separator of a text; default: tab, semicolon, vertical bar or "
-        "comma, the one that splits its lines into equally many cells",
-    )
-    decimal: Literal[".", ","] | None = Field(
-        None, description="decimal separator of a text; default: as found in its numbers"
-    )
-    skip: Annotated[Whole, Field(ge=0)] | None = Field(
-        None,
-        description="lines before the names of the columns; default: the names are found, above "
-        "the first row of numbers, or between them a row of units",
-    )
-    comment: Annotated[str, Field(max_length=10)] | None = Field(
-        None, description='what lines begin with that are left out; default: "#"'
-    )
     missing: tuple[Number | StrictStr, ...] = Field(
         (),
         description="what stands for no measured value, beside empty cells and NaN, as in "
         '[-9999, "NA"]',
     )
-    sheet: str | None = Field(None, description="sheet of a workbook; default: its only one")
     same_time: Literal["last", "spread"] | None = Field(
         None,
         description='samples of one time stamp: the "last" counts, or they are "spread" evenly up '
@@ -252,9 +235,7 @@ class FieldDataKind(PlantKind):
             offset=self.offset,
             columns=self.columns,
             same_time=self.same_time,
-            form=TableForm(
-                self.separator, self.decimal, self.skip, self.comment, self.missing, self.sheet
-            ),
+            form=replace(self.form, missing=self.missing),
         )
 
     def _read_mcap(self, name: str, context: BuildContext) -> FieldData:

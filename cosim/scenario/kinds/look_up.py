@@ -18,11 +18,12 @@ from cosim.native.blocks.functions import Extrapolation
 from cosim.scenario.data_files.tables import read_table
 from cosim.scenario.document.schema import NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.table_keys import TableKeys
 
 Points = tuple[list[Vector], Matrix]  # of each input, and the values on their grid
 
 
-class LookUpTableKind(Kind):
+class LookUpTableKind(TableKeys, Kind):
     """y = f(u) or f(u1, u2), linear between breakpoints from arrays or a CSV file."""
 
     ports: ClassVar[str] = "u, or u1, u2 -> y"
@@ -87,7 +88,7 @@ class LookUpTableKind(Kind):
 
     def _read(self, path: Path) -> tuple[list[Vector], Matrix, dict[str, PortUnit]]:
         """Return breakpoints, values and the units of the ports."""
-        table = read_table(path)
+        table = read_table(path, self.form)
         headers = table.find(self.columns)
         if len(headers) not in (2, 3):
             raise UsageError(

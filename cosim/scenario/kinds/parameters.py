@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from cosim.scenario.document.problems import table_in
 from cosim.scenario.kinds.base import Kind
+from cosim.scenario.kinds.table_keys import TableKeys
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class Parameter:
 def parameters_of(table: type[BaseModel]) -> list[Parameter]:
     """Return the keys of a table, as of a kind, each with those inside it.
 
-    The required ones come first, those that every kind has last.
+    The required ones come first, those that every kind has, or every table, last.
     """
     required: list[Parameter] = []
     optional: list[Parameter] = []
@@ -44,7 +45,7 @@ def parameters_of(table: type[BaseModel]) -> list[Parameter]:
         parameters = list(_with_inner(name, table))
         if field.is_required():
             required += parameters
-        elif name in Kind.model_fields:
+        elif name in Kind.model_fields or name in TableKeys.model_fields:
             shared += parameters
         else:
             optional += parameters

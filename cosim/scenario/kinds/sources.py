@@ -43,6 +43,7 @@ from cosim.scenario.kinds.jumps import (
     held_from_points,
     unseen_rows,
 )
+from cosim.scenario.kinds.table_keys import TableKeys
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
 
 if TYPE_CHECKING:
@@ -252,7 +253,7 @@ class ExpressionKind(Kind):
         )
 
 
-class TableKind(Kind):
+class TableKind(TableKeys, Kind):
     """y = interpolated points from arrays or a CSV file with a header line."""
 
     ports: ClassVar[str] = "-> y"
@@ -324,7 +325,7 @@ class TableKind(Kind):
         from cosim.scenario.data_files.headers import second_of, unit_of
         from cosim.scenario.data_files.tables import read_table
 
-        table = read_table(path)
+        table = read_table(path, self.form)
         (clock,) = table.find([self.time])
         parts = [header for header in table.find(self.columns) if header != clock]
         second = second_of(table.label, clock)

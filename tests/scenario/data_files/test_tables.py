@@ -271,7 +271,7 @@ def test_a_table_source_and_a_look_up_read_the_same_forms(tmp_path):
         scenario = { name = "s", stop = 1.0, step = 0.5 }
         [components]
         u = { kind = "table", file = "s.csv" }
-        f = { kind = "look-up-table", file = "s.csv", columns = ["level", "t"] }
+        f = { kind = "look-up-table", file = "s.csv", columns = ["level", "t"], skip = 0 }
         [connections]
         "f.u" = "u.y"
         """
