@@ -127,6 +127,11 @@ class TextTable(DataTable):
         width = _usual_width(sheet.rows)
         if width > MOST_COLUMNS:
             raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
+        wide = [row.values for row in sheet.rows if row.width == width]
+        if not is_text and wide and not any(cells[-1].strip() for cells in wide):
+            for cells in wide:  # a separator at the end of each line
+                del cells[-1]
+            width -= 1
         self._numeric = self._columns_of_numbers(sheet.rows, width)
         if is_text or form.skip is not None:
             above, data = self._given_names(sheet.rows, form, width, is_text=is_text)

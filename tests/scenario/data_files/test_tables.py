@@ -95,6 +95,7 @@ TEXTS = {
     "a row of units": ("time,y,n\nms,mm,-\n0,1,0\n500,2,0\n1000,3.5,0\n1500,4,0\n", "mm"),
     "units in brackets": ("time,y,n\n[ms],[rpm],\n0,1,0\n500,2,0\n1e3,3.5,0\n1500,4,0\n", "rpm"),
     "decimal commas": ("time;y\n0,0;1,0\n0,5;2,0\n1,0;3,5\n1,5;4,0\n", None),
+    "separators at the ends": ("time;y\n0;1;\n0,5;2;\n1;3,5;\n1,5;4;\n", None),
     "tabs and decimal commas": ("time\ty [m/s]\n0\t1\n0,5\t2\n1\t3,5\n1,5\t4\n", "m/s"),
     "commas within cells": (
         "t;place;y\n0;a, b;1\n0.5;c, d;2\n1;e, f;3.5\n1.5;g, h;4\n",
