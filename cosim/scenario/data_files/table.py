@@ -52,6 +52,12 @@ class TableForm:
     missing: tuple[float | str, ...] = ()
     sheet: str | None = None
 
+    def __post_init__(self) -> None:
+        if self.decimal not in (None, ".", ","):
+            raise UsageError(f'decimal: expected "." or ",", got {self.decimal!r}')
+        if self.skip is not None and self.skip < 0:
+            raise UsageError(f"skip: expected a number of lines, got {self.skip}")
+
     @property
     def missing_texts(self) -> frozenset[str]:
         """The cells that are no measured values."""

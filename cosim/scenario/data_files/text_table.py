@@ -459,10 +459,6 @@ def _is_unit(text: str) -> bool:
 def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     """Read a text; see :func:`cosim.scenario.data_files.tables.read_table`."""
     label = f"file {str(path)!r}"
-    if form.decimal not in (None, ".", ","):
-        raise UsageError(f'decimal: expected "." or ",", got {form.decimal!r}')
-    if form.skip is not None and form.skip < 0:
-        raise UsageError(f"skip: expected a number of lines, got {form.skip}")
     text, encoding = _decoded(path, label)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     mark = form.comment
