@@ -19,6 +19,7 @@ from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Channel, Signal
 from cosim.instants import step_value
+from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
 from cosim.report.tables.certificate import notes, search_rows, share_text
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 
 Section = dict[str, Any]
 
+VERSIONS = ("cosim", "python", "numpy", "scipy", "mcap")
 MOST_MESSAGES = 10_000  # that are shown of a log
 MOST_OVERRIDES = 10  # and releases
 MOST_TEXT = 2**22  # characters of them
@@ -72,6 +74,8 @@ def describe_log(path: str) -> Section:
         "content hash": log.recorded_hash,
         "schedule": ", ".join(log.schedule),
         "attachments": ", ".join(log.attachments),
+        "written": log.metadata.get(WRITTEN, {}).get("time"),
+        **_environment(log.metadata.get("cosim.env", {})),
     }
     events = log.events()
     if events:
@@ -107,6 +111,16 @@ def describe_log(path: str) -> Section:
     if more:
         content["more messages"] = {"not shown": more}
     return content
+
+
+def _environment(recorded: Mapping[str, str]) -> Section:
+    """Return by what and on which machine a log was written, as far as it says so."""
+    versions = [f"{name} {recorded[name]}" for name in VERSIONS if name in recorded]
+    machine = [recorded[name] for name in ("processor", "platform") if name in recorded]
+    return {
+        "written by": ", ".join(versions) or None,
+        "machine": ", ".join(machine) or None,
+    }
 
 
 def _partial(log: Log) -> Section:

@@ -1,13 +1,17 @@
-"""What info shows of a scenario."""
+"""What info shows of a scenario and of a log."""
 
+import platform
+from datetime import UTC, datetime, timedelta
 from time import process_time
 
 import pytest
 
+import cosim
 from cosim.report import inspection
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.scenario.exporting import export_component
 from tests.log.recordings import STEP_NS, record
+from tests.scenario.user_modules import RELAY
 
 SCENARIO = """
 [scenario]
@@ -89,6 +93,68 @@ def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkey
     shown = describe_log(str(path))
     assert [row["text"] for row in shown["messages"]] == texts[:3]
     assert shown["more messages"] == {"not shown": 1}
+
+
+def test_a_log_says_when_by_what_and_on_which_machine_it_was_written(tmp_path):
+    """The clock of the machine, to a second; the version; the system and the processor."""
+    path = tmp_path / "x.mcap"
+    before = datetime.now(UTC) - timedelta(seconds=1)
+    record(path)
+    shown = describe_log(str(path))["run"]
+    assert before <= datetime.fromisoformat(shown["written"]) <= datetime.now(UTC)
+    assert f"cosim {cosim.__version__}" in shown["written by"]
+    assert platform.python_version() in shown["written by"]
+    assert platform.platform() in shown["machine"]
+    assert platform.node() not in shown["machine"]  # the name of the machine is its owner's
+
+
+def test_a_log_has_no_path_of_its_sender(tmp_path, monkeypatch):
+    """Whatever was given with a whole path: scenario, swaps, log of a replay, and its files."""
+    folder = tmp_path / "sender"
+    scenarios = folder / "scenarios"
+    scenarios.mkdir(parents=True)
+    (scenarios / "relay.py").write_text(RELAY)
+    (scenarios / "few.csv").write_text("t,y\n0,1\n0.2,2\n")  # a warning names it
+    export_component("closed-loop", "plant", folder / "plant.fmu")
+    text = SCENARIO.replace(
+        "[connections]",
+        """
+[components.few]
+kind = "field-data"
+path = "few.csv"
+
+[components.relay]
+kind = "python"
+class = "relay:Relay"
+width = 0.1
+
+[components.plant]
+kind = "constant"
+value = 1.0
+
+[connections]
+"relay.u" = "length.y"
+""",
+    )
+    (scenarios / "x.toml").write_text(text)
+    monkeypatch.chdir(folder)
+    swaps = {"plant": folder / "plant.fmu", "width": scenarios / "few.csv"}
+    with pytest.warns(cosim.CosimWarning):
+        run = cosim.run(
+            scenarios / "x.toml",
+            swap=swaps,
+            map={"width.y": "y"},
+            out=folder / "x.mcap",
+        )
+    with pytest.warns(cosim.CosimWarning):
+        again = cosim.replay(folder / "x.mcap", out=folder / "y.mcap")
+    for log in (run, again):
+        shown = describe_log(str(log.path))
+        assert str(tmp_path) not in f"{shown} {log.metadata}"
+        for name in log.attachments:
+            assert str(tmp_path).encode() not in log.attachment(name)
+    assert shown["run"]["replay of"]["log"] == "x.mcap"
+    assert describe_log(str(run.path))["metadata"]["plant"]["path"] == "plant.fmu"
 
 
 def describing_cost(folder, size):

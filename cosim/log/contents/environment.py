@@ -10,6 +10,7 @@ from pathlib import Path
 from cosim.core.recording import Recording
 from cosim.version import __version__
 
+WRITTEN = "cosim.written"  # the record that has the time at which a recording began
 _PACKAGES = ("numpy", "scipy", "mcap")
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from cosim.core.recording import Plan
 from cosim.log.contents.comments import element_comments, part_comment
-from cosim.log.contents.environment import environment
+from cosim.log.contents.environment import WRITTEN, environment
 from cosim.log.contents.layout import Part
 from cosim.log.contents.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
 from cosim.log.contents.metadata import add_checksum, compact, encode_design
@@ -109,9 +110,11 @@ def _complete_metadata(
 
 def _own_metadata(plan: Plan, kinds: Mapping[str, str]) -> dict[str, dict[str, str]]:
     stages = compact(list(plan.schedule))
+    written = datetime.now(UTC).isoformat(sep=" ", timespec="seconds")
     records = {
         "cosim.run": {"format": FORMAT},
         "cosim.env": environment(),
+        WRITTEN: {"time": written},
         "cosim.schedule": {"step_ns": str(plan.step_ns), "stages": stages},
     }
     if plan.partial is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds
 from cosim.errors import LogError, UsageError
 from cosim.instants import NANOSECONDS
+from cosim.log.contents.environment import WRITTEN
 from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.log.editing.batches import gathered
 from cosim.log.editing.copying import PartEnd, write_log
@@ -155,7 +156,7 @@ def _contradiction(a: LogPieces, b: LogPieces) -> str:
         return "the declaration of the channels"
     names = dict.fromkeys([*a.kept_metadata, *b.kept_metadata])
     for name in names:
-        if a.kept_metadata.get(name) != b.kept_metadata.get(name):
+        if name != WRITTEN and a.kept_metadata.get(name) != b.kept_metadata.get(name):
             return f"the metadata {name!r}"
     contents_a = {item.name: item.data for item in a.kept_attachments}
     contents_b = {item.name: item.data for item in b.kept_attachments}

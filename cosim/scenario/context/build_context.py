@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
@@ -128,6 +129,7 @@ class ScenarioBuildContext:
         folder = scenario.document.folder
         self.records = BuildRecords()
         self._specs = LookedUpKinds(scenario.specs, self.records)
+        self._folder = folder
         self.files = NamedFiles(folder, recording, named_files)
         self.models = ScenarioModels(scenario.file.models, self.files, recording)
         self.fmus = ScenarioFmus(
@@ -520,8 +522,8 @@ class ScenarioBuildContext:
         self.records.add_metadata(name, metadata)
 
     def warn(self, name: str, text: str) -> None:
-        """Record a warning about a component."""
-        self.records.warn(name, text)
+        """Record a warning about a component; the log, which is sent to others, has it too."""
+        self.records.warn(name, text.replace(f"{self._folder}{os.sep}", ""))
 
 
 def _values_at(component: Component, column: int, t: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -46,6 +47,11 @@ class RecordedFmu:
     copy: Path
     path: str
     means: bool
+
+
+def _recorded(fmu: Fmu) -> dict[str, Any]:
+    """Return the metadata of an FMU, its path from the working folder: a log is sent to others."""
+    return {**fmu.metadata, "path": os.path.relpath(fmu.metadata["path"])}
 
 
 NONE_AGAIN: Final[Mapping[str, RecordedFmu]] = MappingProxyType({})
@@ -111,11 +117,11 @@ class ScenarioFmus:
 
         if self._describes:
             described = describe(self._files.path(path), options)
-            self._records.add_metadata(name, described.metadata)
+            self._records.add_metadata(name, _recorded(described))
             return described
         loaded = self._resources.enter_context(self._load(name, path, options))
         self._records.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
-        self._records.add_metadata(name, loaded.metadata)
+        self._records.add_metadata(name, _recorded(loaded))
         for note in loaded.notes:
             self._records.warn(name, note)
         self.opened[name] = loaded

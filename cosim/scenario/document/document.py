@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -81,6 +82,8 @@ class Document:
     ) -> Document:
         """Replace components; paths are taken from the working directory.
 
+        They are kept as paths from the folder: a log, which has them, is sent to others.
+
         A component that is replaced again loses the map given before.
 
         Raises
@@ -91,9 +94,11 @@ class Document:
         paths = dict(self.swaps)
         for name, path in swaps.items():
             try:
-                paths[name] = marked_path(str(path_argument("path", path).absolute()))
+                given = Path(marked_path(str(path_argument("path", path))))
             except UsageError as error:
                 raise UsageError(f"{option('swap', name)}: {error}") from error
+            place = given.parent.resolve() / given.name
+            paths[name] = os.path.relpath(place, self.folder.resolve())
         kept = dict(self.maps)
         if kept:
             tree, _ = self.tree()
@@ -140,7 +145,7 @@ class Document:
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
         edits = {"swaps": self.swaps, "maps": self.maps, "changes": self.changes}
-        return json.dumps({"source": self.source, **edits})
+        return json.dumps({"source": os.path.relpath(self.source), **edits})
 
     @staticmethod
     def recorded(text: str, edits: str, folder: Path) -> Document:

@@ -183,7 +183,7 @@ def prepared_replay(
     uncomputed = experiment.uncomputed
     window = request.window
     origin = ReplayOrigin(
-        str(source.path),
+        os.path.relpath(source.path),
         source.recorded_hash or source.content_hash(),
         copied,
         window=None if window is None else (window.begin, window.end),

@@ -90,6 +90,7 @@ def test_stock_reader_sees_metadata_attachments_and_messages(stock_reader):
         [
             "cosim.run",
             "cosim.env",
+            "cosim.written",
             "cosim.schedule",
             "cosim.connections",
             "cosim.result",
