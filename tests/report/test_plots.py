@@ -54,11 +54,11 @@ def size_of(path):
 
 
 def test_every_curve_has_its_name_and_unit(runs, tmp_path):
-    """One curve on the axis, several in a legend and their unit on the axis; 5 cm a panel."""
+    """What all are of stands on the axis, with the unit, several in a legend; 5 cm a panel."""
     plot_signals(runs[0], ["a.y", "c.y", "a.y, b.y"], tmp_path / "a.svg")
     shown = texts(tmp_path / "a.svg")
     assert shown.count("a.y [m]") == 1
-    assert {"c.y[0]", "c.y[1]", "[V]", "a.y", "b.y", "[m]", "t [s]"} <= set(shown)
+    assert {"c.y[0]", "c.y[1]", "c.y [V]", "a.y", "b.y", "[m]", "t [s]"} <= set(shown)
     assert "[mm]" not in shown
     assert size_of(tmp_path / "a.svg") == pytest.approx((22.0, 3.0 + 3 * 5.0), abs=1e-4)
 
@@ -91,24 +91,39 @@ def test_units_of_one_kind_share_an_axis_and_others_do_not(runs, tmp_path):
 
 
 def test_elements_of_different_units_have_them_in_their_names(tmp_path):
-    """They are one signal, and have no common axis."""
+    """They are one signal, which the axis names, and have no common unit."""
     (tmp_path / "a.toml").write_text("""
         scenario = { name = "a", stop = 0.1, step = 0.1 }
         components.a = { kind = "constant", value = [1.0, 2.0], unit = { y = ["mm", "m/s"] } }
     """)
     run = cosim.run(tmp_path / "a.toml")
     plot_signals(run, ["a.y"], tmp_path / "a.svg")
-    assert {"a.y[0] [mm]", "a.y[1] [m/s]"} <= set(texts(tmp_path / "a.svg"))
+    assert {"a.y", "a.y[0] [mm]", "a.y[1] [m/s]"} <= set(texts(tmp_path / "a.svg"))
     plot_signals(run, ["a.y[1]"], tmp_path / "b.svg")
     assert "a.y[1] [m/s]" in texts(tmp_path / "b.svg")
 
 
 def test_several_logs_share_a_panel(runs, tmp_path):
-    """Each curve says which log it is from; logs of one name say their folders."""
-    plot_signals(runs, ["a.y"], tmp_path / "a.svg")
-    assert {"a.y (first)", "a.y (second)"} <= set(texts(tmp_path / "a.svg"))
+    """The axis says which signal it is, each curve from which log, by its folder if need be."""
+    plot_signals(runs, ["a.y", "c.y"], tmp_path / "a.svg")
+    shown = set(texts(tmp_path / "a.svg"))
+    assert {"a.y [m]", "a.y (first)", "a.y (second)", "c.y [V]", "c.y[1] (second)"} <= shown
     plot_signals([runs[0], runs[0]], ["a.y"], tmp_path / "b.svg")
     assert texts(tmp_path / "b.svg").count(f"a.y ({runs[0].path})") == 2
+
+
+def test_many_panels_stand_side_by_side(runs, tmp_path):
+    """At most four in a column: a picture fits a screen; the lowest of each column has the time."""
+    plot_signals(runs[0], ["a.y"] * 4, tmp_path / "a.svg")
+    assert size_of(tmp_path / "a.svg") == pytest.approx((22.0, 3.0 + 4 * 5.0), abs=1e-4)
+    assert texts(tmp_path / "a.svg").count("t [s]") == 1
+    plot_signals(runs[0], ["a.y"] * 5, tmp_path / "a.svg")
+    assert size_of(tmp_path / "a.svg") == pytest.approx((32.0, 3.0 + 3 * 6.0), abs=1e-4)
+    assert [texts(tmp_path / "a.svg").count(text) for text in ("t [s]", "a.y [m]", "0.2")] == [
+        2,
+        5,
+        2 + 5,  # on both axes of time, and on all of values
+    ]
 
 
 def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):

@@ -51,7 +51,7 @@ def plot_comparison(
     recordings = comparison.recordings
     if not comparison.estimates:
         raise UsageError("no run has an estimate with a [truth], so there is nothing to compare")
-    picture = Picture(len(comparison.estimates), 2, options)
+    picture = Picture(2 * len(comparison.estimates), options, columns=2)
     colors = dict(zip(recordings, run_styles(len(recordings)), strict=True))
     rows = np.reshape(np.array(picture.panels, object), (-1, 2))
     for (left, right), (estimate, true) in zip(rows, comparison.estimates.items(), strict=True):

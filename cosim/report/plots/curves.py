@@ -42,6 +42,8 @@ class Curve:
     values : Vector, shape (N,)
     held : bool
         Whether it has a zero-order hold between its rows; else it is interpolated linearly.
+    run : str
+        What tells its run from others, behind its name.
     """
 
     name: str
@@ -49,6 +51,12 @@ class Curve:
     times: Vector
     values: Vector
     held: bool = False
+    run: str = ""
+
+    @property
+    def label(self) -> str:
+        """Its name, with its run."""
+        return f"{self.name}{self.run}"
 
     def draw(self, panel: Any, style: Style, *, label: str | None = None) -> None:
         """Draw the curve as it is between two rows.
@@ -62,7 +70,7 @@ class Curve:
         largest = float(np.abs(finite).max(initial=0.0))
         if largest > LARGEST_DRAWN:
             raise UsageError(
-                f"{self.name}: {largest:g} is too large to be drawn; expected at most "
+                f"{self.label}: {largest:g} is too large to be drawn; expected at most "
                 f"{LARGEST_DRAWN:g}"
             )
         drawstyle = "steps-post" if self.held else "default"
@@ -110,6 +118,7 @@ def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style])
     """Draw curves into a panel, with their names and units.
 
     All are shown in the unit of the first; where elements of one signal cannot be, each in its own.
+    The axis has the name of the signal, or of the element, that all are of.
 
     Raises
     ------
@@ -117,20 +126,23 @@ def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style])
         If the units of several signals are of different kinds.
     """
     first = curves[0]
-    is_one_signal = len({curve.name.partition("[")[0] for curve in curves}) == 1
-    if is_one_signal and any(conversion(curve.unit, first.unit) is None for curve in curves):
-        for curve, style in zip(curves, styles, strict=True):
-            curve.draw(panel, style, label=f"{shown_text(curve.name)} {_bracketed(curve.unit)}")
-        show_legend(panel)
-        return
-    in_one_unit = [_in_unit(curve, first) for curve in curves]
-    for curve, style in zip(in_one_unit, styles, strict=True):
-        curve.draw(panel, style, label=shown_text(curve.name))
-    bracketed_unit = _bracketed(first.unit)
-    if len(curves) == 1:
-        panel.set_ylabel(f"{shown_text(first.name)} {bracketed_unit}".strip())
-    else:
-        panel.set_ylabel(bracketed_unit)
+    names = {curve.name for curve in curves}
+    signals = {name.partition("[")[0] for name in names}
+    has_own_units = False
+    if len(signals) == 1 and len({curve.run for curve in curves}) == 1:
+        has_own_units = any(conversion(curve.unit, first.unit) is None for curve in curves)
+    for curve, style in zip(curves, styles, strict=True):
+        label = shown_text(curve.label)
+        if has_own_units:
+            curve.draw(panel, style, label=f"{label} {_bracketed(curve.unit)}")
+        else:
+            _in_unit(curve, first).draw(panel, style, label=label)
+    common = ""
+    if len(signals) == 1:
+        common = first.name if len(names) == 1 else first.name.partition("[")[0]
+    unit = "" if has_own_units else _bracketed(first.unit)
+    panel.set_ylabel(f"{shown_text(common)} {unit}".strip())
+    if len(curves) > 1:
         show_legend(panel)
 
 
@@ -174,7 +186,7 @@ def _in_unit(curve: Curve, first: Curve) -> Curve:
     convert = conversion(curve.unit, first.unit)
     if convert is None:
         raise UsageError(
-            f"{first.name} in {first.unit.name!r} and {curve.name} in {curve.unit.name!r} cannot "
+            f"{first.label} in {first.unit.name!r} and {curve.label} in {curve.unit.name!r} cannot "
             "share an axis; give each a panel of its own"
         )
     if convert.copies:

@@ -54,12 +54,12 @@ def plot_difference(
     worst = difference.worst
     assert worst is not None
     apart = _apart(worst, runs)
-    picture = Picture(2, 1, options)
+    picture = Picture(2, options)
     above, below = picture.panels
     curves = []
     for run, label in zip(runs, short_labels(runs), strict=True):
         (curve,) = curves_of(run, apart.name, options)
-        curves.append(replace(curve, name=f"{curve.name}{label}"))
+        curves.append(replace(curve, run=label))
     draw_curves(above, curves, styles=_STYLES)
     draw_curves(below, [replace(apart, name="b - a")], styles=[{"color": COLORS[2]}])
     _draw_limits(below, worst)

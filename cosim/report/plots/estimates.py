@@ -52,7 +52,7 @@ def _plot_estimates(
     options: PictureOptions,
     scenario: str,
 ) -> None:
-    picture = Picture(len(truth), 2, options)
+    picture = Picture(2 * len(truth), options, columns=2)
     panels = np.reshape(np.array(picture.panels, object), (-1, 2))
     for (left, right), (estimate, true) in zip(panels, truth.items(), strict=True):
         curves = curves_of(recording, estimate, options)
@@ -81,7 +81,7 @@ def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, scen
     if not names:
         raise UsageError("the run has no outputs to show; name signals: cosim plot LOG SIGNAL...")
     drawn = names[:MOST_OUTPUTS]
-    picture = Picture(len(drawn), 1, options)
+    picture = Picture(len(drawn), options)
     for panel, name in zip(picture.panels, drawn, strict=True):
         curves = curves_of(recording, name, options)
         draw_curves(panel, curves, styles=list(color_styles(len(curves))))

@@ -10,6 +10,8 @@ _WORDS: Final = re.compile(r"\S+\s*|\s+")
 _PARTS: Final = re.compile(r"[^._/]+[._/]*|[._/]+")  # of a name, with what ends them
 _MARGIN: Final = 0.97  # of the room, that is used
 _MOST_COLUMNS: Final = 6  # of a legend
+_APART: Final = 1.25  # of the length of a number: from one to the next
+_GAP: Final = 3.0  # between numbers [dots]
 _ROOMY: Final = 0.5  # of the part of a picture that a panel has: its axes have more mostly
 
 
@@ -57,6 +59,35 @@ def fit_legend(figure: Any, lines: Sequence[Any], *, place: str, title: str = ""
     handles = width - max(text.get_window_extent().width for text in legend.get_texts())
     for text in legend.get_texts():
         _fit(text, text.get_text(), figure.bbox.width - handles)
+
+
+def fit_ticks(figure: Any) -> None:
+    """Leave out numbers at the axes of a figure that would run into others."""
+    from matplotlib.ticker import MaxNLocator
+
+    figure.draw_without_rendering()  # how long numbers are is known only then
+    for panel in figure.axes:
+        for axis in (panel.xaxis, panel.yaxis):
+            if axis.get_scale() == "log":
+                _thin_out(axis)
+        locator = panel.xaxis.get_major_locator()
+        widths = [label.get_window_extent().width for label in panel.xaxis.get_majorticklabels()]
+        room = panel.get_window_extent().width / max(_APART * max(widths, default=0.0), 1.0)
+        if isinstance(locator, MaxNLocator) and room < len(widths):
+            locator.set_params(nbins=max(int(room), 1))
+
+
+def _thin_out(axis: Any) -> None:
+    """Write the numbers between powers of ten only where they have room."""
+    direction = 0 if axis.axis_name == "x" else 1
+    taken = [label.get_window_extent() for label in axis.get_majorticklabels()]
+    texts = {}
+    for label in axis.get_minorticklabels():
+        extent = label.get_window_extent().padded(_GAP)
+        if label.get_text() and not any(extent.overlaps(other) for other in taken):
+            taken.append(extent)
+            texts[label.get_position()[direction]] = label.get_text()
+    axis.set_minor_formatter(lambda value, _: texts.get(value, ""))
 
 
 def fit_labels(figure: Any, *, rows: int, columns: int) -> None:

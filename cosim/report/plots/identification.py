@@ -49,7 +49,9 @@ def plot_identification(
         axis.
     """
     need_plot(out)
-    picture = Picture(_ROWS * len(identification.records), 2, options, shares_time=False)
+    picture = Picture(
+        2 * _ROWS * len(identification.records), options, columns=2, shares_time=False
+    )
     panels = np.reshape(np.array(picture.panels, object), (-1, _ROWS, 2))
     for index, (record, of_log) in enumerate(zip(identification.records, panels, strict=True)):
         _draw_residual(of_log[0], identification, index, options)

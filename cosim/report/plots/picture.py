@@ -14,12 +14,13 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.files import check_writable
 from cosim.filters import collected_warnings
-from cosim.report.plots.fitting import fit_labels, fit_legend, fit_title
+from cosim.report.plots.fitting import fit_labels, fit_legend, fit_ticks, fit_title
 
 CENTIMETER: Final = 1.0 / 2.54  # inches
 SMALLEST: Final = 3.0  # cm
 LARGEST: Final = 200.0  # cm
 _DOTS_PER_INCH: Final = 150
+_MOST_ROWS: Final = 4  # where a picture chooses its columns itself: more would not fit a screen
 _NO_ROOM: Final = "constrained_layout not applied"  # a warning of matplotlib
 # text stays text: it can be searched and edited, and set in the font of the page
 _TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
@@ -108,16 +109,18 @@ class Picture:
 
     Parameters
     ----------
-    rows, columns : int
+    count : int
         Of panels.
     options : PictureOptions
+    columns : int, optional
+        By default as few as make at most four rows.
     shares_time : bool
         Whether all panels have one axis of time; else each has its own, which its drawer labels.
 
     Attributes
     ----------
     panels : list
-        Axes of matplotlib, row by row.
+        Axes of matplotlib, row by row; places of the last row may stay empty.
 
     Raises
     ------
@@ -126,8 +129,16 @@ class Picture:
     """
 
     def __init__(
-        self, rows: int, columns: int, options: PictureOptions, *, shares_time: bool = True
+        self,
+        count: int,
+        options: PictureOptions,
+        *,
+        columns: int | None = None,
+        shares_time: bool = True,
     ) -> None:
+        if columns is None:
+            columns = -(-count // _MOST_ROWS)  # rounded up
+        rows = -(-count // columns)
         self._options = options
         self._shares_time = shares_time
         self._rows = rows
@@ -141,7 +152,12 @@ class Picture:
         self._figure.set_size_inches(width * CENTIMETER, height * CENTIMETER)
         self._figure.set_layout_engine("constrained")
         grid = self._figure.subplots(rows, columns, sharex=shares_time, squeeze=False)
-        self.panels: list[Any] = list(np.ravel(grid))
+        places: list[Any] = list(np.ravel(grid))
+        self.panels = places[:count]
+        for empty in places[count:]:
+            empty.set_visible(False)
+        for panel in self.panels:
+            panel.ticklabel_format(useOffset=False)  # numbers as they are, not from 1e-5+4
 
     def legend(self, lines: list[Any], *, below: bool = False, title: str = "") -> None:
         """Show a legend of all panels above them; below them where the picture has a title."""
@@ -166,10 +182,12 @@ class Picture:
         if self._shares_time:
             for panel in self.panels[-self._columns :]:
                 panel.set_xlabel("t [s]")
+                panel.tick_params(labelbottom=True)  # also above an empty place
             self.panels[0].set_xlim(self._options.start, self._options.stop)
         picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
             with rc_context(_TEXT_AS_TEXT), collected_warnings(_NO_ROOM) as problems:
+                fit_ticks(self._figure)
                 fit_labels(self._figure, rows=self._rows, columns=self._columns)
                 self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
             if problems:

@@ -41,7 +41,7 @@ def plot_schedule(schedule: GraphSchedule, out: Path) -> None:
     layout = layout_of(schedule)
     width = min(LARGEST, WIDTH * max(layout.layers, 2))
     height = min(LARGEST, HEIGHT * layout.height + 2.5)
-    picture = Picture(1, 1, PictureOptions((width, max(height, 5.0))), shares_time=False)
+    picture = Picture(1, PictureOptions((width, max(height, 5.0))), shares_time=False)
     panel = picture.panels[0]
     panel.set_axis_off()
     panel.set_xlim(-0.5, layout.layers - 0.5)

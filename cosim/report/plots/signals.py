@@ -48,14 +48,14 @@ def plot_signals(
         raise UsageError(f"expected names of signals, such as 'plant.y', got {signals!r}")
     runs = list(recordings) if isinstance(recordings, Sequence) else [recordings]
     labels = short_labels(runs)
-    picture = Picture(len(signals), 1, options)
+    picture = Picture(len(signals), options)
     for panel, entry in zip(picture.panels, signals, strict=True):
         ports = split_names(entry)
         curves: list[Curve] = []
         styles: list[Style] = []
         for run, label, line in zip(runs, labels, _lines(len(runs)), strict=True):
             for curve in _curves_of_run(run, ports, options):
-                curves.append(replace(curve, name=f"{curve.name}{label}"))
+                curves.append(replace(curve, run=label))
                 styles.append(line)
         colored = zip(color_styles(len(curves)), styles, strict=True)
         draw_curves(panel, curves, styles=[{**color, **line} for color, line in colored])

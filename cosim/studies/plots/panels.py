@@ -56,10 +56,9 @@ class MetricPanels:
             self.columns.append(results.columns.metric(name))
         across = min(3, len(self.columns))
         down = -(-len(self.columns) // across)
-        self._picture = sized_picture(down, across, options, size=(_WIDTH * across, _HEIGHT * down))
-        self.panels: list[Any] = self._picture.panels[: len(self.columns)]
-        for empty in self._picture.panels[len(self.columns) :]:
-            empty.set_visible(False)
+        size = (_WIDTH * across, _HEIGHT * down)
+        self._picture = sized_picture(len(self.columns), across, options, size=size)
+        self.panels = self._picture.panels
 
     def label(self, panel: Any, column: MetricColumn, words: str = "{}") -> str:
         """Return words with the name of a metric and its unit.
@@ -122,13 +121,13 @@ def placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, st
 
 
 def sized_picture(
-    rows: int, columns: int, options: PictureOptions, *, size: tuple[float, float]
+    count: int, columns: int, options: PictureOptions, *, size: tuple[float, float]
 ) -> Picture:
     """Return a picture of panels, of a size [cm] where the options have none."""
     width, height = size
     if options.size is None:
         options = replace(options, size=(min(width + 1.0, LARGEST), min(height + 2.0, LARGEST)))
-    return Picture(rows, columns, options, shares_time=False)
+    return Picture(count, options, columns=columns, shares_time=False)
 
 
 def shown_metrics(results: StudyResults, metrics: Sequence[str]) -> list[str]:

@@ -73,7 +73,7 @@ def plot_scatter(
             f"{count_text(count, 'parameter or metric')}"
         )
     length = _PANEL * count + _MARGIN
-    picture = sized_picture(count, count, options, size=(length, length))
+    picture = sized_picture(count * count, count, options, size=(length, length))
     handles = _draw_panels(results, picture.panels, shown)
     if handles:
         picture.legend(handles[:1], below=True)

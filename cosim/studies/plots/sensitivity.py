@@ -53,12 +53,10 @@ def plot_sobol(
     down = -(-len(shown) // across)
     bars = min(len(shown[0].parameters), _MOST_BARS)
     size = (_WIDTH * across, (2.5 + 0.9 * bars) * down)
-    picture = sized_picture(down, across, options, size=size)
+    picture = sized_picture(len(shown), across, options, size=size)
     handles: list[Any] = []
-    for panel, indices in zip(picture.panels, shown, strict=False):
+    for panel, indices in zip(picture.panels, shown, strict=True):
         handles = _draw(panel, indices)
-    for empty in picture.panels[len(shown) :]:
-        empty.set_visible(False)
     picture.legend(handles, below=True)
     title = f"{results.name}: Sobol indices"
     if any(indices.first_intervals[0] != NO_INTERVAL for indices in shown):
