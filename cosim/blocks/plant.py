@@ -15,6 +15,7 @@ from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import AssumptionError
 from cosim.theory.plants.descriptor import DescriptorSystem, ReducedSystem, reduce, state_maps
 
+CONSISTENT: Final = 1e-6  # of the terms of a constraint, that written initial values may miss
 _TEXTS: Final = MappingProxyType(
     {
         "u": "known input",
@@ -42,7 +43,8 @@ def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearMode
     Raises
     ------
     AssumptionError
-        If the system cannot be reduced, or ``initial`` has the wrong size.
+        If the system cannot be reduced, or ``initial`` has the wrong size or contradicts a
+        constraint between dynamic states.
     """
     reduced = reduce(system)
     n_a, n_u = reduced.B_1a.shape
@@ -52,7 +54,9 @@ def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearMode
         X0 = initial_vector("x_a0", initial, n_a, "one number a dynamic state")
     else:
         n = len(coordinates.X)
-        X0 = coordinates.R @ initial_vector("x0", initial, n, "one number a state")
+        x0 = initial_vector("x0", initial, n, "one number a state")
+        _check_constraints(coordinates.H, x0)
+        X0 = coordinates.R @ x0
     states = state_maps(reduced)
     sizes = {state.name: len(state.of_x_a) for state in states}
     D_states = [np.hstack([state.of_u, state.of_delta]) for state in states]
@@ -67,6 +71,19 @@ def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearMode
         D=np.vstack([D_y, *D_states]),
         X0=X0,
     )
+
+
+def _check_constraints(H: Matrix, x0: Vector) -> None:
+    """Check that initial states fulfill the constraints `H x = 0` of a model of a higher index."""
+    parts = np.abs(H) * np.abs(x0)
+    violated = np.abs(H @ x0) > CONSISTENT * parts.sum(axis=1)
+    if violated.any():
+        entries = np.flatnonzero(np.any(parts[violated] > 0.0, axis=0))
+        shown = ", ".join(f"x[{i}] = {x0[i]:g}" for i in entries)
+        raise AssumptionError(
+            "x0: expected states that fulfill the constraints between them, also those between "
+            f"their rates that follow, got {shown}"
+        )
 
 
 def _state_names(reduced: ReducedSystem) -> tuple[str, ...]:

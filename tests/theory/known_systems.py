@@ -61,15 +61,24 @@ def chain(length: int) -> Matrices:
     return matrices(A, np.eye(length)[:, :1], np.eye(length)[-1:])
 
 
-def weierstrass(nilpotent: Sequence[int], rates: Sequence[float] = (-1.0, -2.0)) -> Matrices:
-    """Return E = diag(I, N), A = diag(J, I) with blocks N of given sizes; y is the first state."""
+def weierstrass(
+    nilpotent: Sequence[int],
+    rates: Sequence[float] = (-1.0, -2.0),
+    *,
+    driven: bool = False,
+) -> Matrices:
+    """Return E = diag(I, N), A = diag(J, I) with blocks N of given sizes; y is the first state.
+
+    The disturbance drives it, and, where the chains are ``driven``, the last of the others.
+    """
     E = np.eye(len(rates))
     for size in nilpotent:
         E = scipy.linalg.block_diag(E, np.diag(np.ones(size - 1), 1))
     n = len(E)
     A = np.eye(n)
     A[: len(rates), : len(rates)] = np.diag(rates)
-    return matrices(A, np.eye(n)[:, :1], np.eye(n)[:1], E=E)
+    B = np.eye(n)[:, :1] + (np.eye(n)[:, -1:] if driven else 0.0)
+    return matrices(A, B, np.eye(n)[:1], E=E)
 
 
 def joined(*parts: Matrices) -> Matrices:
@@ -212,10 +221,12 @@ def systems() -> list[KnownSystem]:
             (3,),
         ),
         KnownSystem("index 1, two blocks", weierstrass([1, 1]), GOOD, (-2,)),
-        KnownSystem("index 2", weierstrass([2]), "INDEX_2"),
-        KnownSystem("index 4", weierstrass([1, 4, 2]), "INDEX_4"),
+        KnownSystem("index 2, no input on constraints", weierstrass([2]), GOOD, (-2,)),
+        KnownSystem("index 4, no input on constraints", weierstrass([1, 4, 2]), GOOD, (-2,)),
+        KnownSystem("index 2", weierstrass([2], driven=True), "INDEX_2"),
+        KnownSystem("index 4", weierstrass([1, 2, 4], driven=True), "INDEX_4"),
         KnownSystem("A22 = 1e-5", coupled(1e-5, (1, 0, 0)), GOOD),
-        KnownSystem("A22 = 0", coupled(0.0, (1, 0, 0)), "INDEX_2"),
+        KnownSystem("A22 = 0 keeps y at 0", coupled(0.0, (1, 0, 0)), "NO_TRANSFER"),
         KnownSystem(
             "rigid joint: x'' = force, x = 0",
             matrices(

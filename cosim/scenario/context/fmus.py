@@ -49,9 +49,9 @@ class RecordedFmu:
     means: bool
 
 
-def _recorded(fmu: Fmu) -> dict[str, Any]:
+def _recorded(metadata: Mapping[str, Any]) -> dict[str, Any]:
     """Return the metadata of an FMU, its path from the working folder: a log is sent to others."""
-    return {**fmu.metadata, "path": os.path.relpath(fmu.metadata["path"])}
+    return {**metadata, "path": os.path.relpath(metadata["path"])}
 
 
 NONE_AGAIN: Final[Mapping[str, RecordedFmu]] = MappingProxyType({})
@@ -117,11 +117,11 @@ class ScenarioFmus:
 
         if self._describes:
             described = describe(self._files.path(path), options)
-            self._records.add_metadata(name, _recorded(described))
+            self._records.add_metadata(name, _recorded(described.metadata))
             return described
         loaded = self._resources.enter_context(self._load(name, path, options))
         self._records.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
-        self._records.add_metadata(name, _recorded(loaded))
+        self._records.add_metadata(name, _recorded(loaded.metadata))
         for note in loaded.notes:
             self._records.warn(name, note)
         self.opened[name] = loaded

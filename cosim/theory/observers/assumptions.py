@@ -153,17 +153,22 @@ def _index(system: DescriptorSystem) -> tuple[str, dict[str, Any]]:
     known = f"; {reduced.inaccuracy}" if reduced.inaccuracy else ""
     scales = system.scales
     decomposition = decompose(scales.scaled_E(system.E), system.n_a)
+    index = pencil_index(system)
     n = len(system.A)
-    dynamic = len(decomposition.values)
-    values: dict[str, Any] = {"index": int(dynamic < n), "states": n, "rank_of_E": dynamic}
+    dynamic = len(reduced.A_a)
+    values: dict[str, Any] = {"index": index, "states": n}
+    values["rank_of_E"] = len(decomposition.values)
     values["accuracy"] = reduced.accuracy
-    if dynamic == n:
+    states = f"{dynamic} dynamic and {n - dynamic} algebraic states{known}"
+    if index == 0:
         return f"index 0: E is regular, {n} dynamic states{known}", values
+    if index > 1:
+        return f"index {index}: differentiated, as no input acts on constraints; {states}", values
     A22 = decomposition.U2.T @ scales.scaled_E(system.A) @ decomposition.V2
     values["condition_of_A22"] = float(np.linalg.cond(A22))
     evidence = (
-        f"index 1: A22 is regular, condition {values['condition_of_A22']:.3g}; {dynamic} dynamic "
-        f"and {n - dynamic} algebraic states{known}"
+        "index 1: the algebraic equations determine the algebraic states, condition "
+        f"{values['condition_of_A22']:.3g}; {states}"
     )
     return evidence, values
 

@@ -14,7 +14,8 @@ In the paper's form E is `diag(I, 0)` (Assumption 1), and so the states are part
 Any other E is brought to this form by its singular value decomposition, `U' E V = diag(S, 0)`, in
 units in which the system is of size one (:mod:`cosim.theory.plants.scaling`): orthogonal
 transformations add no more than rounding. x_a and x_b are then coordinates in which the reduction
-is done; the user sees x = V [x_a; x_b]. A regular E needs none: x_a is x.
+is done; the user sees x = V [x_a; x_b]. A regular E needs none: x_a is x. Of an index above 1, the
+constraints are differentiated first (:func:`~cosim.theory.plants.index.of_index_one`).
 
 Data are known up to rounding, of an entry relative to the size of its row and column. What is
 smaller than the effect of that is zero: coefficients of the feedthrough, and singular values.
@@ -38,6 +39,7 @@ from cosim.theory.plants.index import (
     check_accuracy,
     check_index,
     check_rank,
+    of_index_one,
 )
 from cosim.theory.plants.pencil import RankDecomposition, decompose, shuffle
 from cosim.theory.plants.scaling import Scales, scales_of, state_space_scales, within_range
@@ -172,17 +174,19 @@ class DescriptorSystem:
 class UserCoordinates:
     """The user's states ``x = X x_a + Xu u + Xd delta``, and back: ``x_a = R x``.
 
-    Shapes: ``X (n, n_a)``, ``Xu (n, n_u)``, ``Xd (n, n_d)``, ``R (n_a, n)``.
+    Shapes: ``X (n, n_a)``, ``Xu (n, n_u)``, ``Xd (n, n_d)``, ``R (n_a, n)``. Of an index above 1
+    x fulfills constraints without inputs, ``H x = 0``, shape ``(k, n)``; else k = 0.
     """
 
     X: Matrix
     Xu: Matrix
     Xd: Matrix
     R: Matrix
+    H: Matrix
 
     def __post_init__(self) -> None:
         """Freeze the matrices."""
-        for name in ("X", "Xu", "Xd", "R"):
+        for name in ("X", "Xu", "Xd", "R", "H"):
             matrix = _finite_matrix(name, getattr(self, name))
             object.__setattr__(self, name, matrix)
 
@@ -315,8 +319,9 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     Raises
     ------
     AssumptionError
-        If the pencil `s E - A` is singular, or has an index above 1 (Assumption 2), or there are
-        no dynamic states; or if E or A22 is so near to a lower rank that rounding decides.
+        If the pencil `s E - A` is singular, or there are no dynamic states, or its index is above 1
+        and the form is partitioned or an input acts on a constraint (Assumption 2); or if E or A22
+        is so near to a lower rank that rounding decides.
     """
     return system._elimination
 
@@ -325,19 +330,35 @@ def _eliminated(system: DescriptorSystem) -> ReducedSystem:
     scales = system.scales
     E = scales.scaled_E(system.E)
     A = scales.scaled_E(system.A)
+    B = scales.scaled_B(np.hstack([system.Bu, system.Bd]))
     n = len(A)
     is_explicit = np.array_equal(system.E, np.eye(n))
     known_rank = n if is_explicit else system.n_a
     decomposition = decompose(E, known_rank)
-    check_index(E, A, decomposition)
     if system.n_a is not None:
+        check_index(E, A, decomposition)
         reduced = _reduced_partitioned(system, scales, system.n_a)
     elif len(decomposition.values) == n:
         reduced = _reduced_regular(system, scales, decomposition.growth)
     else:
-        reduced = _reduced_singular(system, scales, decomposition)
+        names = [f"u[{i}]" for i in range(system.Bu.shape[1])]
+        names += [f"delta[{i}]" for i in range(system.Bd.shape[1])]
+        A, B, decomposition, constraints = of_index_one(E, A, B, decomposition, names)
+        reduced = _reduced_singular(system, A, B, scales, decomposition)
+        if len(constraints):
+            reduced = _constrained(reduced, constraints, scales.states)
     check_accuracy(reduced.accuracy, A, decomposition)
     return reduced
+
+
+def _constrained(reduced: ReducedSystem, constraints: Matrix, states: Vector) -> ReducedSystem:
+    """Return a reduced system with its scaled constraints; what mixing them left of zeros is 0."""
+    coordinates = reduced.coordinates
+    assert coordinates is not None
+    X = np.where(np.abs(coordinates.X) > DATA * states[:, np.newaxis], coordinates.X, 0.0)
+    R = np.where(np.abs(coordinates.R) > DATA / states, coordinates.R, 0.0)
+    H = np.where(np.abs(constraints) > DATA, constraints, 0.0) / states
+    return replace(reduced, coordinates=replace(coordinates, X=X, R=R, H=H))
 
 
 def pencil_index(system: DescriptorSystem) -> int:
@@ -387,12 +408,16 @@ def _reduced_regular(system: DescriptorSystem, scales: Scales, growth: float) ->
     eliminated = eliminate(matrices, scales, growth)
     Xu = np.zeros_like(Bu)
     Xd = np.zeros_like(Bd)
-    coordinates = UserCoordinates(X=identity, Xu=Xu, Xd=Xd, R=identity)
+    coordinates = UserCoordinates(X=identity, Xu=Xu, Xd=Xd, R=identity, H=np.zeros((0, n)))
     return _reduced(eliminated, coordinates)
 
 
 def _reduced_singular(
-    system: DescriptorSystem, scales: Scales, decomposition: RankDecomposition
+    system: DescriptorSystem,
+    scaled_A: Matrix,
+    scaled_B: Matrix,
+    scales: Scales,
+    decomposition: RankDecomposition,
 ) -> ReducedSystem:
     """Reduce a system with any singular E, in units and coordinates where it is diag(I, 0)."""
     n, n_u = system.Bu.shape
@@ -403,12 +428,10 @@ def _reduced_singular(
     algebraic = decomposition.U2.T
     left = np.vstack([dynamic, algebraic])
     V = np.hstack([decomposition.V1, decomposition.V2])
-    all_B = np.hstack([system.Bu, system.Bd])
     all_D = np.hstack([system.Du, system.Dd])
-    scaled_A = scales.scaled_E(system.A)
     scaled_C = scales.scaled_C(system.C)
     A = left @ scaled_A @ V
-    B = left @ scales.scaled_B(all_B)
+    B = left @ scaled_B
     C = scaled_C @ V
     D = scales.scaled_D(all_D)
     known = slice(None, n_u)
@@ -473,7 +496,7 @@ def _user_coordinates(
     of_u = states * Xu / u
     of_delta = states * Xd / delta
     R = V1.T / scales.states
-    return UserCoordinates(X=states * X, Xu=of_u, Xd=of_delta, R=R)
+    return UserCoordinates(X=states * X, Xu=of_u, Xd=of_delta, R=R, H=np.zeros((0, len(X))))
 
 
 def _reduced(

@@ -205,7 +205,7 @@ CASES = {
     ),
     "singular A22": (
         [("[1, 0, 1]]\nBu", "[1, 0, 0]]\nBu")],
-        r"components\.plant: .*A22 is singular \(rank 0 of 1, .*Assumption 2\); INDEX_2",
+        r"components\.plant: .*\(0 of 1; Assumption 2\); A\[2:, 2:\] is singular; INDEX_2",
     ),
     "disturbance not decoupled": (
         [("Bd = [[1], [0], [0]]", "Bd = [[0], [1], [0]]")],

@@ -150,7 +150,7 @@ def test_assumptions_that_rest_on_a_failing_one_are_not_decided_and_the_others_a
     """Of an index of 2 with too few outputs both; of a relative degree of 2 also the zeros."""
     E = np.diag([1.0, 1.0, 0.0])
     A = [[-1, 0, 1], [0, -2, 1], [1, 1, 0]]
-    both = matrices(A, [[1, 0], [0, 1], [0, 0]], [[1, 0, 0]], E=E)
+    both = matrices(A, [[1, 0], [0, 1], [1, 0]], [[1, 0, 0]], E=E)
     verdicts = {one.name: one for one in model_verdicts(both.system, poles=[-1.0])}
     failing = {one.verdict for one in verdicts.values() if one.fulfilled is False}
     assert failing == {"INDEX_2", "FEWER_OUTPUTS_THAN_DISTURBANCES"}

@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
+from cosim.blocks.plant import descriptor_model
 from cosim.errors import AssumptionError
 from cosim.theory.plants.descriptor import (
     DescriptorSystem,
@@ -153,7 +154,7 @@ def test_units_of_inputs_and_outputs_do_not_touch_the_pencil(subtests):
 
 
 def kronecker(rng, *, chains, n_a, singular):
-    """Return E and A of chains of algebraic integrators, mixed, with their index."""
+    """Return E and A of chains of algebraic integrators beside dynamics, mixed, and these."""
     blocks_E = [np.eye(n_a)]
     blocks_A = [rng.normal(size=(n_a, n_a))]
     for length in chains:
@@ -178,35 +179,114 @@ def kronecker(rng, *, chains, n_a, singular):
         column += n
     P = mixing(rows, rng)
     Q = mixing(rows, rng)
-    return P @ E @ Q, P @ A @ Q
+    return P @ E @ Q, P @ A @ Q, blocks_A[0]
 
 
 def test_the_index_is_found_in_any_coordinates(subtests):
-    """The longest chain of the Weierstrass form is the index; reduce refuses all but 1."""
+    """The longest chain of the Weierstrass form is the index; without inputs, any is reduced.
+
+    What is left has the eigenvalues of the dynamics beside the chains.
+    """
     for seed in range(30):
         with subtests.test(seed=seed):
             rng = np.random.default_rng(seed)
             chains = [int(k) for k in rng.integers(1, 5, size=int(rng.integers(1, 4)))]
             singular = seed % 3 == 0
-            E, A = kronecker(rng, chains=chains, n_a=int(rng.integers(1, 5)), singular=singular)
+            E, A, dynamics = kronecker(
+                rng, chains=chains, n_a=int(rng.integers(1, 5)), singular=singular
+            )
             system = DescriptorSystem.general(E=E, A=A, C=np.ones((1, len(A))))
             if singular:
                 verdict = (
                     r"PENCIL_SINGULAR: .*reciprocal condition at 5 points: at most .*one is missing"
                 )
-                with pytest.raises(AssumptionError, match=verdict):
-                    pencil_index(system)
+                for refusing in (pencil_index, reduce):
+                    with pytest.raises(AssumptionError, match=verdict):
+                        refusing(system)
             else:
                 assert pencil_index(system) == max(chains)
-                verdict = (
-                    rf"INDEX_{max(chains)}: .* index 1, got .* "
-                    rf"\(ranks of E by shuffles: .* of {len(A)}\)"
+                eigenvalues = np.sort_complex(np.linalg.eigvals(reduce(system).A_a))
+                expected = np.sort_complex(np.linalg.eigvals(dynamics))
+                np.testing.assert_allclose(eigenvalues, expected, rtol=0.0, atol=1e-8)
+
+
+def joined_masses(B, *, x1_x2=(1.0, -1.0)):
+    """Return masses of 2 kg (on a spring of 10 N/m) and 3 kg whose positions are constrained.
+
+    The states are both positions, both velocities, and the force of the constraint.
+    """
+    A = np.zeros((5, 5))
+    A[0, 2] = A[1, 3] = 1.0
+    A[2, 0] = -10.0
+    A[2:4, 4] = x1_x2
+    A[4, :2] = x1_x2
+    E = np.diag([1.0, 1.0, 2.0, 3.0, 0.0])
+    return DescriptorSystem.general(E=E, A=A, Bu=np.reshape(B, (5, 1)), C=np.eye(5))
+
+
+def test_a_rigid_constraint_is_differentiated():
+    """Index 3: two masses become one of 5 kg, and the force is what accelerates the second."""
+    reduced = reduce(joined_masses([0, 0, 1, 0, 0]))
+    omega = np.sqrt(10.0 / 5.0)
+    np.testing.assert_allclose(np.linalg.eigvals(reduced.A_a).real, 0.0, atol=1e-14)
+    np.testing.assert_allclose(abs(np.linalg.eigvals(reduced.A_a).imag), omega, rtol=1e-14)
+    for s in (0.3, 1.0 + 2.0j):
+        x = reduced.C3 @ np.linalg.solve(s * np.eye(2) - reduced.A_a, reduced.B_1a) + reduced.C4
+        position = 1.0 / (5.0 * s**2 + 10.0)
+        force = -3.0 * s**2 * position
+        expected = [position, position, s * position, s * position, force]
+        np.testing.assert_allclose(x[:, 0], expected, rtol=1e-13)
+
+
+def test_any_index_has_the_transfers_of_its_pencil(subtests):
+    """Random masses with random constraints, mixed: y is C (s E - A)^-1 B of the file."""
+    for seed in range(10):
+        with subtests.test(seed=seed):
+            rng = np.random.default_rng(seed)
+            n, k = int(rng.integers(2, 5)), 1 + seed % 2
+            G = rng.normal(size=(k, n))
+            E = np.diag(np.concatenate([np.ones(n), rng.uniform(0.5, 2.0, n), np.zeros(k)]))
+            A = np.zeros(E.shape)
+            A[:n, n : 2 * n] = np.eye(n)
+            A[n : 2 * n, : 2 * n] = rng.normal(size=(n, 2 * n))
+            A[n : 2 * n, 2 * n :] = G.T
+            A[2 * n :, :n] = G
+            B = np.zeros((len(E), 2))
+            B[n : 2 * n] = rng.normal(size=(n, 2))
+            P, Q = mixing(len(E), rng), mixing(len(E), rng)
+            E, A, B = P @ E @ Q, P @ A @ Q, P @ B
+            C = rng.normal(size=(2, len(E)))
+            reduced = reduce(DescriptorSystem.general(E=E, A=A, Bu=B[:, :1], Bd=B[:, 1:], C=C))
+            assert len(reduced.A_a) == 2 * (n - k)
+            for s in (0.7, -0.4 + 1.3j):
+                states = np.linalg.solve(s * np.eye(2 * (n - k)) - reduced.A_a, reduced.B_2a)
+                expected = C @ np.linalg.solve(s * E - A, B[:, 1:])
+                np.testing.assert_allclose(
+                    reduced.C3 @ states + reduced.C5, expected, rtol=1e-8, atol=1e-10
                 )
-            if singular or max(chains) > 1:
-                with pytest.raises(AssumptionError, match=verdict):
-                    reduce(system)
-            else:
-                assert len(reduce(system).A_a) == len(A) - len(chains)
+
+
+def test_a_constraint_with_an_input_is_refused_by_its_row():
+    """Its derivative would be needed, which no signal has."""
+    message = r"rows 4 of E and A.*derivative of u\[0\].*INDEX_3"
+    with pytest.raises(AssumptionError, match=message) as caught:
+        reduce(joined_masses([0, 0, 1, 0, 1e-6]))
+    assert "A22" not in f"{caught.value}{caught.value.cure}"
+
+
+def test_initial_states_have_to_fulfill_constraints():
+    """The hidden one too, between velocities; the force of the constraint follows from them."""
+    system = joined_masses([0, 0, 1, 0, 0], x1_x2=(1.0, -2.0))
+    coordinates = reduce(system).coordinates
+    x0 = [0.2, 0.1, 0.4, 0.2, 0.0]
+    descriptor_model(system, x0)
+    consistent = coordinates.X @ (coordinates.R @ x0)
+    np.testing.assert_allclose(consistent[:4], x0[:4], atol=1e-15)
+    # x1'' = 2 x2'' : (-10 * 0.2 + force) / 2 = 2 (-2 force) / 3
+    np.testing.assert_allclose(consistent[4], 1.0 / (0.5 + 4.0 / 3.0), rtol=1e-14)
+    for wrong in ([0.2, 0.2, 0.4, 0.2, 0.0], [0.2, 0.1, 0.4, 0.3, 0.0]):
+        with pytest.raises(AssumptionError, match=r"x0: .* constraints .*x\["):
+            descriptor_model(system, wrong)
 
 
 # --- E, or A22, between two ranks ---
@@ -334,7 +414,7 @@ def test_a_general_system_that_does_not_fit_is_refused(subtests):
         ({"E": np.zeros((2, 2))}, r"E = 0 \(2 x 2\): there are no dynamic states"),
         (
             {"E": [[0.0, 1.0], [0.0, 0.0]], "A": np.eye(2)},
-            r"INDEX_2: .*, and no finite eigenvalue: no dynamics at all; differentiate",
+            r"INDEX_2: .*no finite eigenvalue: no dynamics at all",
         ),
         ({"E": np.eye(3)}, r"E: .* \(2, 2\), the shape of A; got \(3, 3\)"),
         ({"E": [[1.0, np.nan], [0.0, 0.0]]}, r"E\[0, 1\]: .* got nan"),
