@@ -264,7 +264,8 @@ def _fitted(
 def _assessed(white: _Examined) -> Assessment:
     """Return what may be said from a fit, after the color of its noise and terms to leave out."""
     examined = white
-    if white.consistency.is_structured and not white.consistency.step_too_long:
+    may_be_color = white.consistency.is_structured and not white.consistency.step_too_long
+    if may_be_color and white.fitted.fit.converged:  # else there is no estimate, of any noise
         examined = _colored(white)
     missing = _missing(examined)
     left_out = _absent(examined)
