@@ -471,6 +471,7 @@ def minimize(
     scale: Vector,
     threshold: Vector,
     accuracy: float,
+    iterations: int | None = None,
 ) -> GaussNewtonResult:
     """Minimize the weighted squares of the residuals of all records over theta.
 
@@ -488,6 +489,8 @@ def minimize(
         Statistic, in variances of the residual, from which on a component is no noise.
     accuracy : float
         Of a weighted residual: smaller ones are rounding.
+    iterations : int, optional
+        At most; by default, and never more than, ``MOST_ITERATIONS``.
     """
     generators = records[0].model.constants.generators
     P = generators.parameters
@@ -505,7 +508,7 @@ def minimize(
         len(records),
         components,
         P,
-        MOST_ITERATIONS,
+        min(iterations or MOST_ITERATIONS, MOST_ITERATIONS),
         0,
         ctypes.addressof(structs),
         pointer(count),

@@ -160,6 +160,32 @@ def fit_output_error(
     records = response_records(
         data, plant, matrices, noise=noise, offset=offset, forgetting=forgetting
     )
+    return fit_records(records, data, plant, families, theta, noise=noise, bounds=bounds)
+
+
+def fit_records(
+    records: Sequence[ResponseRecord],
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    theta: Vector,
+    *,
+    noise: NoiseModel,
+    bounds: Mapping[int, tuple[float, float]],
+    iterations: int | None = None,
+) -> OutputErrorFit:
+    """Estimate theta as :func:`fit_output_error` does, from the residual problems of the data.
+
+    Parameters
+    ----------
+    records : sequence of ResponseRecord
+        As from :func:`response_records`.
+    data, plant, families, theta, noise, bounds
+        As of :func:`fit_output_error`.
+    iterations : int, optional
+        At most; by default as many as lead to an optimum nearly always.
+    """
+    matrices = generators(families)
     start = np.asarray(theta, np.float64)
     if start.shape != (matrices.parameters,):
         raise AssumptionError(
@@ -175,6 +201,7 @@ def fit_output_error(
         scale=_longest_steps(data, families),
         threshold=presence_threshold(matrices.size, len(data)),
         accuracy=_rounding_of(data, noise),
+        iterations=iterations,
     )
     if result.status == NO_INFORMATION:
         unknowns = len(records) * records[0].model.linear + matrices.parameters

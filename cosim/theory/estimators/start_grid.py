@@ -39,7 +39,7 @@ from cosim.theory.estimators.output_error import (
     OutputErrorFit,
     bound_vectors,
     excess_squares,
-    fit_output_error,
+    fit_records,
     largest_chance,
     longest_span,
     response_records,
@@ -60,6 +60,8 @@ ASINH: Final = compile_expression("sign(t)*log(abs(t) + sqrt(t*t + 1))")
 FINE: Final = 4.0  # steps begin to grow at this part of the smaller end of a box
 FEW_POINTS: Final = 6  # along a parameter whose steps grow, of a component with others
 ROUNDS: Final = 3  # of a search around the best fit of the last one
+# from a start; nearly all that get to an optimum are there, and the best one goes on from there
+ITERATIONS: Final = 40
 STARTS_BESIDE: Final = 3  # of which so many are fitted from
 ROWS: Final = 1024  # of the regression: means of successive samples
 # of the grid, for each time scale that a record has room for: half periods of a sine
@@ -349,8 +351,15 @@ def search_start(
         )
 
     def fitted(start: Vector) -> OutputErrorFit:
-        return fit_output_error(
-            data, plant, families, start, noise=noise, offset=offset, bounds=bounds
+        return fit_records(
+            records,
+            data,
+            plant,
+            families,
+            start,
+            noise=noise,
+            bounds=bounds,
+            iterations=ITERATIONS,
         )
 
     fits = [fitted(start) for start in searched((), STARTS)]

@@ -12,8 +12,16 @@ from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
-from cosim.theory.disturbances.families import Exponential, Polynomial, Sine, TExponential
+from cosim.theory.disturbances.families import (
+    DampedSine,
+    Exponential,
+    Polynomial,
+    Sine,
+    TExponential,
+)
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import fit_records
+from cosim.theory.estimators.start_grid import ITERATIONS
 
 TRUE = -0.4
 T = np.arange(501) * 0.02
@@ -172,6 +180,26 @@ def test_bounds_that_stop_an_iteration_are_named():
     for parameter in assess(OutputErrorProblem([data], still, families, bounds=bounds)).parameters:
         assert parameter.verdict is Verdict.NO_ESTIMATE
         assert "a bound of theta[0], a family" in parameter.reason
+
+
+def test_a_fit_without_an_estimate_ends_early(monkeypatch):
+    """Only the best start is followed to the end, and the color of no noise would change it."""
+    iterations = []
+
+    def fit(*given, **options):
+        found = fit_records(*given, **options)
+        iterations.append(found.iterations)
+        return found
+
+    def no_color(*_):
+        raise AssertionError("the color of the noise was asked for")
+
+    monkeypatch.setattr("cosim.theory.estimators.start_grid.fit_records", fit)
+    monkeypatch.setattr("cosim.theory.assessment.noise_color.noise_color", no_color)
+    assessment = assess(OutputErrorProblem([measured(1.0)], plant(1), (DampedSine(),)))
+    assert assessment.consistency.is_structured
+    assert {one.verdict for one in assessment.parameters} == {Verdict.NO_ESTIMATE}
+    assert max(iterations) == ITERATIONS + 1  # the last one has not been taken
 
 
 @pytest.mark.parametrize(
