@@ -60,8 +60,8 @@ ASINH: Final = compile_expression("sign(t)*log(abs(t) + sqrt(t*t + 1))")
 FINE: Final = 4.0  # steps begin to grow at this part of the smaller end of a box
 FEW_POINTS: Final = 6  # along a parameter whose steps grow, of a component with others
 ROUNDS: Final = 3  # of a search around the best fit of the last one
-# from a start; nearly all that get to an optimum are there, and the best one goes on from there
-ITERATIONS: Final = 40
+# from each start at first: where none gets to an optimum, only the best one is followed further
+ITERATIONS: Final = 20
 STARTS_BESIDE: Final = 3  # of which so many are fitted from
 ROWS: Final = 1024  # of the regression: means of successive samples
 # of the grid, for each time scale that a record has room for: half periods of a sine
@@ -350,7 +350,7 @@ def search_start(
             beside=beside,
         )
 
-    def fitted(start: Vector) -> OutputErrorFit:
+    def fitted(start: Vector, iterations: int | None = None) -> OutputErrorFit:
         return fit_records(
             records,
             data,
@@ -359,10 +359,14 @@ def search_start(
             start,
             noise=noise,
             bounds=bounds,
-            iterations=ITERATIONS,
+            iterations=iterations,
         )
 
-    fits = [fitted(start) for start in searched((), STARTS)]
+    starts = searched((), STARTS)
+    fits = [fitted(start, ITERATIONS) for start in starts]
+    if any(fit.converged for fit in fits):
+        pairs = zip(fits, starts, strict=True)
+        fits = [fit if fit.converged else fitted(start) for fit, start in pairs]
     if not fits:
         return box.lower  # no response is finite, which a fit will say
     best = _best_of(fits)

@@ -19,9 +19,9 @@ from cosim.theory.disturbances.families import (
     Sine,
     TExponential,
 )
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, white_noise
 from cosim.theory.estimators.output_error import fit_records
-from cosim.theory.estimators.start_grid import ITERATIONS
+from cosim.theory.estimators.start_grid import ITERATIONS, STARTS
 
 TRUE = -0.4
 T = np.arange(501) * 0.02
@@ -182,8 +182,20 @@ def test_bounds_that_stop_an_iteration_are_named():
         assert "a bound of theta[0], a family" in parameter.reason
 
 
-def test_a_fit_without_an_estimate_ends_early(monkeypatch):
-    """Only the best start is followed to the end, and the color of no noise would change it."""
+def test_the_color_of_noise_is_not_asked_for_without_an_estimate(monkeypatch):
+    """The fit has not converged: its verdict is that of any noise."""
+
+    def no_color(*_):
+        raise AssertionError("the color of the noise was asked for")
+
+    monkeypatch.setattr("cosim.theory.assessment.noise_color.noise_color", no_color)
+    assessment = assess(OutputErrorProblem([measured(1.0)], plant(1), (DampedSine(),)))
+    assert assessment.consistency.is_structured
+    assert {one.verdict for one in assessment.parameters} == {Verdict.NO_ESTIMATE}
+
+
+def test_only_the_best_start_is_followed_where_none_gets_to_an_optimum(monkeypatch):
+    """A damped sine beside a constant, of an exponential: its rate runs towards 0 from anywhere."""
     iterations = []
 
     def fit(*given, **options):
@@ -191,15 +203,11 @@ def test_a_fit_without_an_estimate_ends_early(monkeypatch):
         iterations.append(found.iterations)
         return found
 
-    def no_color(*_):
-        raise AssertionError("the color of the noise was asked for")
-
     monkeypatch.setattr("cosim.theory.estimators.start_grid.fit_records", fit)
-    monkeypatch.setattr("cosim.theory.assessment.noise_color.noise_color", no_color)
-    assessment = assess(OutputErrorProblem([measured(1.0)], plant(1), (DampedSine(),)))
-    assert assessment.consistency.is_structured
-    assert {one.verdict for one in assessment.parameters} == {Verdict.NO_ESTIMATE}
-    assert max(iterations) == ITERATIONS + 1  # the last one has not been taken
+    families = (DampedSine(), Polynomial(0))
+    problem = OutputErrorProblem([measured(1.0, 1.0)], plant(2), families)
+    problem.search_start(white_noise(1))
+    assert iterations == [ITERATIONS + 1] * STARTS  # the last step is refused
 
 
 @pytest.mark.parametrize(
