@@ -145,7 +145,7 @@ class Document:
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
         edits = {"swaps": self.swaps, "maps": self.maps, "changes": self.changes}
-        return json.dumps({"source": os.path.relpath(self.source), **edits})
+        return json.dumps({"source": self.source and os.path.relpath(self.source), **edits})
 
     @staticmethod
     def recorded(text: str, edits: str, folder: Path) -> Document:
