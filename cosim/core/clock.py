@@ -7,12 +7,14 @@ whole nanosecond next to it, from which k follows again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from time import perf_counter
+from typing import Final, final
 
 import numpy as np
 
@@ -34,6 +36,8 @@ LARGEST_NS = 2**63 - 1
 LARGEST_EXPONENT = 400  # of ten: beyond every double
 BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
+REPETITIONS: Final = 1000  # of events or returns that do not advance time
+RESOLUTION: Final = 1e-9  # s in which so many are none that advance it
 
 
 def nanoseconds(seconds: float | str | Fraction) -> int:
@@ -90,6 +94,48 @@ def _decimal(seconds: float | str) -> Fraction:
 
 
 _of_float = lru_cache(1024)(_exactly)  # the times of a scenario are asked for many times
+
+
+@final
+class Standstill:
+    """Finds out whether what happens again and again advances time: events, early returns.
+
+    Any number of them may lie in a communication step; ``REPETITIONS`` of them within a nanosecond,
+    or within what so many roundings of a late time are, do not end.
+
+    Parameters
+    ----------
+    t : float
+        Time at which it begins [s].
+
+    Attributes
+    ----------
+    since : float
+        Time that is not advanced [s].
+    causes : set
+        What was named as the cause of a repetition since then.
+
+    >>> standstill = Standstill(0.3)
+    >>> any(standstill.lasts(0.3 + 1e-8 * k) for k in range(10_000))
+    False
+    >>> any(standstill.lasts(0.31) for k in range(10_000))
+    True
+    """
+
+    def __init__(self, t: float) -> None:
+        self.since = t
+        self.causes: set[Hashable] = set()
+        self._count = 0
+
+    def lasts(self, t: float, causes: Iterable[Hashable] = ()) -> bool:
+        """Count one more at ``t`` [s]; return whether they do not advance time."""
+        if t - self.since > max(RESOLUTION, 16 * REPETITIONS * math.ulp(t)):
+            self.since = t
+            self.causes.clear()
+            self._count = 0
+        self.causes.update(causes)
+        self._count += 1
+        return self._count >= REPETITIONS
 
 
 def start_nanoseconds(start_time: float) -> int:

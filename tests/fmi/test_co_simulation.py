@@ -433,13 +433,16 @@ def test_early_returns_are_gone_on_from(opened, can):
 
 
 def test_returns_without_end_stop_the_run(opened):
-    message = (
-        r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; "
-        "the last was at t"
-    )
+    message = r"lag: 1000 returns at t = 0\.0 s do not advance time in the step of 0\.1 s"
     with pytest.raises(Stopped, match=message) as stop:
-        run(opened("3", returns=1e-6))
+        run(opened("3", returns=1e-14))
     assert stop.value.steps == 0
+
+
+def test_any_number_of_returns_fits_into_one_step(opened):
+    """2 000 of them, each of which advances time."""
+    y = run(opened("3", returns=5e-5), stop=0.1)
+    assert y[-1, CALLS] == pytest.approx(2000, abs=2)
 
 
 def test_a_return_to_before_the_step_stops_the_run(opened):

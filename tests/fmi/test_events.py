@@ -82,7 +82,7 @@ def test_a_ball_that_does_not_come_to_rest_is_an_error():
 
     The run keeps what was before.
     """
-    message = r"BALL: 1000 events between t = 2.55 s and 2.56 s, the last at 2.558"
+    message = r"BALL: 1000 events at t = 2.558\d* s do not advance time: state event"
     with Run("BALL") as run, pytest.raises(Stopped, match=message) as stop:
         run(3.0, 0.01)
     assert (stop.value.failed, stop.value.steps) == (True, 255)
@@ -279,16 +279,39 @@ def test_an_event_iteration_that_never_ends_is_an_error():
 def test_a_relay_that_chatters_is_an_error(solver):
     """Without hysteresis the next event is one rounding later.
 
-    The message names the FMU, the time and the limit.
+    The message names the FMU, the time, the limit and what changes its sign.
     """
-    message = (
-        r"SLIDE: 1000 events between t = 0.3 s and 0.4 s, the last at 0.32\d* s; events accumulate"
-    )
+    message = r"SLIDE: 1000 events at t = 0.32\d* s .*: state event, where event indicator 1 of 1"
     with Run("SLIDE", solver, p=0.325) as run:
         with pytest.raises(Stopped, match=message) as stop:
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (True, 3)
         assert len(run.fmu.drain()) == KEPT + 1
+
+
+def test_the_indicator_that_chatters_has_its_name_in_fmi_3():
+    with Run("SLIDE", p=0.325, version=3) as run, pytest.raises(Stopped, match="where z0 changes"):
+        run(1.0, 0.1)
+
+
+@pytest.mark.fast("rk4", "CVode")
+@pytest.mark.parametrize("solver", STEPPING)
+def test_any_number_of_events_fits_into_one_communication_step(solver):
+    """1 010 of them in 101 s, as long as each advances time: x falls to 0 at each tenth."""
+    with Run("SAW", solver, p=0.1, rtol=tolerance(solver)) as run:
+        rows = run(101.05, 101.05)
+    assert rows[-1, 3] == 1010.0
+    assert rows[-1, 0] == pytest.approx(0.05, abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("solver", "step"), [("CVode", 1.0), ("LSODA", 2.0), ("Radau", 6.0)])
+def test_an_event_after_every_step_of_the_solver_is_no_chattering(solver, step):
+    """More than 1 000 of them in a communication step; what they add to x is below 1e-9."""
+    with Run("STEPS", solver, p=1e-15) as run:
+        rows = run(step, step)
+    assert rows[-1, 3] > 1000.0
+    assert rows[-1, 0] == pytest.approx(step, abs=1e-9)
 
 
 @pytest.mark.parametrize("version", [2, 3])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.clock import Standstill
 from cosim.core.contracts import Block
 from cosim.core.stages.member import Member
 from cosim.core.stages.spans import Span
@@ -40,7 +41,7 @@ class DividedStep:
         self.block = block
         self.signals = signals
         self.begin, self.end = block.time.tolist()
-        self.events = 0
+        self.standstill = Standstill(self.begin)
         first_ns, last_ns = block.time_ns.tolist()
         self.span = Span(self.begin, self.end, first_ns, last_ns, is_step=True)
 

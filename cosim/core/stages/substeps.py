@@ -34,11 +34,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.clock import REPETITIONS
 from cosim.core.contracts import Block, Stopped
 from cosim.core.recording import Substep
 from cosim.core.stages.coupling import Advancing, Cut, Stage, stop_of
@@ -47,8 +48,6 @@ from cosim.core.stages.followed_loop import FollowedLoop
 from cosim.core.stages.spans import Span, StepPart
 from cosim.core.stages.substep_control import SubstepControl
 from cosim.errors import RunError
-
-EVENTS: Final = 1000  # in one communication step
 
 
 class _Event(NamedTuple):
@@ -191,11 +190,10 @@ class SubsteppedLoop:
         Cut
             If there are too many.
         """
-        step.events += 1
-        if step.events > EVENTS:
+        if step.standstill.lasts(part.begin):
             reason = (
-                f"{EVENTS} events between t = {step.begin} s and {step.end} s, the last at "
-                f"{event.time} s; events accumulate (Zeno), or the communication step is too large"
+                f"{REPETITIONS} events at t = {part.begin} s, the last at {event.time} s, do not "
+                "advance time"
             )
             stop = Stopped(np.empty((0, 0)), reason).at(event.component, event.time)
             raise Cut(0, stop, event.component)

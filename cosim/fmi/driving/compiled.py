@@ -187,7 +187,7 @@ class CompiledIntegrator:
         struct.moved = 0
         if not declined:
             return None
-        return Interruption(struct.reached, struct.failure, struct.handled, nominals_changed)
+        return Interruption(struct.reached, struct.failure, nominals_changed)
 
     def list_events(self) -> None:
         """Give the integrator the events since it got them last."""

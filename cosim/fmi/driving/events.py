@@ -30,7 +30,6 @@ EventRecord: TypeAlias = tuple[float, int, int]  # time [s], bit of the kind, ev
 EventRecords: TypeAlias = "list[EventRecord] | NDArray[np.void]"  # an array from compiled steps
 
 ITERATIONS: Final = 100  # of the discrete states in one event
-EVENTS: Final = 1000  # in one communication step
 KEPT: Final = 100  # events of one communication step that are listed
 
 KINDS: Final[Mapping[int, EventKind]] = {

@@ -41,12 +41,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.clock import REPETITIONS, Standstill
 from cosim.core.linearization import Linearized
-from cosim.errors import RunError
+from cosim.errors import RunError, listing
 from cosim.fmi.driving.clocks import ClockState, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import (
-    EVENTS,
+    BITS,
     EventKind,
     EventList,
     EventListState,
@@ -103,15 +104,12 @@ class Interruption(NamedTuple):
         How far it came: ``AT_BEGIN`` and so on, of :mod:`cosim.native.fmi.model_exchange`.
     failure : int
         What ends the run: ``FAILED_CALL`` and so on; 0: nothing does.
-    events : int
-        How many were handled since the step began.
     nominals_changed : bool
         Whether an event is to be finished: ``finish_event``.
     """
 
     reached: int
     failure: int
-    events: int
     nominals_changed: bool
 
 
@@ -193,6 +191,7 @@ class Integrator:
         self._clocked[self._inputs.columns] = False
         self._n_x = description.n_states
         self._n_z = description.event_indicators
+        self._changed: list[int] = []  # event indicators that changed their domain in the last step
         self._form = ResidualForm(instance) if solver == RADAU else None
         self._runge_kutta: RungeKutta | None = None
         self._solver: Solver[Any]  # each restores what it saved itself
@@ -275,12 +274,13 @@ class Integrator:
         self.left = None
         self.events.begin_step()
         self._clocks.begin_step()
-        return self._integrate_on(0)
+        return self._integrate_on()
 
-    def _integrate_on(self, events: int) -> bool:
-        """Integrate over what is left of a communication step that had some events already."""
+    def _integrate_on(self) -> bool:
+        """Integrate over what is left of a communication step."""
         inputs = self._step_inputs
-        for _ in range(events, EVENTS):
+        standstill = Standstill(self.state.t)
+        while True:
             due = self._integrate_to_event(inputs.t1)
             state = self.state
             if state.t >= inputs.t1:
@@ -289,13 +289,31 @@ class Integrator:
                 return True
             if state.ended:
                 return False
+            if standstill.lasts(state.t, (*due, *self._changed)):
+                raise self._endless_events(standstill)
             state.due = due
             self.handle_events(inputs(state.t), at_point=False)
             if self.state.ended:
                 return False
-        raise RunError(
-            f"{self._name}: {EVENTS} events between t = {inputs.t0} s and {inputs.t1} s, "
-            f"the last at {self.state.t} s; events accumulate (Zeno)"
+
+    def _endless_events(self, standstill: Standstill) -> RunError:
+        """Return the error of events that do not advance time."""
+        description = self._instance.description
+        causes = standstill.causes
+        names = [f"event indicator {i + 1} of {self._n_z}" for i in range(self._n_z)]  # of FMI 1, 2
+        if description.indicators:
+            sizes = [description[name].size for name in description.indicators]
+            names = np.repeat(description.indicators, sizes).tolist()
+        changing = dict.fromkeys(names[i] for i in range(self._n_z) if i in causes)
+        reason = ", ".join(kind for kind in BITS if kind in causes)
+        if changing:
+            reason += (
+                f", where {listing(list(changing))} changes sign; expected a hysteresis there, or "
+                "something else that keeps the model from chattering"
+            )
+        return RunError(
+            f"{self._name}: {REPETITIONS} events at t = {standstill.since} s do not advance time: "
+            f"{reason}"
         )
 
     def finish_event(self) -> None:
@@ -308,7 +326,7 @@ class Integrator:
         self._step_inputs = inputs
         if interruption.reached == AT_END:
             return True
-        return not self.state.ended and self._integrate_on(interruption.events)
+        return not self.state.ended and self._integrate_on()
 
     def failure(self, interruption: Interruption) -> RunError:
         """Return the error of what failed in a compiled step, but for a call of the FMU."""
@@ -323,6 +341,7 @@ class Integrator:
     def _integrate_to_event(self, t1: float) -> tuple[EventKind, ...]:
         """Integrate to the next event, or to ``t1`` at most; return what is due there."""
         state = self.state
+        self._changed = []
         while True:
             if state.next_event - state.t <= close(state.t):
                 return self._with_time_event(())
@@ -352,6 +371,8 @@ class Integrator:
                 event_time = locate(self._indicators_at, begin, state.indicators, t, indicators)
                 t, x = self._set_solution(event_time, stop)
                 due = ("state event",)
+                changed = (state.indicators > 0.0) != (indicators > 0.0)
+                self._changed = np.flatnonzero(changed).tolist()
             state.indicators = indicators
         state.t = t
         state.x = x

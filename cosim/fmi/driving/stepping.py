@@ -46,6 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
+from cosim.core.clock import REPETITIONS, Standstill
 from cosim.errors import RunError
 from cosim.fmi.description import Description
 from cosim.fmi.driving.clocks import ClockState, EventClocks
@@ -70,7 +71,6 @@ from cosim.native.library import address, pointer
 from cosim.native.memory import place, place_struct
 from cosim.native.step import NativeStep, RollbackStruct
 
-PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
 
 
@@ -440,7 +440,8 @@ class Stepper:
         s = s0
         part_begin = s0
         part_end = s0
-        for _ in range(PARTS):
+        standstill = Standstill(ramp.time(s0))
+        while True:
             if self.ended:
                 return s
             stop = self._next_stop(ramp, s, s1)
@@ -469,10 +470,14 @@ class Stepper:
             if s >= s1:
                 return s
             end = None
-        raise RunError(
-            f"{self._name}: {PARTS} returns did not reach the end of the step of {ramp.h} s from "
-            f"t = {ramp.t} s; the last was at t = {ramp.time(s)} s"
-        )
+            self._check_progress(standstill, ramp, s)
+
+    def _check_progress(self, standstill: Standstill, ramp: InputRamp, s: float) -> None:
+        if standstill.lasts(ramp.time(s)):
+            raise RunError(
+                f"{self._name}: {REPETITIONS} returns at t = {standstill.since} s do not advance "
+                f"time in the step of {ramp.h} s from t = {ramp.t} s"
+            )
 
     def _save_before_step(self) -> None:
         """Copy the state of the FMU before the inputs are set, where it may be needed.

@@ -7,7 +7,7 @@ typedef cosim_model_exchange Model;
 
 enum {
     UPDATES = 100,       /* of the discrete states in one event */
-    EVENTS = 1000,       /* in one communication step */
+    EVENTS = 1000,       /* in one communication step: then the caller goes on, as below */
     LISTED = 100,        /* events of one communication step that are listed */
     SOLVER_STEPS = 20000 /* to one event: then the caller goes on, who may be interrupted */
 };
@@ -563,7 +563,7 @@ static int32_t integrate(Model *s)
 {
     begin_step(s);
     s->reached = COSIM_INTEGRATING;
-    for (s->handled = 0; s->handled < EVENTS; ++s->handled) {
+    for (int32_t handled = 0; handled < EVENTS; ++handled) {
         int32_t status = integrate_to_event(s);
         if (status != COSIM_OK)
             return status;
@@ -578,10 +578,8 @@ static int32_t integrate(Model *s)
         status = handle_events(s, u);
         if (status == COSIM_OK && s->ended)
             status = LEFT;
-        if (status != COSIM_OK) {
-            ++s->handled;
+        if (status != COSIM_OK)
             return status;
-        }
     }
     return LEFT;
 }

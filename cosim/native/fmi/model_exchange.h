@@ -63,7 +63,6 @@ typedef struct {
 
     /* of a step that was declined */
     int32_t reached, failure;
-    int32_t handled; /* events in it */
 
     /* events that the caller has not listed yet */
     cosim_event *events;

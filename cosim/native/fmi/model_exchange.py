@@ -49,7 +49,7 @@ class ModelExchangeStruct(Structure):
         *((name, c_int32) for name in ("moved", "due", "ended", "nominals_changed")),
         *((name, c_double) for name in ("t", "next_event", "inputs_time")),
         *((name, c_void_p) for name in ("x", "inputs", "indicators", "nominals")),
-        *((name, c_int32) for name in ("reached", "failure", "handled")),
+        *((name, c_int32) for name in ("reached", "failure")),
         ("events", c_void_p),
         *((name, c_int32) for name in ("n_events", "room", "in_step")),
         *((name, c_double) for name in ("latest", "first", "t0", "t1")),
