@@ -1,9 +1,15 @@
-"""Where an FMU has the binary for this machine (FMI 2.0.4 section 2.3, FMI 3.0 section 2.5.1)."""
+"""The binary of an FMU for this machine: where it is, and how it is loaded.
+
+FMI 2.0.4 section 2.3, FMI 3.0 section 2.5.1.
+"""
 
 from __future__ import annotations
 
 import platform
 import sys
+from contextlib import chdir
+from ctypes import CDLL
+from pathlib import Path
 from typing import Final
 
 _ARCHITECTURES: Final = {"AMD64": "x86_64", "arm64": "aarch64"}
@@ -21,3 +27,18 @@ def folders(version: str) -> tuple[str, ...]:
     if version.startswith("3.") or ARCHITECTURE != "x86_64":
         return (exact,)
     return (_SHORT[SYSTEM], exact)
+
+
+def load_library(path: Path) -> CDLL:
+    """Load a binary; meanwhile its folder is the working directory.
+
+    As in other tools: a binary may open what is beside it by ``dlopen("./libother.so")``.
+
+    Raises
+    ------
+    OSError
+        If it cannot be loaded.
+    """
+    absolute = str(path.absolute())
+    with chdir(path.parent):
+        return CDLL(absolute)

@@ -17,6 +17,7 @@ from typing import Final, final
 
 from cosim.digests import FileDigests
 from cosim.fmi.binary.library import unload
+from cosim.fmi.platforms import load_library
 from cosim.fmi.reading.model_description import Archive, read
 from cosim.temporary import TemporaryFolder
 
@@ -73,7 +74,7 @@ class UnpackedFmu:
     def keep_loaded(self, library: Path) -> None:
         """Keep a binary in memory that is loaded, unless it keeps values of its instance."""
         if not self.keeps_values and library not in self._libraries:
-            self._libraries[library] = CDLL(str(library))
+            self._libraries[library] = load_library(library)
 
     def remove(self) -> None:
         """Unload the binaries, and remove the folder."""

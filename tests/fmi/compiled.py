@@ -13,7 +13,7 @@ from cosim.fmi.platforms import SUFFIX, folders
 from cosim.temporary import TemporaryFolder
 
 HERE = Path(__file__).parent / "c"
-NOTHING: Mapping[str, str] = MappingProxyType({})
+NOTHING: Mapping[str, str | bytes] = MappingProxyType({})
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 
 
@@ -30,7 +30,7 @@ def compile_fmu(
     *sources: str | Path,
     name: str = "model",
     defines: tuple[str, ...] = (),
-    extra: Mapping[str, str] = NOTHING,
+    extra: Mapping[str, str | bytes] = NOTHING,
 ) -> Path:
     """Write an FMU: its modelDescription.xml, and a binary for this machine of C sources.
 

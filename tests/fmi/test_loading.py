@@ -77,6 +77,27 @@ def test_a_missing_dependency_is_named(tmp_path):
     )
 
 
+def test_a_binary_may_open_its_neighbour_while_it_is_loaded(tmp_path):
+    """By ``dlopen("./aid.so")``: the folder of the binary is the working directory meanwhile."""
+    (tmp_path / "aid.c").write_text("int aid(void) { return 1; }")
+    aid = tmp_path / "aid.so"
+    build.compile_library([tmp_path / "aid.c"], aid)
+    (tmp_path / "more.c").write_text(
+        "#include <dlfcn.h>\n"
+        "static void *aid;\n"
+        "__attribute__((constructor)) static void load(void)\n"
+        '{ aid = dlopen("./aid.so", RTLD_NOW); }\n'
+        "__attribute__((destructor)) static void unload(void) { dlclose(aid); }\n"
+        "int has_aid(void) { return aid != 0; }"
+    )
+    neighbour = {f"binaries/{folders('2.0')[0]}/aid.so": aid.read_bytes()}
+    path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", tmp_path / "more.c", extra=neighbour)
+    before = Path.cwd()
+    with opened(path) as (_, instance):
+        assert instance._library._dll.has_aid() == 1
+    assert Path.cwd() == before
+
+
 def test_a_missing_symbol_is_named(tmp_path):
     """One that the binary itself needs, and one that the standard requires of it."""
     (tmp_path / "more.c").write_text("int nowhere(void); int more(void) { return nowhere(); }")

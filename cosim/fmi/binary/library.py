@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message, Messages, last_as_suffix
+from cosim.fmi.platforms import load_library
 from cosim.native.fmi.fmu import CallStruct, FmuStruct
 from cosim.native.fmi.process import report_deaths
 from cosim.native.library import library as kernels
@@ -113,7 +114,7 @@ class Library:
         self._forbidden = ""  # why no call is allowed any more
         report_deaths()
         try:
-            self._dll: CDLL | None = CDLL(str(path))
+            self._dll: CDLL | None = load_library(path)
         except OSError as error:
             raise self.load_error(str(error)) from error
 

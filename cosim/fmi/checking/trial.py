@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn, TextIO
 
 from cosim.errors import CosimError
+from cosim.fmi.platforms import load_library
 from cosim.processes import end_with_parent, leave_no_core
 
 if TYPE_CHECKING:
@@ -58,11 +59,9 @@ class TrialLog:
 
 def find_symbols(log: TrialLog, path: str, *names: str) -> None:
     """Load a library and look functions up."""
-    import ctypes
-
     log.stage("loading the library")
     try:
-        library = ctypes.CDLL(path)
+        library = load_library(Path(path))
     except OSError as error:
         reason = str(error).replace(path, Path(path).name)
         log.problem(f"cannot be loaded: {reason}")
