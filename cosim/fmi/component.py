@@ -23,6 +23,7 @@ from cosim.fmi.binary.process import Process, describe_changes
 from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
+from cosim.fmi.driving.diagnostics import InputLimits
 from cosim.fmi.driving.guarded import FmuComponent, Guarded
 from cosim.fmi.driving.initialization import check_start, resized
 from cosim.fmi.driving.model_exchange import ModelExchange
@@ -59,6 +60,11 @@ class Fmu:
         What is to be known about how it was opened.
     unsaved : str
         Why its state is not saved, although it says that it can be; empty: it is, or does not.
+
+    Attributes
+    ----------
+    input_limits : InputLimits
+        What it allows of its inputs.
     """
 
     def __init__(
@@ -79,6 +85,9 @@ class Fmu:
         self.interface_type = interface_type
         self._archive = archive
         self._instance = instance
+        self.input_limits = InputLimits(
+            instance.description.name, instance.description.references("input")
+        )
         self._resources = resources
         self._solving = solving
         self.unsaved = unsaved
@@ -154,12 +163,14 @@ class Fmu:
         The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an
         event. Where messages were dropped, one says how many.
         """
-        return self._instance.drain() + self.component.drain()
+        own = self._instance.drain() + self.component.drain()
+        return own + self.input_limits.diagnostics.drain()
 
     def discard(self) -> None:
         """Forget the messages since the last call of ``drain``; what warns only once may again."""
         self._instance.drain()
         self.component.discard()
+        self.input_limits.diagnostics.discard()
 
     def __enter__(self) -> Self:
         return self

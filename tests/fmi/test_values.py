@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+import cosim
 from cosim.errors import RunError
 from cosim.fmi.binary.loaded import from_fmu_type, to_fmu_type
+from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import opened
+from tests.fmi.test_native_co_simulation import typed_xml
 
 WHOLE = [
     *((value, "Int64") for value in (0, 2**53, -(2**53), 2**53 + 2, -(2**63), 2**63 - 1024)),
@@ -67,3 +70,71 @@ def test_only_a_fatal_status_forbids_freeing(probe2, status, label, freed):
             ):
                 instance._calls.reset()
     assert [text for *_, text in fmu.drain()].count("freed") == freed
+
+
+# --- what an FMU allows of its inputs ---
+
+
+@pytest.fixture(scope="module")
+def valve(tmp_path_factory):
+    """Build ``c/typed2.c`` with u from -1 to 1, and n an enumeration of 0 and 2."""
+    xml = typed_xml(interpolates=False)
+    number = '<Real start="0"/>'
+    assert xml.index(number) == xml.index(number, xml.index('name="u"'))
+    xml = xml.replace(number, '<Real start="0" min="-1" max="1"/>', 1)
+    n = xml.index('name="n"')
+    begin = xml.index("<Integer", n)
+    enumeration = '<Enumeration declaredType="Mode" start="0"/>'
+    xml = xml[:begin] + enumeration + xml[xml.index("/>", begin) + 2 :]
+    types = (
+        '<TypeDefinitions><SimpleType name="Mode"><Enumeration><Item name="off" value="0"/>'
+        '<Item name="on" value="2"/></Enumeration></SimpleType></TypeDefinitions>'
+    )
+    xml = xml.replace("<ModelVariables>", f"{types}<ModelVariables>")
+    folder = tmp_path_factory.mktemp("valve")
+    defines = ("CALL=NEVER", "AT=0", "STATUS=fmi2OK")
+    return compile_fmu(folder / "valve.fmu", xml, "typed2.c", defines=defines)
+
+
+def driven(folder, components, connections, **options):
+    """Run a scenario for 1 s in steps of 0.1 s; return what it warns of inputs, with times [s]."""
+    path = folder / "valve.toml"
+    text = ["[scenario]", 'name = "valve"', "stop = 1.0", "step = 0.1", "[components]"]
+    path.write_text("\n".join([*text, *components, "[connections]", *connections]))
+    log = cosim.run(path, **options)
+    return [(w.time_ns / 1e9, w.text) for w in log.warnings if "is driven with" in w.text]
+
+
+def by_expressions(valve, folder, u="0", n="0"):
+    components = (
+        f'u = {{ kind = "expression", y = "{u}" }}',
+        f'n = {{ kind = "expression", y = "{n}", discrete = true }}',
+        f'plant = {{ kind = "fmu", path = "{valve}" }}',
+    )
+    return driven(folder, components, ('"plant.u" = "u.y"', '"plant.n" = "n.y"'))
+
+
+@pytest.mark.filterwarnings("ignore::cosim.CosimWarning")
+def test_a_value_beyond_what_an_input_allows_is_warned_of_once(valve, tmp_path, subtests):
+    """With the first such value and its time."""
+    ((time, text),) = by_expressions(valve, tmp_path, u="2*t")
+    assert time == 0.6
+    assert "input 'u' is driven with 1.2; expected -1.0 to 1.0 (min, max)" in text
+    ((time, text),) = by_expressions(valve, tmp_path, n="step(t - 0.2) + step(t - 0.4)")
+    assert time == 0.2
+    assert "input 'n' is driven with 1.0; expected 0 (off), 2 (on)" in text
+    for allowed in ("1 + 2*1e-16", "-1", "0"):
+        with subtests.test(u=allowed):
+            assert by_expressions(valve, tmp_path, u=allowed, n="2*step(t - 0.2)") == []
+
+
+@pytest.mark.filterwarnings("ignore::cosim.CosimWarning")
+def test_what_an_input_allows_is_known_behind_other_names(valve, tmp_path):
+    """In the place of another component, whose input has another name."""
+    components = (
+        'source = { kind = "ramp", slope = 2.0 }',
+        'plant = { kind = "sum", signs = [1.0] }',
+    )
+    swapped = {"swap": {"plant": str(valve)}, "map": {"plant.u1": "u"}}
+    ((time, _),) = driven(tmp_path, components, ('"plant.u1" = "source.y"',), **swapped)
+    assert time == 0.6

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from typing import final
+import math
+from typing import Final, final
 
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import listing
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.references import ReferenceMap
+from cosim.fmi.variable import Variable
+
+ROUNDING: Final = 1e-15  # relative
 
 
 @final
@@ -49,3 +58,68 @@ class Diagnostics:
         self._topics.difference_update(topic for topic, _ in self._new[first:])
         del self._new[first:]
         self._count = state
+
+
+@final
+class InputLimits:
+    """Finds values of inputs that their FMU does not allow: by min and max, or an enumeration.
+
+    Values are looked at as rows of many communication points, once they are final.
+
+    Parameters
+    ----------
+    name : str
+        Names the FMU in warnings.
+    inputs : ReferenceMap
+    """
+
+    def __init__(self, name: str, inputs: ReferenceMap) -> None:
+        limited = [
+            (column, element.variable)
+            for column, element in enumerate(inputs.elements)
+            if _is_limited(element.variable)
+        ]
+        self.diagnostics = Diagnostics(name)
+        self._variables = [variable for _, variable in limited]
+        self._columns = np.array([column for column, _ in limited], np.intp)
+        lowest = np.array([variable.minimum for variable in self._variables])
+        highest = np.array([variable.maximum for variable in self._variables])
+        # What gains and units make of a value at its limit may be a few roundings beyond it.
+        self._lowest = lowest - ROUNDING * np.abs(lowest)
+        self._highest = highest + ROUNDING * np.abs(highest)
+
+    @property
+    def are_there(self) -> bool:
+        """Whether any input has a limit."""
+        return len(self._columns) > 0
+
+    def check(self, t: Vector, u: Matrix) -> None:
+        """Warn, once an input, of values at ``t`` [s], shape (n,), in ``u``, shape (n, n_u)."""
+        values = u[:, self._columns]
+        outside = (values < self._lowest) | (values > self._highest)
+        for place, variable in enumerate(self._variables):
+            if variable.items:
+                outside[:, place] |= ~np.isin(values[:, place], list(variable.items.values()))
+        for place in np.flatnonzero(outside.any(axis=0)).tolist():
+            row = int(outside[:, place].argmax())
+            variable = self._variables[place]
+            self.diagnostics.add(
+                float(t[row]),
+                variable.name,
+                f"input {variable.name!r} is driven with {float(values[row, place])!r}; expected "
+                f"{_allowed(variable)}, as the FMU declares",
+            )
+
+
+def _is_limited(variable: Variable) -> bool:
+    return bool(variable.items) or variable.minimum > -math.inf or variable.maximum < math.inf
+
+
+def _allowed(variable: Variable) -> str:
+    if variable.items:
+        return listing([f"{number} ({item})" for item, number in variable.items.items()])
+    if variable.maximum == math.inf:
+        return f"at least {variable.minimum!r} (min)"
+    if variable.minimum == -math.inf:
+        return f"at most {variable.maximum!r} (max)"
+    return f"{variable.minimum!r} to {variable.maximum!r} (min, max)"

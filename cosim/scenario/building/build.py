@@ -477,6 +477,7 @@ class Builder:
             reads=records.reads,
             attachments=records.attachments,
             fmus=context.fmus.opened,
+            port_maps=self.port_maps,
             files=frozenset(context.files.paths),
             modules=frozenset(context.files.modules),
             identified=self._judged(graph),

@@ -20,7 +20,9 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_tables import ReplayOrigin
 
 if TYPE_CHECKING:
+    from cosim.blocks.port_map import PortMap
     from cosim.fmi.binary.messages import Message
+    from cosim.fmi.driving.diagnostics import InputLimits
 
 
 class MessageSource(Protocol):
@@ -36,6 +38,11 @@ class MessageSource(Protocol):
 
     def drain(self) -> Sequence[Message]:
         """Return the messages since the last call."""
+        ...
+
+    @property
+    def input_limits(self) -> InputLimits:
+        """What it allows of its inputs."""
         ...
 
 
@@ -67,6 +74,8 @@ class Experiment:
         For the log: modelDescription.xml of each FMU.
     fmus : mapping of component name to MessageSource
         What was opened for this run and may have messages.
+    port_maps : mapping of component name to PortMap
+        Of components that have other ports than those shown.
     files : frozenset of Path
         What is read beside the scenario.
     modules : frozenset of Path
@@ -122,6 +131,7 @@ class Experiment:
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
     modules: frozenset[Path] = frozenset()
+    port_maps: Mapping[str, PortMap] = field(default_factory=dict)
     identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
     models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     given_states: Mapping[str, GivenStates] = field(default_factory=dict)

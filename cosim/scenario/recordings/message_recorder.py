@@ -180,12 +180,24 @@ class MessageRecorder(PassingRecorder):
         """Record the messages of the block, and pass it on."""
         if self._last is None:
             self._record_initial_states(signals[0])
+        self._check_inputs(block, signals)
         end_ns = int(block.time_ns[-1])
         self._record_messages(end_ns)
         self._reached_ns = end_ns
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
         self._assessor.take(block, signals)
+
+    def _check_inputs(self, block: Block, signals: Matrix) -> None:
+        """Have FMUs warn of values of inputs that they do not allow."""
+        for name, fmu in self._experiment.fmus.items():
+            if not fmu.input_limits.are_there:
+                continue
+            inputs = signals[:, self._experiment.graph.layout[name].inputs]
+            ports = self._experiment.port_maps.get(name)
+            fmu.input_limits.check(
+                block.time, inputs if ports is None else ports.component_inputs(inputs)
+            )
 
     def _record_initial_states(self, row: Vector) -> None:
         """Record which initial states are others than those that the scenario gives."""

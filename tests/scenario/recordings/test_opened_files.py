@@ -185,7 +185,13 @@ def test_no_command_runs_the_code_of_a_log(tmp_path, monkeypatch):
     Both leave a file behind as soon as they are loaded, in a worker of a study too.
     """
     monkeypatch.chdir(tmp_path)
-    compile_fmu(tmp_path / "lag.fmu", lag.xml("2"), "lag2.c", "marking.c", defines=('MARK="ran"',))
+    compile_fmu(
+        tmp_path / "lag.fmu",
+        lag.xml("2"),
+        "lag2.c",
+        "marking.c",
+        defines=(f'MARK="{tmp_path}/ran"',),
+    )
     (tmp_path / "own.py").write_text(CODE, encoding="utf-8")
     (tmp_path / "code.toml").write_text(OF_CODE, encoding="utf-8")
     run_monitored([["run", "code.toml", "--out", "bait.mcap", "--embed", "--quiet"]], tmp_path)

@@ -42,9 +42,9 @@ BOTH = {"rerun": True, "allow_code": True}
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Write a scenario with an FMU that leaves a mark in the working folder where it is loaded."""
+    """Write a scenario with an FMU that leaves a mark beside it where it is loaded."""
     sources = ("lag2.c", "marking.c")
-    compile_fmu(tmp_path / "lag.fmu", lag.xml("2"), *sources, defines=('MARK="mark"',))
+    compile_fmu(tmp_path / "lag.fmu", lag.xml("2"), *sources, defines=(f'MARK="{tmp_path}/mark"',))
     (tmp_path / "fmu.toml").write_text(SCENARIO)
     monkeypatch.chdir(tmp_path)
     return tmp_path
