@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cosim.fmi.reading.model_description import Archive
 
 TrialTask: TypeAlias = Literal["symbols", "run", "rollback"]
-ProblemKind: TypeAlias = Literal["missing function", "refused", "inexact", "wrong", "other"]
+ProblemKind: TypeAlias = Literal["missing function", "refused", "inexact", "wrong", "step", "other"]
 
 TRIAL: Final = "cosim.fmi.checking.trial"
 TIMEOUT: Final = 20.0  # [s] of wall time
@@ -35,14 +35,16 @@ class TrialProblem(NamedTuple):
     """What a trial shows to be wrong.
 
     The kind says where a required function is missing, and whether saving or restoring the state is
-    refused, not exact, or wrong; all else is another.
+    refused, not exact, or wrong; or with which step it was tried; all else is another.
     """
 
     text: str
     kind: ProblemKind = "other"
 
 
-def find_rollback_problems(archive: Archive, interface_type: InterfaceType) -> tuple[str, ...]:
+def find_rollback_problems(
+    archive: Archive, interface_type: InterfaceType, step: float | None = None
+) -> tuple[str, ...]:
     """Return why get and set FMU state of an FMU cannot be relied on; empty where they can.
 
     The trial starts a child, which takes about a second, so its result is kept: for the life of the
@@ -54,19 +56,24 @@ def find_rollback_problems(archive: Archive, interface_type: InterfaceType) -> t
     archive : Archive
     interface_type : {"me", "cs"}
         One whose capabilities say that it can (``saves_state``).
+    step : float or None
+        The communication step of the run [s]; None: what the FMU prefers, or takes.
     """
     if CHILD_VARIABLE in os.environ:
         return ()
-    return _try_rollback(archive.path.resolve(), archive.sha256, interface_type)
+    return _try_rollback(archive.path.resolve(), archive.sha256, interface_type, step)
 
 
 @lru_cache(maxsize=256)
-def _try_rollback(path: Path, sha256: str, interface_type: InterfaceType) -> tuple[str, ...]:
+def _try_rollback(
+    path: Path, sha256: str, interface_type: InterfaceType, step: float | None
+) -> tuple[str, ...]:
     """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
     known_texts = read_problems("rollback", sha256, interface_type)
     if known_texts is not None:
         return known_texts
-    problems = try_fmu("rollback", path, interface_type)
+    found = try_fmu("rollback", path, interface_type, step=step)
+    problems = [problem for problem in found if problem.kind != "step"]
     texts = tuple(problem.text for problem in problems)
     # A hang or a missing library may belong to this moment and this machine.
     if all(problem.kind in OF_STATE for problem in problems):
@@ -80,14 +87,16 @@ def try_fmu(
     interface_type: InterfaceType,
     *,
     given: Path | None = None,
+    step: float | None = None,
     timeout: float = TIMEOUT,
 ) -> tuple[TrialProblem, ...]:
     """Do a task with an FMU in a child process; return the problems, without its path.
 
-    ``given`` is a file that this process wrote: pickled, the Archive and the start values.
+    ``given`` is a file that this process wrote: pickled, the Archive and the start values. ``step``
+    [s] is tried first.
     """
     absolute_path = str(path.resolve())
-    arguments = [] if given is None else [str(given)]
+    arguments = [str(given or ""), repr(step) if step else ""]
     problems = attempt(task, absolute_path, interface_type, *arguments, timeout=timeout)
     shortened = []
     for problem in problems:
@@ -102,8 +111,8 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
     ----------
     task : TrialTask
         ``symbols LIBRARY NAME...``: load the library and look the functions up. ``run PATH
-        INTERFACE_TYPE [GIVEN]``: instantiate, initialize, read, step, terminate, free. ``rollback
-        PATH INTERFACE_TYPE [GIVEN]``: save and restore in the midst of a run.
+        INTERFACE_TYPE GIVEN STEP``: instantiate, initialize, read, step, terminate, free.
+        ``rollback PATH INTERFACE_TYPE GIVEN STEP``: save and restore in the midst of a run.
     arguments : str
     timeout : float
         After it the child and what it started are killed [s].

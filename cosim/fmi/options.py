@@ -15,8 +15,7 @@ from cosim.fmi.driving.residual import DaeForm
 class FmuOptions:
     """How an FMU is opened.
 
-    All but ``interface_type``, ``start``, ``outputs``, ``apart`` and ``called`` are for model
-    exchange.
+    ``solver``, ``tolerance`` and ``dae`` are for model exchange.
 
     Parameters
     ----------
@@ -38,6 +37,9 @@ class FmuOptions:
         Names of variables that are signals of their own, though they may look like elements.
     called : collection of str
         Of an input that has several names, the one that it has as a port; it may have others, too.
+    step : float or None
+        The communication step of the run [s], with which saving its state is tried; None: one that
+        the FMU prefers, or takes.
     """
 
     interface_type: InterfaceType | None = None
@@ -48,6 +50,7 @@ class FmuOptions:
     outputs: Sequence[str] = ()
     apart: Collection[str] = ()
     called: Collection[str] = ()
+    step: float | None = None
 
 
 DEFAULT_OPTIONS: Final = FmuOptions()

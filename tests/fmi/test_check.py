@@ -16,6 +16,7 @@ from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.check import check
 from cosim.fmi.child_process import TrialProblem, attempt, find_rollback_problems
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
@@ -123,6 +124,24 @@ def test_rogues(rogue, what):
     problems = problems_of(rogue(what))
     assert len(problems) == 1 + (what == "NAN_OUTPUT")  # there both outputs are
     assert problems[0].startswith(ROGUES[what])
+
+
+@pytest.mark.slow
+def test_an_fmu_that_takes_one_step_only_is_tried_with_that(rogue):
+    """It does not say which; found among 0.1, 0.01, ... s, and said."""
+    (note,) = check(rogue("ONE_STEP"))
+    assert (note.level, note.where) == ("note", RUN)
+    assert note.text.startswith("tried with steps of 0.1 s, as those of 0.001 s are refused: ")
+
+
+def test_the_state_of_an_fmu_is_tried_with_the_step_of_the_scenario(tmp_path):
+    """No other one would do: it takes steps of 0.02 s only."""
+    path = compile_rogue(tmp_path / "x.fmu", "ONE_STEP", XML, "ONLY=0.02")
+    with load(path) as fmu:
+        assert not fmu.component.interface.rollback
+        assert "fmi2DoStep returned 3 (error)" in fmu.unsaved
+    with load(path, FmuOptions(step=0.02)) as fmu:
+        assert fmu.component.interface.rollback
 
 
 @pytest.mark.slow

@@ -221,17 +221,18 @@ def _run_trials(
         found = _findings(f"trial run, {name}", problems)
         if capabilities.saves_state and not any(finding.level == "error" for finding in found):
             problems = try_fmu("rollback", path, interface_type, given=given, timeout=timeout)
-            found += _findings(f"trial save and restore, {name}", problems)
+            others = [problem for problem in problems if problem.kind != "step"]  # as in the run
+            found += _findings(f"trial save and restore, {name}", others)
         findings += found
     return findings
 
 
 def _findings(where: str, problems: Iterable[TrialProblem]) -> list[Finding]:
     """Return what trials show; without what is refused, or is not exact, an FMU runs."""
+    levels: dict[str, Severity] = {"step": "note", "refused": "warning", "inexact": "warning"}
     findings = []
     for problem in problems:
-        level: Severity = "warning" if problem.kind in ("refused", "inexact") else "error"
-        findings.append(Finding(level, where, problem.text))
+        findings.append(Finding(levels.get(problem.kind, "error"), where, problem.text))
     return findings
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cosim.fmi.driving.initialization import Starts
 
 STEP: Final = 1e-3  # [s], where the FMU prefers none
+OTHER_STEPS: Final = (0.1, 0.01, 1e-3, 1e-4, 1.0)  # [s], in this order where that is refused
 STEPS: Final = 3
 CLOSE: Final = 0.1  # of the change in the steps: what a solver that starts anew makes of them
 ROUNDING: Final = 1e-6  # relative
@@ -73,37 +74,92 @@ def find_symbols(log: TrialLog, path: str, *names: str) -> None:
             log.problem(f"missing function {name}", "missing function")
 
 
-def run(log: TrialLog, path: str, interface_type: InterfaceType, given: str = "") -> None:
-    """Go through a short run."""
-    with _opened(log, path, interface_type, given) as fmu:
-        if fmu.refused:
-            log.problem(fmu.refused, "refused")
-        component = fmu.component
-        h = _step_size(fmu.description, interface_type)
-        t = _times(h, STEPS)
-        u = _initial_inputs(component, STEPS)
-        log.stage("initialization")
-        y = component.initialize(0.0, u[0])
-        _check_initial_values(log, fmu.description, y)
-        log.stage(f"steps of {h:g} s")
-        rows = component.advance(t, h, u)
-        _check_finite(log, component, rows)
-        log.stage("terminate and free")
+class _RefusedStep(Exception):
+    """The first steps of a trial failed; the reason is its text."""
 
 
-def roll_back(log: TrialLog, path: str, interface_type: InterfaceType, given: str = "") -> None:
-    """Save, step, restore and step again, also after other inputs: the same bits each time."""
-    with _opened(log, path, interface_type, given) as fmu:
-        component = fmu.component
-        h = _step_size(fmu.description, interface_type)
-        t = _times(h, 2 * STEPS)
-        u = _initial_inputs(component, 2 * STEPS)
-        log.stage("initialization")
-        component.initialize(0.0, u[0])
-        log.stage("steps before the state is saved")
-        component.advance(t[: STEPS + 1], h, u[: STEPS + 1])
-        _compare_repeated_steps(log, fmu, t[STEPS:], h, u[STEPS:])
-        log.stage("terminate and free")
+def run(
+    log: TrialLog, path: str, interface_type: InterfaceType, given: str = "", step: str = ""
+) -> None:
+    """Go through a short run; ``step`` [s] is that of the scenario, or empty."""
+    _with_a_step(_run, log, path, interface_type, given, step)
+
+
+def _run(log: TrialLog, fmu: Fmu, h: float) -> None:
+    if fmu.refused:
+        log.problem(fmu.refused, "refused")
+    component = fmu.component
+    t = _times(h, STEPS)
+    u = _initial_inputs(component, STEPS)
+    log.stage("initialization")
+    y = component.initialize(0.0, u[0])
+    _check_initial_values(log, fmu.description, y)
+    log.stage(f"steps of {h:g} s")
+    rows = _first_steps(component, t, h, u)
+    _check_finite(log, component, rows)
+    log.stage("terminate and free")
+
+
+def roll_back(
+    log: TrialLog, path: str, interface_type: InterfaceType, given: str = "", step: str = ""
+) -> None:
+    """Save, step, restore and step again, also after other inputs: the same bits each time.
+
+    ``step`` [s] is that of the scenario, or empty.
+    """
+    _with_a_step(_roll_back, log, path, interface_type, given, step)
+
+
+def _roll_back(log: TrialLog, fmu: Fmu, h: float) -> None:
+    component = fmu.component
+    t = _times(h, 2 * STEPS)
+    u = _initial_inputs(component, 2 * STEPS)
+    log.stage("initialization")
+    component.initialize(0.0, u[0])
+    log.stage("steps before the state is saved")
+    _first_steps(component, t[: STEPS + 1], h, u[: STEPS + 1])
+    _compare_repeated_steps(log, fmu, t[STEPS:], h, u[STEPS:])
+    log.stage("terminate and free")
+
+
+def _first_steps(component: FmuComponent, t: Vector, h: float, u: Matrix) -> Matrix:
+    try:
+        return component.advance(t, h, u)
+    except CosimError as error:
+        raise _RefusedStep(str(error)) from error
+
+
+def _with_a_step(
+    trial: Callable[[TrialLog, Fmu, float], None],
+    log: TrialLog,
+    path: str,
+    interface_type: InterfaceType,
+    given: str,
+    step: str,
+) -> None:
+    """Try an FMU with the first communication step that it takes, and record which it is.
+
+    Co-simulation FMUs that take steps of one length only need not say which.
+    """
+    refusals: dict[float, str] = {}
+    h: float | None = float(step) if step else None
+    while True:
+        try:
+            with _opened(log, path, interface_type, given, h) as (fmu, h):
+                trial(log, fmu, h)
+                break
+        except _RefusedStep as refusal:
+            assert h is not None
+            refusals[h] = str(refusal)
+        untried = [other for other in OTHER_STEPS if other not in refusals]
+        if interface_type == "me" or not untried:
+            log.problem(next(iter(refusals.values())))
+            return
+        h = untried[0]
+    if refusals:
+        refused = ", ".join(f"{refused:g} s" for refused in refusals)
+        text = f"tried with steps of {h:g} s, as those of {refused} are refused"
+        log.problem(f"{text}: {next(iter(refusals.values()))}", "step")
 
 
 def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Matrix) -> None:
@@ -181,8 +237,10 @@ def _record_difference(
 
 
 @contextmanager
-def _opened(log: TrialLog, path: str, interface_type: InterfaceType, given: str) -> Iterator[Fmu]:
-    """Yield the FMU; ``given`` is the file with what the parent knows, or empty."""
+def _opened(
+    log: TrialLog, path: str, interface_type: InterfaceType, given: str, step: float | None
+) -> Iterator[tuple[Fmu, float]]:
+    """Yield the FMU and its step; ``given`` is the file with what the parent knows, or empty."""
     import numpy as np
 
     from cosim.fmi.component import load
@@ -196,10 +254,15 @@ def _opened(log: TrialLog, path: str, interface_type: InterfaceType, given: str)
     options = FmuOptions(interface_type=interface_type, start=start)
     with load(path, options, archive=archive) as fmu:
         log.stage("preparing")
-        h = _step_size(fmu.description, interface_type)
+        h = step or _step_size(fmu.description, interface_type)
         held = np.zeros(fmu.component.interface.n_u, np.bool_)
-        fmu.component.prepare(h, held, {})
-        yield fmu
+        try:
+            fmu.component.prepare(h, held, {})
+        except CosimError as error:
+            if step is None:
+                raise
+            raise _RefusedStep(str(error)) from error
+        yield fmu, h
 
 
 def _step_size(description: Description, interface_type: InterfaceType) -> float:

@@ -16,9 +16,12 @@ enum {
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
     NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
     ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER, CRASHES_LATER,
-    EXITS_LATER, REPEATS, HIDES
+    EXITS_LATER, REPEATS, HIDES, ONE_STEP
 };
 enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
+#ifndef ONLY
+#define ONLY 0.1 /* the one step that ONE_STEP takes [s] */
+#endif
 #ifndef AT
 #define AT 2 /* steps after which it does what it does later */
 #endif
@@ -173,7 +176,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
         for (;;)
             pause();
     }
-    if (ROGUE == FAILS_STEP)
+    if (ROGUE == FAILS_STEP || (ROGUE == ONE_STEP && h != ONLY))
         return fmi2Error;
     if (ROGUE == LOUD)
         for (int i = 0; i < 100000; i++)
