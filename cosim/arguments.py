@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import UsageError, command, option, quoted
-from cosim.files import file_type
+from cosim.errors import UsageError, command, flag, option, quoted
+from cosim.files import check_writable, file_type
 
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
 
@@ -49,6 +49,25 @@ def log_argument(value: object) -> Path:
     if file_type(path) == "FMU":
         raise UsageError(f"{expected}; 'cosim info' shows an FMU")
     return path
+
+
+def check_fmu_to_write(out: Path, *, force: bool) -> None:
+    """Check the path of an FMU that is to be written.
+
+    Raises
+    ------
+    UsageError
+        If it is no path of an FMU, is there already and not to be replaced, or cannot be written.
+    """
+    check_path(out)
+    if file_type(out) != "FMU":
+        raise UsageError(f"{out}: expected a path that ends in .fmu")
+    if out.exists() and not force:
+        raise UsageError(f"{out} exists; choose another path, or {flag('force')} to replace it")
+    try:
+        check_writable(out)
+    except OSError as error:
+        raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
 
 def fmu_argument(value: object) -> Path:

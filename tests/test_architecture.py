@@ -127,6 +127,7 @@ ROOMS = {
         "unpacked",
         "component",
         "exporting",
+        "building",
         "linearizing",
         "checking",
     ],

@@ -49,6 +49,7 @@ COMMANDS = LazyMapping[Callable[..., None] | typer.Typer](
         "recover": "editing.recover",
         "list": "contents.list_",
         "show": "contents.show",
+        "compile": "fmus.compile_",
         "export": "fmus.export",
         "linearize": "fmus.linearize",
     },

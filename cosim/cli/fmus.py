@@ -29,6 +29,33 @@ def cache(
     print_cache(clear=clear, as_json=as_json)
 
 
+def compile_(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU with sources (.fmu).")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="FMU to write; default: fmus/<name>-<platform>.fmu",
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Compile an FMU's own sources for this machine, with CMake.
+
+    Write a copy with the binary. Nothing else compiles them: they are a stranger's code.
+    """
+    from cosim.arguments import check_fmu_to_write, fmu_argument
+    from cosim.fmi.building import compile_fmu, compiled_path
+
+    path = fmu_argument(fmu)
+    out = out or compiled_path(path)
+    check_fmu_to_write(out, force=force)
+    platform = compile_fmu(path, out)
+    typer.echo(printable(f"{out}: binary for {platform}"))
+
+
 def export(
     scenario: ScenarioArgument,
     component: Annotated[

@@ -30,7 +30,7 @@ from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.driving.tuning import tuned
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
-from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
+from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, cure, folders
 from cosim.fmi.reading.archive import read_archive
 from cosim.fmi.reading.model_description import Archive, read
 from cosim.fmi.unpacked import UnpackedFmu, UnpackedFmus
@@ -568,7 +568,8 @@ def _library(archive: Archive, interface_type: InterfaceType) -> str:
     available = ", ".join(description.platforms) or "none"
     raise FmuError(
         f"{archive.path}: no binary for this platform; found binaries for: {available}; expected "
-        f"binaries/{platform_folders[0]}/{identifier}{SUFFIX}"
+        f"binaries/{platform_folders[0]}/{identifier}{SUFFIX}; "
+        f"{cure(archive.path, archive.members)}"
     )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import platform
 import sys
+from collections.abc import Collection
 from contextlib import chdir
 from ctypes import CDLL
 from pathlib import Path
@@ -27,6 +28,13 @@ def folders(version: str) -> tuple[str, ...]:
     if version.startswith("3.") or ARCHITECTURE != "x86_64":
         return (exact,)
     return (_SHORT[SYSTEM], exact)
+
+
+def cure(path: Path, members: Collection[str]) -> str:
+    """Return what to do about an FMU without a binary for this machine."""
+    if any(name.startswith("sources/") for name in members):
+        return f"it has sources: 'cosim compile {path}' makes a copy with a binary of them"
+    return "it has no sources either: export it for this platform in the tool that made it"
 
 
 def load_library(path: Path) -> CDLL:

@@ -10,15 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, final
 
-from cosim.arguments import check_path
+from cosim.arguments import check_fmu_to_write
 from cosim.arrays import Mask
 from cosim.blocks.declared import declare_units
 from cosim.core.graph import Graph
 from cosim.core.linear import DescriptorModel
 from cosim.core.port import Port
 from cosim.core.signals import Signal
-from cosim.errors import UsageError, flag, nearest
-from cosim.files import check_writable, file_type
+from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
@@ -63,7 +62,7 @@ def export_component(
     """
     loaded = load(scenario).set(set or {})
     out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
-    _check_path(out, force=force)
+    check_fmu_to_write(out, force=force)
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     name = model_identifier(f"{loaded.name}_{component}")
@@ -85,18 +84,6 @@ def export_component(
     if has_held_outputs and fmi == "2":
         return [*exported.lines, ZERO_ORDER_HOLD_OUTPUTS]
     return exported.lines
-
-
-def _check_path(out: Path, *, force: bool) -> None:
-    check_path(out)
-    if file_type(out) != "FMU":
-        raise UsageError(f"{out}: expected a path that ends in .fmu")
-    if out.exists() and not force:
-        raise UsageError(f"{out} exists; choose another path, or {flag('force')} to replace it")
-    try:
-        check_writable(out)
-    except OSError as error:
-        raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
 
 def model_identifier(name: str) -> str:

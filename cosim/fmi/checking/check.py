@@ -6,7 +6,7 @@ What runs foreign code does so in child processes.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -20,7 +20,7 @@ from cosim.fmi.checking.structure import Finding, Severity, check_structure
 from cosim.fmi.child_process import TIMEOUT, TrialProblem, attempt, try_fmu
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.driving.initialization import Starts, check_start, resized
-from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
+from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, cure, folders
 from cosim.fmi.reading.archive import ArchiveContents
 from cosim.fmi.reading.markup import Attributes, collector_paused
 from cosim.fmi.reading.model_description import (
@@ -84,7 +84,7 @@ def check(
         except FmuError as error:
             return (Finding("error", where, _without_path(path, error)),)
         description, definitions, findings = _describe(path, root, contents)
-        findings += _check_binaries(folder, description)
+        findings += _check_binaries(path, folder, description, contents.members)
         if any(_prevents_trials(finding) for finding in findings):
             findings += _check_description(root, contents, description, definitions)
         else:
@@ -165,7 +165,9 @@ def _validate_schema(xml: bytes, version: int) -> list[Finding]:
 # --- binaries ---
 
 
-def _check_binaries(folder: Path, description: Description) -> Iterator[Finding]:
+def _check_binaries(
+    path: Path, folder: Path, description: Description, members: Collection[str]
+) -> Iterator[Finding]:
     """Compare every binary with the folder it is in; find the one for this machine."""
     native_platforms = folders(description.version)
     capabilities = description.capabilities.values()
@@ -183,7 +185,8 @@ def _check_binaries(folder: Path, description: Description) -> Iterator[Finding]
                 yield Finding(level, "binary", problem)
     if not any(platform in description.platforms for platform in native_platforms):
         platforms = ", ".join(description.platforms) or "none"
-        text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); available: {platforms}"
+        text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); available: {platforms}; "
+        text += cure(path, members)
         yield Finding("error", "binary", text)
 
 

@@ -193,7 +193,7 @@ def export(
     binaries = compile_sources(
         fmu.sources, fmu.main, name=name, version=version, platforms=platforms
     )
-    _write(path, {**fmu.files(binaries), **(extra or {})})
+    write_files(path, {**fmu.files(binaries), **(extra or {})})
     interface_types = tuple(fmu.description.capabilities)
     folders = tuple(binary.folder for binary in binaries)
     return Exported(path, version, interface_types, folders, fmu.notes(binaries))
@@ -360,7 +360,14 @@ def _constants(specification: ExportSpecification, description: Description, sta
     return "\n".join(lines) + "\n"
 
 
-def _write(path: Path, files: Mapping[str, bytes]) -> None:
+def write_files(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write the files of an FMU by their names in it; it is there whole, or not at all.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
     partial = path.with_name(f".{path.name}.part")
     try:
         with zipfile.ZipFile(partial, "w") as archive:

@@ -221,7 +221,7 @@ class FmuKind(PlantKind, PeriodicKind):
             dae=self.dae,
             start=self.start,
             outputs=self.outputs,
-            step=self.period or context.step_ns / NANOSECONDS,
+            step=float(self.period or context.h),
         )
         return context.fmu(name, self.path, options)
 
