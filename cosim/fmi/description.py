@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
 from cosim.arrays import Mask
+from cosim.core.recorded.selection import is_pattern, matches
 from cosim.core.signals import Interface, Need, Role, Signal
 from cosim.errors import FmuError, nearest
 from cosim.fmi.references import ReferenceMap
@@ -411,27 +412,49 @@ class Description:
         Parameters
         ----------
         names : sequence of str
-            Of variables, or of vectors of which scalars ``n[1], n[2], ...`` are the elements.
-            Outputs may be among them.
+            Of variables, or of vectors of which scalars ``n[1], n[2], ...`` are the elements, or
+            patterns, such as ``damper.*``. Outputs may be among them.
 
         Raises
         ------
         FmuError
-            If there is no such variable, it is an input or no number, or is named twice.
+            If there is no such variable, it is an input or no number, or is named twice, or a
+            pattern matches none that can be recorded.
         """
-        recorded: list[str] = []
+        named: dict[str, Variable] = {}
         for name in names:
-            variables = [self[name]] if name in self else self._vector(name)
-            for variable in variables:
+            if name not in self and is_pattern(name):
+                continue
+            for variable in [self[name]] if name in self else self._vector(name):
                 problem = self._recording_problem(variable)
                 if problem:
                     raise FmuError(f"{self.name}: outputs: {name!r} {problem}")
-                if variable.name in recorded:
+                if variable.name in named:
                     raise FmuError(f"{self.name}: outputs: {variable.name!r} is named twice")
-                is_output = variable.causality == "output" and variable.alias_of is None
-                if not is_output and variable.name not in self.local_states:
-                    recorded.append(variable.name)
+                named[variable.name] = variable
+        for name in names:
+            if name not in self and is_pattern(name):
+                named |= self._matching(name)
+        recorded = []
+        for variable in named.values():
+            is_output = variable.causality == "output" and variable.alias_of is None
+            if not is_output and variable.name not in self.local_states:
+                recorded.append(variable.name)
         return replace(self, recorded=tuple(recorded))
+
+    def _matching(self, pattern: str) -> dict[str, Variable]:
+        """Return the variables that a pattern stands for, of those that can be recorded."""
+        found = {}
+        for variable in self.variables:
+            if matches(pattern, variable.name) and not self._recording_problem(variable):
+                found[variable.name] = variable
+        if not found:
+            names = [variable.name for variable in self.variables]
+            raise FmuError(
+                f"{self.name}: outputs: no variable that can be recorded matches {pattern!r}; "
+                f"{nearest(pattern, names)}"
+            )
+        return found
 
     def _vector(self, name: str) -> list[Variable]:
         """Return the elements of a vector of scalars; refuse a name that is none."""

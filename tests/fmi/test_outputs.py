@@ -78,8 +78,35 @@ def test_arrays_of_fmi_3_as_outputs(tmp_path):
     assert sizes["time"] == 1
 
 
+def test_patterns_stand_for_what_can_be_recorded(tmp_path, subtests):
+    """As in other places; inputs and strings, which cannot, are passed over, names kept once."""
+    description = read(write(tmp_path / "x.fmu", [], xml=FMI2.encode())).description
+    plain = [signal.name for signal in description.recording([]).interface.outputs]
+    for names, more in [
+        (["mo*"], ["mode"]),
+        (["mode", "m?de", "x"], ["mode"]),
+        (["der(*"], ["der(x)"]),
+    ]:
+        with subtests.test(names=names):
+            shown = [signal.name for signal in description.recording(names).interface.outputs]
+            assert shown == [*plain, *more]
+    everything = description.recording(["*"]).interface
+    assert {"hidden", "der(x)", "mode"} < {signal.name for signal in everything.outputs}
+    assert everything.inputs == description.interface.inputs
+
+
+@pytest.mark.filterwarnings("ignore::cosim.CosimWarning")
+def test_all_variables_of_an_fmu_can_be_recorded(exported, tmp_path):
+    scenario = tmp_path / "locals.toml"
+    text = SCENARIO.format(path=exported, interface_type="me")
+    scenario.write_text(text.replace('["der(x_a[0])"]', '["*"]'))
+    x = cosim.run(scenario)
+    assert x["plant.der(x_a[0])"].shape == x["plant.y"].shape == (21,)
+
+
 def test_variables_that_cannot_be_outputs_are_refused(tmp_path, subtests):
     for names, text in [
+        (["d?z*"], r"no variable that can be recorded matches 'd.z.'; available: time"),
         (["nothing"], "no variable 'nothing'; "),
         (["u"], "outputs: 'u' is an input, and recorded as one"),
         (["words"], "outputs: 'words' has the type String, which is not recorded"),
