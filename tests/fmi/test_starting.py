@@ -12,12 +12,13 @@ import fmpy
 import numpy as np
 import pytest
 
+import cosim
 from cosim.blocks.source import constant
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
-from cosim.errors import CosimError
+from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component
@@ -181,3 +182,28 @@ def test_an_event_that_fails_at_the_start_is_named(opened, version, interface_ty
 def test_they_keep_the_contract(opened, version):
     """Runs of blocks of all sizes begin with the same row."""
     check_component(lambda: opened(version, "me"))
+
+
+# --- by the names of variables, in a scenario ---
+
+
+def set_value(scenario, key, value):
+    with pytest.raises(ScenarioError) as error:
+        cosim.run(scenario, set={key: value})
+    return str(error.value)
+
+
+def test_a_key_that_is_none_hints_at_the_start_value_of_a_variable(exported, tmp_path):
+    """``start`` is FMI's word; a name with dots is one name, though TOML makes tables of it."""
+    scenario = tmp_path / "one.toml"
+    scenario.write_text(
+        '[scenario]\nname = "one"\nstop = 1.0\nstep = 0.1\n'
+        f'[components.motor]\nkind = "fmu"\npath = "{exported}"\n'
+    )
+    assert "set by motor.start.J;" in set_value(scenario, "motor.J", 0.02)
+    assert "set by motor.start.damper.d;" in set_value(scenario, "motor.damper.d", 3.0)
+    # what the hints say reaches the FMU, which has no such variables
+    assert "no variable 'J'" in set_value(scenario, "motor.start.J", 0.02)
+    assert "no variable 'damper.d'" in set_value(scenario, "motor.start.damper.d", 3.0)
+    scenario.write_text(scenario.read_text() + 'start = { "damper.d" = 1.0 }\n')
+    assert "'damper.d' is given twice" in set_value(scenario, "motor.start.damper.d", 3.0)

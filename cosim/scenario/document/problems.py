@@ -76,7 +76,7 @@ def problems_of(
             continue  # the unknown key is probably this one
         if item["type"] == "too_short" and any(_is_inside(other, item) for other in items):
             continue  # pydantic does not count the entries that are wrong
-        value_problems.append(_value_problem(item, table, data))
+        value_problems.append(_value_problem(item, table, data, prefix))
     nearest_problems = _Alternatives(table, data).nearest(value_problems)
     keys = dict.fromkeys(problem.problem for problem in nearest_problems)
     return [((*prefix, *key), text) for key, text in keys]
@@ -88,7 +88,9 @@ def _is_inside(item: Mapping[str, Any], outer: Mapping[str, Any]) -> bool:
     return len(item["loc"]) > len(loc) and item["loc"][: len(loc)] == loc
 
 
-def _value_problem(item: Mapping[str, Any], table: type[BaseModel], data: Any) -> _ValueProblem:
+def _value_problem(
+    item: Mapping[str, Any], table: type[BaseModel], data: Any, prefix: Key
+) -> _ValueProblem:
     """Separate pydantic's location into keys of the data and names of alternatives."""
     loc = item["loc"]
     missing: Key = loc[-1:] if item["type"] == "missing" else ()
@@ -102,7 +104,7 @@ def _value_problem(item: Mapping[str, Any], table: type[BaseModel], data: Any) -
             path = (*path, part)
         else:
             choices.append((path, part))
-    problem = (path, _message(item, path, table))
+    problem = (path, _message(item, path, table, prefix))
     return _ValueProblem((*path, *missing), tuple(choices), item["type"] in TYPES, problem)
 
 
@@ -174,12 +176,21 @@ def _value(data: Any, path: Key) -> Any:
     return data
 
 
-def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
+def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel], prefix: Key) -> str:
     name = str(details["loc"][-1])
     match details["type"]:
         case "extra_forbidden":
-            known = sorted(_fields(table, path[:-1]))
-            return f"unknown key {quoted(name)}; {nearest(name, known)}"
+            fields = _fields(table, path[:-1])
+            suggestion = nearest(name, sorted(fields))
+            start = fields.get("start")
+            is_clear = suggestion.startswith("did you mean") and not isinstance(
+                details["input"], Mapping
+            )
+            if start is not None and get_origin(start.annotation) is dict and not is_clear:
+                key = ".".join(map(str, (*prefix[-1:], *path[:-1], "start")))
+                variable = _dotted(name, details["input"])
+                suggestion = f"a variable is set by {key}.{variable}; {suggestion}"
+            return f"unknown key {quoted(name)}; {suggestion}"
         case "missing":
             field = _fields(table, path).get(name)
             description = None if field is None else field.description
@@ -194,6 +205,14 @@ def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> s
         case _:
             expected = _expected(details, path, table)
             return f"expected {expected}, got {quoted(details.get('input'))}"
+
+
+def _dotted(name: str, value: Any) -> str:
+    """Return the name of a variable such as ``damper.d``, of which TOML makes tables, as a key."""
+    while isinstance(value, Mapping) and len(value) == 1:
+        ((part, value),) = value.items()
+        name = f"{name}.{part}"
+    return name
 
 
 def _expected(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:

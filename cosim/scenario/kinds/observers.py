@@ -38,7 +38,7 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.linearizing import DesignModel, MovingModel, design_model, split
-from cosim.scenario.kinds.plants import StartField, check_foreign_initial
+from cosim.scenario.kinds.plants import StartFields, check_foreign_initial
 from cosim.scenario.kinds.reconstruction import (
     DEFAULT_ORDER,
     FILTERS,
@@ -89,9 +89,7 @@ class FmuModel(TomlTable):
         0.0,
         description="time of the operating point [s], simulated with constant inputs",
     )
-    start: dict[str, StartField] = Field(
-        {}, description="start values by variable, including inputs"
-    )
+    start: StartFields = Field({}, description="start values by variable, including inputs")
 
     @property
     def disturbances(self) -> tuple[str, ...]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, StrictStr
+from pydantic import BeforeValidator, Field, StrictStr
 
 from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
@@ -37,6 +37,26 @@ if TYPE_CHECKING:
 
 Scalar = Flag | Whole | Number | StrictStr
 StartField = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
+
+
+def _dotted(value: Any) -> Any:
+    """Return start values by the names of variables: of ``damper.d`` TOML makes tables."""
+    if not isinstance(value, dict):
+        return value
+    names: dict[Any, Any] = {}
+    for name, inner in value.items():
+        inside = _dotted(inner)
+        found = {name: inner}
+        if isinstance(inside, dict) and inside:
+            found = {f"{name}.{part}": entry for part, entry in inside.items()}
+        twice = names.keys() & found
+        if twice:
+            raise ValueError(f"{min(twice)!r} is given twice, with dots and in quotes")
+        names |= found
+    return names
+
+
+StartFields = Annotated[dict[str, StartField], BeforeValidator(_dotted)]
 
 
 class PlantKind(Kind):
@@ -175,7 +195,7 @@ class FmuKind(PlantKind, PeriodicKind):
         description="model exchange with a residual form (FMI-LS-DAE): solved by the FMU "
         '("ode") or by the solver ("residual")',
     )
-    start: dict[str, StartField] = Field(
+    start: StartFields = Field(
         {},
         description="start values by variable: number, Boolean, enumeration item, string "
         "(Binary as hexadecimal), list",
