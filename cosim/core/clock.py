@@ -36,7 +36,8 @@ LARGEST_NS = 2**63 - 1
 LARGEST_EXPONENT = 400  # of ten: beyond every double
 BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
-REPETITIONS: Final = 1000  # of events or returns that do not advance time
+REPETITIONS: Final = 1000  # of events or returns that do not advance time; as in model_exchange.c
+CAUSES: Final = 100  # of the last of them
 RESOLUTION: Final = 1e-9  # s in which so many are none that advance it
 
 
@@ -107,13 +108,15 @@ class Standstill:
     ----------
     t : float
         Time at which it begins [s].
+    count : int
+        Repetitions that there were already.
 
     Attributes
     ----------
     since : float
         Time that is not advanced [s].
     causes : set
-        What was named as the cause of a repetition since then.
+        What was named as a cause of the last ``CAUSES`` repetitions since then.
 
     >>> standstill = Standstill(0.3)
     >>> any(standstill.lasts(0.3 + 1e-8 * k) for k in range(10_000))
@@ -122,17 +125,18 @@ class Standstill:
     True
     """
 
-    def __init__(self, t: float) -> None:
+    def __init__(self, t: float, count: int = 0) -> None:
         self.since = t
         self.causes: set[Hashable] = set()
-        self._count = 0
+        self._count = count
 
     def lasts(self, t: float, causes: Iterable[Hashable] = ()) -> bool:
         """Count one more at ``t`` [s]; return whether they do not advance time."""
         if t - self.since > max(RESOLUTION, 16 * REPETITIONS * math.ulp(t)):
             self.since = t
-            self.causes.clear()
             self._count = 0
+        if self._count in (0, REPETITIONS - CAUSES):
+            self.causes.clear()
         self.causes.update(causes)
         self._count += 1
         return self._count >= REPETITIONS

@@ -433,6 +433,11 @@ def _check_options_for_co_simulation(archive: Archive, options: FmuOptions) -> N
             f"{archive.path}: relative tolerance {options.tolerance}: a co-simulation FMU brings "
             'its own solver; leave it out or use interface_type = "me"'
         )
+    if options.max_step is not None:
+        raise FmuError(
+            f"{archive.path}: max_step {options.max_step}: a co-simulation FMU brings its own "
+            'solver; leave it out or use interface_type = "me"'
+        )
     if options.dae == "residual":
         raise FmuError(
             f'{archive.path}: dae = "residual": a co-simulation FMU solves for itself; '
@@ -451,6 +456,7 @@ def _component(
         options.solver,
         starts=options.start,
         rtol=options.tolerance,
+        max_step=options.max_step,
         dae=options.dae,
     )
     return component, component.metadata

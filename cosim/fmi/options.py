@@ -15,7 +15,7 @@ from cosim.fmi.driving.residual import DaeForm
 class FmuOptions:
     """How an FMU is opened.
 
-    ``solver``, ``tolerance`` and ``dae`` are for model exchange.
+    ``solver``, ``tolerance``, ``max_step`` and ``dae`` are for model exchange.
 
     Parameters
     ----------
@@ -26,6 +26,8 @@ class FmuOptions:
         One of ``cosim.fmi.driving.solvers.STEPPING``; None: ``RK45``.
     tolerance : float or None
         Relative tolerance of the states, for the solvers that keep one; None: 1e-9.
+    max_step : float or None
+        The longest step of the solver [s]; None: as long as the tolerance allows.
     dae : {"ode", "residual"}
         Of an FMU with a residual form (FMI-LS-DAE): which of its forms is integrated.
     start : mapping of variable name to StartValue
@@ -45,6 +47,7 @@ class FmuOptions:
     interface_type: InterfaceType | None = None
     solver: str | None = None
     tolerance: float | None = None
+    max_step: float | None = None
     dae: DaeForm = "ode"
     start: Starts = field(default_factory=dict)
     outputs: Sequence[str] = ()

@@ -10,7 +10,7 @@ from cosim.fmi.options import FmuOptions
 from tests.fmi.compiled import compile_fmu, kept_folder
 
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
-STATES = {"BALL": 2, "FRICTION": 2, "COUNTER": 0}  # else 1
+STATES = {"BALL": 2, "FRICTION": 2, "COUNTER": 0, "WINDOW": 2}  # else 1
 INDICATORS = {
     **dict.fromkeys(
         ("SAW", "COUNTER", "MEMORY", "STEPS", "TIRED", "SCALED", "REFUSES", "SAMPLE"), 0
@@ -43,6 +43,7 @@ LEVELS = {
     "TIRED": 0.45,
     "SCALED": 0.11,
     "REFUSES": 0.08,
+    "WINDOW": 0.5,
 }
 """The models of ``c/events.c``, with their parameter p."""
 OUTPUTS = ("x", "v", "q", "count")
@@ -155,8 +156,9 @@ class Run:
         version: int = 2,
         nominal: float = 1.0,
         rtol: float | None = None,
+        max_step: float | None = None,
     ):
-        options = FmuOptions(solver=solver, tolerance=rtol, start={"p": p})
+        options = FmuOptions(solver=solver, tolerance=rtol, max_step=max_step, start={"p": p})
         self.fmu = load(build(model, version, nominal), options)
         self.component = self.fmu.component
 

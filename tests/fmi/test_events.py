@@ -20,7 +20,7 @@ from cosim.core.recorders import Memory
 from cosim.errors import FmuError
 from cosim.fmi.component import load
 from cosim.fmi.driving.events import KEPT, EventList, close, locate
-from cosim.fmi.driving.solvers import STEPPING
+from cosim.fmi.driving.solvers import STEPPING, TOLERANT
 from cosim.fmi.options import FmuOptions
 from cosim.log import open_log
 from cosim.report.verification import verify
@@ -260,6 +260,32 @@ def test_an_fmu_without_states_runs(subtests):
             # up to 0.5 the sum is a point to 4 roundings; after that it may come one point later
             assert np.array_equal(rows[:11, 3], [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5])
             assert rows[-1, 3] in (9.0, 10.0)
+
+
+# --- events that a step of the solver may pass over ---
+
+
+@pytest.mark.fast("RK45", "DOP853")
+@pytest.mark.parametrize("solver", TOLERANT)
+def test_two_crossings_within_a_window_are_found_by_all_solvers(solver):
+    """sin t is above cos(0.045) for 0.09 s at each of the 16 maxima of 100 s."""
+    with Run("WINDOW", solver, p=math.cos(0.045)) as run:
+        rows = run(100.0, 1.0)
+        times = run.events("state event")
+    assert rows[-1, 3] == len(times) == 32
+    maxima = 0.5 * math.pi + 2.0 * math.pi * np.arange(16)
+    # a hundredth of a window: the amplitude of multistep solvers drifts by 1e-6, the slope is 0.045
+    assert np.allclose(times, np.sort([*(maxima - 0.045), *(maxima + 0.045)]), atol=1e-3, rtol=0.0)
+
+
+def test_a_shorter_window_needs_a_largest_step():
+    """One of 2 ms is seen by chance only, unless the solver's steps are shorter."""
+    with Run("WINDOW", "RK45", p=math.cos(0.001)) as run:
+        assert run(2.0, 1.0)[-1, 3] == 0.0
+    for solver in ("RK45", "rk4", "BDF"):
+        with Run("WINDOW", solver, p=math.cos(0.001), max_step=1e-3) as run:
+            assert run(2.0, 1.0)[-1, 3] == 2.0
+            assert run.value("completed") >= 2000
 
 
 # --- events that do not end, and the end of the run ---

@@ -12,6 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
+from cosim.core.clock import Standstill
 from cosim.fmi.driving.events import BITS, KINDS
 from cosim.fmi.driving.integrator import Integrator, IntegratorState, Interruption
 from cosim.fmi.instance import Addresses, ModelExchangeInstance
@@ -64,6 +65,8 @@ class CompiledIntegrator:
         struct.n_z = n_z
         struct.n_u = n_u
         struct.n_in_events = len(self._in_events)
+        struct.parts = integrator.parts
+        struct.longest_step = integrator.max_step
         self._point_to_memory()
         self._point_to_calls()
 
@@ -187,7 +190,8 @@ class CompiledIntegrator:
         struct.moved = 0
         if not declined:
             return None
-        return Interruption(struct.reached, struct.failure, nominals_changed)
+        standstill = Standstill(struct.since, struct.handled)
+        return Interruption(struct.reached, struct.failure, nominals_changed, standstill)
 
     def list_events(self) -> None:
         """Give the integrator the events since it got them last."""

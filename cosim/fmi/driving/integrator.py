@@ -65,6 +65,9 @@ from cosim.native.fmi.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVE
 from cosim.native.numerics.runge_kutta import EXPLICIT, RightHandSide, RungeKutta, RungeKuttaStruct
 
 NONE: Final = np.empty(0)
+PARTS: Final = {"DOP853": 8}
+"""Of a step of a solver, which is several times as long as one of another solver with the same
+tolerance: the event indicators are read after each part."""
 TINY: Final = 1e-12  # nominal value that a difference is still made of
 
 
@@ -106,11 +109,14 @@ class Interruption(NamedTuple):
         What ends the run: ``FAILED_CALL`` and so on; 0: nothing does.
     nominals_changed : bool
         Whether an event is to be finished: ``finish_event``.
+    standstill : Standstill
+        Of the events in the step.
     """
 
     reached: int
     failure: int
     nominals_changed: bool
+    standstill: Standstill
 
 
 class LinearInputs:
@@ -149,6 +155,8 @@ class Integrator:
         Takes what the run shows about the FMU.
     rtol : float
         Relative tolerance of the states.
+    max_step : float
+        The longest step of the solver [s]; infinity: as long as its tolerance allows.
 
     Attributes
     ----------
@@ -164,6 +172,10 @@ class Integrator:
     events : EventList
     diagnostics : Diagnostics
         As it was handed over.
+    parts : int
+        Of a step of the solver, after each of which the event indicators are read.
+    max_step : float
+        As it was handed over.
     keeps_left : bool
         Whether the outputs before an event at the end of a step are read.
     left : Vector or None
@@ -178,6 +190,7 @@ class Integrator:
         diagnostics: Diagnostics,
         *,
         rtol: float,
+        max_step: float = math.inf,
     ) -> None:
         description = instance.description
         self._instance = instance
@@ -202,6 +215,8 @@ class Integrator:
             self._solver = self._runge_kutta
         else:
             self._solver = _build_solver(solver, self._derivatives, self._n_x, rtol)
+        self.parts = PARTS.get(solver, 1)
+        self.max_step = max_step
         self._uses_nominals = solver in (*TOLERANT, RADAU) and self._n_x > 0
         # With the exact solver the model is linear: an event changes nothing but its inputs.
         self.rolls_back = self._capabilities.saves_state and solver != "exact"
@@ -274,12 +289,11 @@ class Integrator:
         self.left = None
         self.events.begin_step()
         self._clocks.begin_step()
-        return self._integrate_on()
+        return self._integrate_on(Standstill(inputs.t0))
 
-    def _integrate_on(self) -> bool:
+    def _integrate_on(self, standstill: Standstill) -> bool:
         """Integrate over what is left of a communication step."""
         inputs = self._step_inputs
-        standstill = Standstill(self.state.t)
         while True:
             due = self._integrate_to_event(inputs.t1)
             state = self.state
@@ -326,7 +340,7 @@ class Integrator:
         self._step_inputs = inputs
         if interruption.reached == AT_END:
             return True
-        return not self.state.ended and self._integrate_on()
+        return not self.state.ended and self._integrate_on(interruption.standstill)
 
     def failure(self, interruption: Interruption) -> RunError:
         """Return the error of what failed in a compiled step, but for a call of the FMU."""
@@ -347,7 +361,9 @@ class Integrator:
                 return self._with_time_event(())
             # Never beyond the next time event: there x' may jump (FMI 2.0.4 section 3.2.2).
             event_comes_first = t1 - state.next_event > close(t1)
-            due = self._step(state.next_event if event_comes_first else t1)
+            stop = state.next_event if event_comes_first else t1
+            bound = state.t + max(self.max_step, close(state.t))
+            due = self._step(bound if stop - bound > close(stop) else stop)
             if self._capabilities.completed_step:
                 # After state events are located and with time, inputs and states set to accepted
                 # values: time must not go back over this call (FMI 2.0.4 section 3.2.2, FMI 3.0
@@ -363,7 +379,7 @@ class Integrator:
         """Take a step of the solver, to the first state event in it at most."""
         state = self.state
         begin = state.t
-        t, x = self._set_solution(self._solver.step(stop), stop)
+        t, x = self._set_solution(self._look_between(self._solver.step(stop), stop), stop)
         due: tuple[EventKind, ...] = ()
         if self._n_z:
             indicators = self._instance.get_event_indicators()
@@ -377,6 +393,16 @@ class Integrator:
         state.t = t
         state.x = x
         return due
+
+    def _look_between(self, reached: float, stop: float) -> float:
+        """Return the end of a step of the solver, or of its first part that changes a domain."""
+        begin = self.state.t
+        end = stop if stop - reached <= close(stop) else reached
+        for i in range(1, self.parts if self._n_z else 1):
+            t = begin + (end - begin) * i / self.parts
+            if crosses(self.state.indicators, self._indicators_at(t)):
+                return t
+        return reached
 
     def _set_solution(self, t: float, stop: float) -> tuple[float, Vector]:
         """Set the FMU to the solution at ``t``, or at ``stop`` where that is one time."""

@@ -6,6 +6,7 @@ requests is remembered, and comes with the next ``advance`` at the latest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple, final
@@ -69,6 +70,9 @@ class ModelExchange:
     rtol : float or None
         Relative tolerance of the states, for the solvers that keep one (``TOLERANT``), else None;
         None there: ``RTOL``. The absolute one is ``rtol`` times their nominal values.
+    max_step : float or None
+        The longest step of the solver [s]; None: as long as the tolerance allows, or, without one,
+        the communication step.
     dae : {"ode", "residual"}
         Whether the FMU calculates its algebraic variables, or they are solved for here; see
         ``residual.py``.
@@ -94,11 +98,17 @@ class ModelExchange:
         *,
         starts: Starts | None = None,
         rtol: float | None = None,
+        max_step: float | None = None,
         dae: DaeForm = "ode",
     ) -> None:
         self.solver = _choose_solver(instance, solver, dae)
         tolerance = _choose_tolerance(instance.description.name, self.solver, rtol)
         self.rtol = tolerance if self.solver in TOLERANT else None
+        self._max_step = max_step
+        if max_step is not None and not 0.0 < max_step < math.inf:
+            raise FmuError(
+                f"{instance.description.name}: max_step: expected a time > 0 s, got {max_step}"
+            )
         self.notes: tuple[str, ...] = _notes(instance.description.name, self.solver)
         self._instance = instance
         diagnostics = Diagnostics(instance.description.name)
@@ -107,7 +117,12 @@ class ModelExchange:
         self._discrete = instance.description.discrete_inputs
         self._capabilities = instance.description.capabilities["me"]
         self._integrator = Integrator(
-            instance, self.solver, self._clocks, diagnostics, rtol=tolerance
+            instance,
+            self.solver,
+            self._clocks,
+            diagnostics,
+            rtol=tolerance,
+            max_step=max_step or math.inf,
         )
         has_compiled_steps = self._integrator.is_explicit and not instance.description.drives_clocks
         self._addresses = instance.addresses() if has_compiled_steps else None
@@ -140,6 +155,8 @@ class ModelExchange:
         metadata: dict[str, str | float] = {"solver": self.solver}
         if self.rtol is not None:
             metadata["tolerance"] = self.rtol
+        if self._max_step is not None:
+            metadata["max_step"] = self._max_step
         library = LIBRARIES.get(self.solver)
         if library is not None:
             metadata["bits"] = f"solver {self.solver} computes with {library}: {DEPENDS}"

@@ -190,6 +190,11 @@ class FmuKind(PlantKind, PeriodicKind):
         None,
         description="relative tolerance of variable-step solvers; default: 1e-9",
     )
+    max_step: Number | None = Field(
+        None,
+        description="model exchange: longest step of the solver [s], shorter than what may be "
+        "over within one step, such as a pulse; default: none",
+    )
     dae: Literal["ode", "residual"] = Field(
         "ode",
         description="model exchange with a residual form (FMI-LS-DAE): solved by the FMU "
@@ -239,6 +244,7 @@ class FmuKind(PlantKind, PeriodicKind):
             interface_type=self.interface_type,
             solver=self.solver,
             tolerance=self.tolerance,
+            max_step=self.max_step,
             dae=self.dae,
             start=self.start,
             outputs=self.outputs,

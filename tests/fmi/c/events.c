@@ -19,7 +19,8 @@
  * SCALED   x' = u - x; at the times k p the nominal value of x changes; at 2 p it is none
  * REFUSES  x' = u; no derivatives above x = p: they are discarded
  * SAMPLE   x' = 1; q <- -u at the times k p, count of them; 0 before
- * RESET    x' = 1 + u, and x -> x - p at x = p */
+ * RESET    x' = 1 + u, and x -> x - p at x = p
+ * WINDOW   x'' = -x from x = 0, x' = 1; count of the changes of x > p */
 #if FMI == 2
 #include "fmi2Functions.h"
 #define F(name) fmi2##name
@@ -37,7 +38,7 @@
 #include <string.h>
 
 enum { BALL, FRICTION, SAW, COUNTER, TWO, SLIDE, ENDLESS, ENDS, MEMORY, SWITCH };
-enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES, SAMPLE, RESET };
+enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES, SAMPLE, RESET, WINDOW };
 enum { U, D, X, V, DER_X, DER_V, Q, COUNT, P, EVALUATIONS, COMPLETED, VARIABLES };
 
 typedef struct {
@@ -57,6 +58,8 @@ static void begin(Instance *instance, double t)
     instance->v[Q] = MODEL == FRICTION || MODEL == TWO || MODEL == MEMORY || MODEL == SAMPLE ? 0.0 : 1.0;
     if (MODEL == BALL)
         instance->v[X] = 1.0;
+    if (MODEL == WINDOW)
+        instance->v[V] = 1.0;
 }
 
 static void derive(Instance *instance)
@@ -68,6 +71,10 @@ static void derive(Instance *instance)
     v[DER_X] = MODEL == BALL || MODEL == FRICTION  ? v[V]
                : MODEL == SLIDE || MODEL == MEMORY ? v[Q]
                                                    : 1.0;
+    if (MODEL == WINDOW) {
+        v[DER_X] = v[V];
+        v[DER_V] = -v[X];
+    }
     if (MODEL == SWITCH)
         v[DER_X] = v[U] - (v[Q] > 0.0 ? 1.0 : 4.0) * v[X];
     if (MODEL == SCALED)
@@ -152,6 +159,9 @@ static Answer update(Instance *instance)
     } else if (MODEL == RESET && v[X] >= v[P]) {
         v[X] -= v[P];
         found.values_changed = true;
+    } else if (MODEL == WINDOW && (v[X] > v[P]) != (instance->last > v[P])) {
+        v[COUNT] += 1.0;
+        instance->last = v[X];
     } else if (MODEL == SWITCH) {
         v[Q] = v[X] > v[P] ? -1.0 : 1.0;
     }
