@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -98,6 +98,7 @@ _of_float = lru_cache(1024)(_exactly)  # the times of a scenario are asked for m
 
 
 @final
+@dataclass(slots=True)
 class Standstill:
     """Finds out whether what happens again and again advances time: events, early returns.
 
@@ -106,15 +107,10 @@ class Standstill:
 
     Parameters
     ----------
-    t : float
-        Time at which it begins [s].
-    count : int
-        Repetitions that there were already.
-
-    Attributes
-    ----------
     since : float
-        Time that is not advanced [s].
+        Time that is not advanced [s]; at first, at which it begins.
+    count : int
+        Repetitions since then.
     causes : set
         What was named as a cause of the last ``CAUSES`` repetitions since then.
 
@@ -125,21 +121,20 @@ class Standstill:
     True
     """
 
-    def __init__(self, t: float, count: int = 0) -> None:
-        self.since = t
-        self.causes: set[Hashable] = set()
-        self._count = count
+    since: float
+    count: int = 0
+    causes: set[Hashable] = field(default_factory=set)
 
     def lasts(self, t: float, causes: Iterable[Hashable] = ()) -> bool:
         """Count one more at ``t`` [s]; return whether they do not advance time."""
         if t - self.since > max(RESOLUTION, 16 * REPETITIONS * math.ulp(t)):
             self.since = t
-            self._count = 0
-        if self._count in (0, REPETITIONS - CAUSES):
+            self.count = 0
+        if self.count in (0, REPETITIONS - CAUSES):
             self.causes.clear()
         self.causes.update(causes)
-        self._count += 1
-        return self._count >= REPETITIONS
+        self.count += 1
+        return self.count >= REPETITIONS
 
 
 def start_nanoseconds(start_time: float) -> int:

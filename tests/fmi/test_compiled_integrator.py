@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from cosim.core.clock import Standstill
 from cosim.fmi.component import load
 from cosim.fmi.driving.compiled import CompiledIntegrator
 from cosim.fmi.driving.integrator import IntegratorState, Interruption
@@ -160,10 +161,12 @@ def test_the_integrator_goes_on_where_compiled_steps_ended(compiled):
 def test_a_step_that_was_declined_inside_is_an_interruption(compiled):
     """With how far it came, what failed, the events so far, and whether one is to be finished."""
     compiled._struct.handled = 7
+    compiled._struct.since = 0.5
+    standstill = Standstill(0.5, 7)
     moved(compiled, allowed=0, reached=INTEGRATING, failure=EVENT_IS_OVER, nominals_changed=1)
-    assert compiled.take_over() == Interruption(INTEGRATING, EVENT_IS_OVER, 7, True)
+    assert compiled.take_over() == Interruption(INTEGRATING, EVENT_IS_OVER, True, standstill)
     moved(compiled, allowed=0, reached=AT_END, failure=0)
-    assert compiled.take_over() == Interruption(AT_END, 0, 7, False)
+    assert compiled.take_over() == Interruption(AT_END, 0, False, standstill)
 
 
 def test_left_limits_are_taken_over_where_there_are_some(compiled):
@@ -236,7 +239,7 @@ def test_an_interruption_is_finished_as_it_says(compiled, monkeypatch, subtests)
     ]:
         with subtests.test(failure=failure, changed=changed):
             finished.clear()
-            interruption = Interruption(INTEGRATING, failure, 0, changed)
+            interruption = Interruption(INTEGRATING, failure, changed, Standstill(0.0))
             if error is None:
                 compiled.finish(interruption)
             else:
