@@ -398,8 +398,13 @@ class Integrator:
         """Return the end of a step of the solver, or of its first part that changes a domain."""
         begin = self.state.t
         end = stop if stop - reached <= close(stop) else reached
-        for i in range(1, self.parts if self._n_z else 1):
-            t = begin + (end - begin) * i / self.parts
+        if self.parts == 1 or self._runge_kutta is None or not self._n_z:
+            return reached
+        # A step that is cut short is as long as one of other solvers would be.
+        share = min((end - begin) / self._runge_kutta.proposed, 1.0)
+        parts = math.ceil(self.parts * share)
+        for i in range(1, parts):
+            t = begin + (end - begin) * i / parts
             if crosses(self.state.indicators, self._indicators_at(t)):
                 return t
         return reached

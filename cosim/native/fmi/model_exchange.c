@@ -508,8 +508,10 @@ static int32_t add_time_event(Model *s)
 static int32_t look_between(Model *s, double *t, bool *found)
 {
     double *x = s->scratch, *z = x + s->n_x;
-    for (int32_t i = 1; i < s->parts; ++i) {
-        const double between = s->t + (*t - s->t) * i / s->parts;
+    const double share = (*t - s->t) / cosim_runge_kutta_proposed(s->solver);
+    const int32_t parts = share < 1.0 ? (int32_t)ceil(s->parts * share) : s->parts;
+    for (int32_t i = 1; i < parts; ++i) {
+        const double between = s->t + (*t - s->t) * i / parts;
         const int32_t status = indicators_at(s, between, x, z);
         if (status != COSIM_OK)
             return status;
@@ -553,7 +555,7 @@ static int32_t solver_step(Model *s, double stop)
     }
     t = end_at(t, stop);
     bool found = false;
-    if (s->parts > 1 && s->n_z)
+    if (s->parts > 1 && s->n_z && s->solver)
         status = look_between(s, &t, &found);
     if (status == COSIM_OK && !found)
         status = set_point(s, t, s->x); /* the solver's own, at the end of its step */

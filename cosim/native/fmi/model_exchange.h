@@ -43,7 +43,8 @@ typedef struct {
     cosim_fmu_call *get_state, *set_state;
     cosim_fmu_variables input_variables, continuous_variables, output_variables;
     int32_t n_x, n_z, n_u, n_in_events;
-    int32_t parts;       /* of a step of the solver, after each of which the indicators are read */
+    int32_t parts;       /* of a step of the solver as its tolerance allows, after each of which the
+                            indicators are read */
     double longest_step; /* of the solver [s] */
     const int32_t *in_events; /* (n_in_events) the inputs that change in events only */
 

@@ -397,6 +397,8 @@ int32_t cosim_runge_kutta_start(void *self, double t, const double *x, const dou
     return COSIM_OK;
 }
 
+double cosim_runge_kutta_proposed(const cosim_runge_kutta *self) { return self->memory[PROPOSED]; }
+
 int32_t cosim_runge_kutta_step(void *self, double t_end, double *reached)
 {
     cosim_runge_kutta *s = self;

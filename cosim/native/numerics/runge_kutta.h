@@ -41,6 +41,8 @@ int32_t cosim_runge_kutta_start(void *self, double t, const double *x, const dou
 /* Take one step, to t_end at most, and without an estimate of the error to t_end: f is evaluated at
  * no time beyond it. After a failure the step can be tried again. */
 int32_t cosim_runge_kutta_step(void *self, double t_end, double *reached);
+/* The step that its tolerance allows, after a step that may have been cut short. */
+double cosim_runge_kutta_proposed(const cosim_runge_kutta *self);
 /* x at a time within the last step. The first call may evaluate f; without an estimate of the error
  * each does, for x is that of a shorter step. */
 int32_t cosim_runge_kutta_at(void *self, double t, double *x);

@@ -24,6 +24,7 @@ STEP_TOO_SMALL: Final = 2  # COSIM_STEP_TOO_SMALL
 FAILED: Final = -1  # of a right-hand side that raised
 NUMBER: Final = 8  # bytes
 TIME: Final = 1  # where the time reached stands in the memory
+PROPOSED: Final = 2  # where the step stands that the tolerance allows
 NUMBERS: Final = 5  # that stand before vectors of n
 STATE: Final = 2  # which of those is the state reached
 
@@ -115,6 +116,11 @@ class RungeKutta:
         """The state reached, shape (n,), to read and to write."""
         first = NUMBERS + STATE * self._n
         return self._memory[first : first + self._n]
+
+    @property
+    def proposed(self) -> float:
+        """The step that its tolerance allows [s], after a step that may have been cut short."""
+        return float(self._memory[PROPOSED])
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
         """Begin at ``t`` [s] with ``x``."""
