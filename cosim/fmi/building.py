@@ -17,6 +17,7 @@ from cosim.fmi.reading.model_description import Archive, read
 from cosim.temporary import TemporaryFolder
 
 SHOWN: Final = 10  # lines of the compiler that a message shows
+BUILD_DESCRIPTION: Final = "sources/buildDescription.xml"  # FMI 3.0; in FMI 2.0 there may be one
 BUILD: Final = (
     "import json, sys; from fmpy.build import build_platform_binary; "
     "build_platform_binary(sys.argv[1], **json.loads(sys.argv[2]))"
@@ -79,6 +80,8 @@ def _member(archive: Archive) -> str:
         problem = "it has no sources; export it for this platform in the tool that made it"
     elif description.version.startswith("1."):
         problem = "expected FMI 2.0 or 3.0, whose description names the sources, got FMI 1.0"
+    elif not (BUILD_DESCRIPTION in archive.members or "<SourceFiles" in archive.xml):
+        problem = f"neither its modelDescription.xml nor {BUILD_DESCRIPTION} names its sources"
     elif len(identifiers) != 1:
         problem = f"expected one model identifier, got {', '.join(sorted(identifiers)) or 'none'}"
     if problem:

@@ -58,6 +58,10 @@ def test_the_message_names_the_way_out(exported, tmp_path):
         load(empty)
     with pytest.raises(FmuError, match=r"empty\.fmu: cannot be compiled: it has no sources"):
         compile_fmu(empty, tmp_path / "out.fmu")
+    xml = "modelDescription.xml"
+    unnamed = changed(bare, tmp_path / "unnamed.fmu", xml, b"SourceFiles", b"Annotations")
+    with pytest.raises(FmuError, match=f"neither its {xml} nor .* names its sources"):
+        compile_fmu(unnamed, tmp_path / "out.fmu")
     assert not (tmp_path / "out.fmu").exists()
 
 
