@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import platform
 import sys
+import threading
 from collections.abc import Collection
 from contextlib import chdir
 from ctypes import CDLL
 from pathlib import Path
 from typing import Final
 
+_LOADING: Final = threading.RLock()  # two would put back each other's working directory
 _ARCHITECTURES: Final = {"AMD64": "x86_64", "arm64": "aarch64"}
 _SYSTEMS: Final = {"linux": "linux", "darwin": "darwin", "win32": "windows"}
 _SHORT: Final = {"linux": "linux64", "darwin": "darwin64", "windows": "win64"}
@@ -38,15 +40,18 @@ def cure(path: Path, members: Collection[str]) -> str:
 
 
 def load_library(path: Path) -> CDLL:
-    """Load a binary; meanwhile its folder is the working directory.
+    """Load a binary; meanwhile its folder is the working directory, if there is more in it.
 
-    As in other tools: a binary may open what is beside it by ``dlopen("./libother.so")``.
+    As in other tools: a binary may open what is beside it by ``dlopen("./libother.so")``. The
+    working directory is one for all threads: where nothing is beside the binary it stays.
 
     Raises
     ------
     OSError
         If it cannot be loaded.
     """
-    absolute = str(path.absolute())
-    with chdir(path.parent):
-        return CDLL(absolute)
+    absolute = path.absolute()
+    if all(other.name == path.name for other in path.parent.iterdir()):
+        return CDLL(str(absolute))
+    with _LOADING, chdir(path.parent):
+        return CDLL(str(absolute))

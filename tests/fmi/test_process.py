@@ -268,7 +268,8 @@ def test_fmus_run_side_by_side_in_threads(rogue):
 def test_nothing_redirects_what_all_threads_share():
     """Only the command line, handlers of the main thread and, with a lock, filters of warnings."""
     allowed = {"terminal.py", "interrupts.py", "interrupting.py", "filters.py", "options.py"}
-    words = ("redirect_std", "os.chdir", "catch_warnings", "signal.signal(", "np.seterr(", "putenv")
+    allowed.add("platforms.py")  # the folder of a binary that has others beside it
+    words = ("redirect_std", "chdir(", "catch_warnings", "signal.signal(", "np.seterr(", "putenv")
     found = set()
     for path in Path(cosim.__file__).parent.rglob("*.py"):
         if any(word in path.read_text(encoding="utf-8") for word in words):

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 import struct
-import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, frozen
 from cosim.errors import UsageError
+from cosim.filters import collected_warnings
 
 Numbers: TypeAlias = NDArray[Any]  # of the type that the file has
 
@@ -113,11 +113,12 @@ def _read_version_4(content: bytes) -> dict[str, Matrix | OtherVariable]:
     from scipy.io import loadmat  # rarely needed
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of byte orders that are read wrongly
+        with collected_warnings("") as warned:
             found = loadmat(BytesIO(content), chars_as_strings=False)
     except Exception as error:  # scipy raises whatever a damaged byte leads to
         raise UsageError(f"expected a MAT-file of version 4 to 7: {error}") from error
+    if warned:  # of byte orders that are read wrongly
+        raise UsageError(f"expected a MAT-file of version 4 to 7: {warned[0]}")
     variables: dict[str, Matrix | OtherVariable] = {}
     for name, value in found.items():
         if name.startswith("__"):

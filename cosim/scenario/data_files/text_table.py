@@ -11,7 +11,6 @@ import codecs
 import csv
 import math
 import re
-import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -26,6 +25,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError, listing, nearest
+from cosim.filters import ignored_warnings
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number
 from cosim.scenario.data_files.table import (
@@ -582,8 +582,7 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             size = sum(entry.file_size for entry in archive.infolist())
         if size > LARGEST:
             raise OverflowError
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of styles and the like
+        with ignored_warnings():  # of styles and the like
             book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
             for sheet in book.worksheets:
                 if form.sheet in (None, sheet.title):
