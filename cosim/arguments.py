@@ -130,6 +130,23 @@ def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
     return value
 
 
+def swap_argument(value: object) -> dict[str, Any]:
+    """Return what is swapped by component, which may be written ``components.NAME``.
+
+    Raises
+    ------
+    UsageError
+        If it is no mapping, a key is no text, or a component is given twice.
+    """
+    swap: dict[str, Any] = {}
+    for key, item in mapping_argument("swap", value).items():
+        name = key.removeprefix("components.")
+        if name in swap:
+            raise UsageError(f"{option('swap', name)}: expected once, also given as {quoted(key)}")
+        swap[name] = item
+    return swap
+
+
 def texts_argument(name: str, value: object) -> tuple[str, ...] | None:
     """Return an argument that is a sequence of texts, or None; a single text is none.
 

@@ -100,12 +100,13 @@ def complete_estimators(incomplete: str) -> list[str]:
 
 
 def _settings(scenario: Scenario) -> Iterator[str]:
+    from cosim.scenario.document.edits import short
     from cosim.scenario.document.schema import Settings
     from cosim.scenario.kinds.parameters import parameters_of
 
     for name, kind in scenario.specs.items():
         for parameter in parameters_of(type(kind)):
-            yield f"{name}.{parameter.name}="
+            yield f"{short(f'components.{name}.{parameter.name}')}="
     for key in Settings.model_fields:
         yield f"{SETTINGS}.{key}="
 

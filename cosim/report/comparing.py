@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arguments import mapping_argument, path_argument, truth_argument
+from cosim.arguments import mapping_argument, path_argument, swap_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.core.port import split_element
 from cosim.core.recorded.run import RecordedRun
@@ -22,7 +22,7 @@ from cosim.files import file_type
 from cosim.log import Log
 from cosim.report.recorded_rows import difference, has_signal
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.document.edits import short
+from cosim.scenario.document.edits import component_in, short
 from cosim.scenario.document.swap import (
     PortNames,
     component_table,
@@ -236,7 +236,7 @@ def _changes_of_others(changes: Mapping[str, Any], component: str) -> dict[str, 
     """Return the changes without those of the component."""
     others = {}
     for key, value in changes.items():
-        if not short(key).startswith(f"{component}."):
+        if component_in(short(key)) != component:
             others[key] = value
     return others
 
@@ -280,7 +280,7 @@ def _paths(
     loaded: Scenario, swap: Mapping[str, Sequence[str | Path]], *, base: bool
 ) -> tuple[str, list[str]]:
     """Return the component that is swapped, and the paths of its alternatives."""
-    swap = mapping_argument("swap", swap)
+    swap = swap_argument(swap)
     if len(swap) != 1:
         names = ", ".join(swap) or "none"
         raise UsageError(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic import ValidationError
 
-from cosim.arguments import mapping_argument
+from cosim.arguments import mapping_argument, swap_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
@@ -162,7 +162,7 @@ class Scenario:
         ScenarioError
             With every problem of the file and of these edits.
         """
-        paths = mapping_argument("swap", swap)
+        paths = swap_argument(swap)
         names = mapping_argument("map", map)
         changes = mapping_argument("set", set)
         if not (paths or names or changes):

@@ -38,6 +38,7 @@ from cosim.instants import NANOSECONDS, StepNs, step_part, step_seconds, step_va
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.scenario.document.action_tables import signals_of
+from cosim.scenario.document.edits import short
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
@@ -196,7 +197,8 @@ def _check_noise(scenario: Scenario, step_ns: StepNs) -> None:
     names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
     if not names:
         return
-    settings = [option("set", f"{name}.period", f"{step_seconds(step_ns)}") for name in names]
+    keys = [short(f"components.{name}.period") for name in names]
+    settings = [option("set", key, f"{step_seconds(step_ns)}") for key in keys]
     each = "draw" if len(names) > 1 else "draws"
     raise UsageError(
         f"step error: {', '.join(names)} {each} random numbers at every communication step, so "

@@ -10,6 +10,7 @@ from cosim.core.recording import Recording
 from cosim.errors import UsageError, option
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.context.named_files import NamedFiles
+from cosim.scenario.document.edits import short
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.kinds import Kind
 from cosim.scenario.recorded_metadata import component_record
@@ -124,7 +125,7 @@ class UserClasses:
 
 def _other_code(name: str, recorded: CodeRecord | None, own: CodeRecord) -> UsageError:
     """Return the error about code in a replay that is not that of the recorded run."""
-    entry = option("set", f"{name}.class", own.class_name)
+    entry = option("set", short(f"components.{name}.class"), own.class_name)
     return UsageError(
         f"expected the recorded code, got {own.difference(recorded)}; {entry} uses the code as "
         "it is now (no longer a replay of the recorded run)"

@@ -22,6 +22,7 @@ from cosim.scenario.document.edits import (
     SET,
     TOO_MANY_DIGITS,
     change,
+    component_in,
     flatten_tables,
     given_twice,
     plain,
@@ -128,12 +129,11 @@ class Document:
 
     def unswapped(self) -> Document:
         """Return the document without the swaps and without what was set for them."""
-        prefixes: list[str] = []
-        for name in self.swapped_components():
-            prefixes += [f"{name}.", f"connections.{name}."]
+        swapped = self.swapped_components()
+        inputs = tuple(f"connections.{name}." for name in swapped)
         changes = {}
         for key, value in self.changes.items():
-            if not key.startswith(tuple(prefixes)):
+            if component_in(key) not in swapped and not key.startswith(inputs):
                 changes[key] = value
         # a map without its swap would be a problem, which keeps the scenario from being initialized
         return replace(self, swaps={}, maps={}, changes=changes, swapped=False)

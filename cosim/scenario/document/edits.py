@@ -1,9 +1,13 @@
-"""Edits of a scenario's tables from outside: keys with dots, and values as TOML has them."""
+"""Edits of a scenario's tables from outside: keys with dots, and values as TOML has them.
+
+``components.NAME.PARAMETER`` always is a component's. ``NAME.PARAMETER`` is the same, unless NAME
+is that of a table of the file: then it is in that table.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -14,6 +18,7 @@ from cosim.errors import UsageError, nearest, option, quoted
 from cosim.scenario.document.elements import element_at, numbered, split_elements, written
 from cosim.scenario.document.lines import MOST_LEVELS, key_lines
 from cosim.scenario.document.problems import Key, Problem
+from cosim.scenario.document.schema import RecordTable, Settings
 
 SET = "(set)"  # first part of the key of a problem with a change, which stands in no file
 FLAT = ("connections", "truth")  # tables whose keys are the names of ports
@@ -25,18 +30,31 @@ TABLES = (
     ACTIONS,
     "record",
 )  # what a dotted key may begin with, beside a component
+COMPONENTS = "components"
+_NOT_COMPONENTS = (*TABLES, "swap", COMPONENTS)  # none that a short key could begin with
 
 
 def short(key: str) -> str:
-    """Return the short form of a dotted key: a component's parameter begins with the component.
+    """Return the form of a dotted key that is the same however it was written.
 
-    An action is ``actions.0``, also where it was written ``actions[0]``.
+    That of a component is without ``components.``, unless its name is that of a table. An action is
+    ``actions.0``, also where it was written ``actions[0]``.
     """
-    first, dot, rest = key.removeprefix("components.").partition(".")
+    first, dot, rest = key.partition(".")
+    if first == COMPONENTS and split_elements(rest.partition(".")[0])[0] not in _NOT_COMPONENTS:
+        return rest or key
     if first.startswith(f"{ACTIONS}["):
         name, indices = split_elements(first)
         first = ".".join([name, *indices])
     return f"{first}{dot}{rest}"
+
+
+def component_in(key: str) -> str | None:
+    """Return the component that a dotted key is about; None: it is in another table."""
+    first, _, rest = key.partition(".")
+    if first == COMPONENTS and rest:
+        return rest.partition(".")[0]
+    return None if first in _NOT_COMPONENTS else first
 
 
 # --- values ---
@@ -126,6 +144,12 @@ def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
     return problems
 
 
+def _without_table(key: str) -> str:
+    """Return a key that an action sets, which is always that of a component, in its short form."""
+    _, _, rest = key.partition(f"{COMPONENTS}.")
+    return rest if key.startswith(f"{COMPONENTS}.") and "." in rest else key
+
+
 def given_twice(key: str, table: str) -> str:
     """Return what to say of a key that a table of the scenario has twice, or of a table."""
     if key.startswith("["):
@@ -150,8 +174,9 @@ def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list
     for key, value in tree.items():
         pairs = {key: value}
         if isinstance(value, dict) and "." not in key:
-            pairs = {f"{key}.{name}": item for name, item in value.items()}
-        for port, item in pairs.items():
+            pairs = {f"{key}.{inner}": item for inner, item in value.items()}
+        for name, item in pairs.items():
+            port = _without_table(name) if prefix[0] == ACTIONS else name
             if port in flat:
                 text = given_twice(f"'{port}'", str(prefix[0]))
                 problems.append(((*prefix, port), text))
@@ -162,23 +187,50 @@ def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list
 def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     """Set a value in the tables; return the problem of that, if there is one."""
     first, *rest = key.split(".")
-    if first == ACTIONS:
+    is_long = first == COMPONENTS and bool(rest)
+    if is_long:
+        first, *rest = rest
+    is_other = first in _NOT_COMPONENTS and not is_long  # a table beside [components]
+    if is_other and first in _keys(tree, COMPONENTS) and not _is_in_table(tree, first, rest):
+        long = option("set", f"{COMPONENTS}.{key}")
+        return f"{first!r} is a table of the scenario, and a component; of the component: {long}"
+    if is_other and first == ACTIONS:
         return _set_action(tree, rest, value)
-    if not rest and (first in TABLES or not isinstance(value, dict)):
+    if not rest and (is_other or not isinstance(value, dict)):
         example = option("set", "observer.filter_rate", "500")
         return f"expected COMPONENT.PARAMETER, such as {example}, got no dot"
-    name = first if first in TABLES else "components"
-    table = tree.setdefault(name, {})
+    is_other &= first in TABLES
+    table = tree.setdefault(first if is_other else COMPONENTS, {})
     if not isinstance(table, dict):  # the schema of the file names that
         return None
-    if first in FLAT:
+    if is_other and first in FLAT:
         _set_port(table, rest, value)
         return None
-    if first in TABLES:
+    if is_other:
         return _set_value(table, rest, value, (first,))
     if rest and first not in table:
         return f"unknown component {first!r}; {nearest(first, [*table, *TABLES])}"
-    return _set_value(table, [first, *rest], value, ("components",))
+    return _set_value(table, [first, *rest], value, (COMPONENTS,))
+
+
+def _is_in_table(tree: Mapping[str, Any], name: str, path: list[str]) -> bool:
+    """Return whether a table of the file may have a key, as far as its first part shows."""
+    part, _ = split_elements(path[0]) if path else ("", [])
+    match name:
+        case "scenario":
+            return part in Settings.model_fields
+        case "record":
+            return part in RecordTable.model_fields
+        case "models":
+            return part in _keys(tree, name)
+        case "actions":
+            return part.isdigit() or not path
+    return name in FLAT and part in _keys(tree, COMPONENTS)
+
+
+def _keys(tree: Mapping[str, Any], name: str) -> Collection[str]:
+    table = tree.get(name)
+    return table if isinstance(table, dict) else ()
 
 
 def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None:
@@ -197,7 +249,7 @@ def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None
         actions[int(number)] = deepcopy(value)
         return None
     if inner[0] == "set" and len(inner) > 1 and isinstance(table.get("set"), dict):
-        _set_port(table["set"], inner[1:], value)
+        _set_port(table["set"], _without_table(".".join(inner[1:])).split("."), value)
         return None
     return _set_value(table, inner, value, (ACTIONS, int(number)))
 

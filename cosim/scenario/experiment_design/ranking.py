@@ -14,6 +14,7 @@ import numpy as np
 from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
+from cosim.scenario.document.edits import short
 from cosim.scenario.experiment_design.designs import (
     ExperimentDesign,
     OmittedDesigns,
@@ -173,7 +174,7 @@ class _Ranking:
         kept = {key: value for key, value in table.items() if key not in _FILTER_KEYS}
         trials = []
         for variant in (*self._rate_variants(), *self._window_variants()):
-            settings = {f"{name}.{key}": value for key, value in variant.items()}
+            settings = {short(f"components.{name}.{key}"): value for key, value in variant.items()}
             trials += self._tried("filter", settings, {name: {**kept, **variant}})
         return trials
 

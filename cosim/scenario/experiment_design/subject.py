@@ -127,9 +127,9 @@ def subject_of(
     for name in upstream:
         kind = scenario.specs[name]
         if isinstance(kind, SensorKind):
-            edits |= {f"{name}.noise": 0.0, f"{name}.jitter": 0.0}
+            edits |= {f"components.{name}.noise": 0.0, f"components.{name}.jitter": 0.0}
         if isinstance(kind, NoiseKind):
-            edits[f"{name}.deviation"] = 0.0
+            edits[f"components.{name}.deviation"] = 0.0
     values = _theta(scenario, regressor, upstream, theta, edits)
     if any(to.component == regressor and to.signal == "alpha" for to in scenario.connections):
         upstream = _upstream(scenario, {observer, regressor})
@@ -217,5 +217,5 @@ def _theta(
         if part:
             changed[place]["theta"] = part[0] if len(part) == 1 else part
         at += len(part)
-    edits[f"{name}.terms"] = changed
+    edits[f"components.{name}.terms"] = changed
     return tuple(values)

@@ -9,7 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cosim.arguments import mapping_argument, texts_argument, truth_argument, whole_argument
+from cosim.arguments import (
+    mapping_argument,
+    swap_argument,
+    texts_argument,
+    truth_argument,
+    whole_argument,
+)
 from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, warn
@@ -115,7 +121,7 @@ def replay_request(
 def _swaps_argument(
     swap: Mapping[str, str | Path] | None, map: Mapping[str, PortNames] | None
 ) -> Swaps:
-    paths = mapping_argument("swap", swap)
+    paths = swap_argument(swap)
     names = mapping_argument("map", map)
     if names and not paths:
         raise UsageError(

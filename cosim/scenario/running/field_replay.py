@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cosim.arguments import mapping_argument
+from cosim.arguments import mapping_argument, swap_argument
 from cosim.errors import UsageError, flag, option
 from cosim.scenario.document.swap import PortNames, WrittenPorts, ports_in
 from cosim.scenario.parsing import Scenario
@@ -37,7 +37,7 @@ def with_recorded_components(
     ScenarioError
         With every problem of the scenario and the maps.
     """
-    paths = mapping_argument("swap", swaps)
+    paths = swap_argument(swaps)
     names = mapping_argument("map", maps)
     needed_map = option("map", "plant.y", "/topic.field")
     if scenario is None:

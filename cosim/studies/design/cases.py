@@ -20,9 +20,10 @@ from cosim.errors import UsageError, quoted
 from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
 from cosim.scenario.data_files.tables import read_texts
-from cosim.scenario.document.edits import parse_value, plain, short
+from cosim.scenario.document.edits import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.design.columns import ColumnValues, packed
+from cosim.studies.document.nested import varied_key
 
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
@@ -61,10 +62,10 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
 
 def _key(name: str) -> str:
     """Return the key of a column; one without a dot is a component that is swapped."""
-    key = short(name.strip())
-    if key == "replay":
+    key = name.strip()
+    if key in ("replay", RECORDING):
         return RECORDING
-    return f"{SWAP}{key}" if key and "." not in key and key != RECORDING else key
+    return varied_key(key) if key else key
 
 
 def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnValues:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cosim.errors import UsageError, option, quoted
-from cosim.scenario.document.edits import ACTIONS, FLAT, TABLES
+from cosim.scenario.document.edits import ACTIONS, COMPONENTS, FLAT, component_in, short
 from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
 
@@ -40,26 +40,21 @@ def own_number(scenario: Scenario, key: str) -> float:
 
 def own_value(scenario: Scenario, key: str) -> Any:
     """Return the value of a key as the file has it, or the default; None: there is none."""
-    first, _, rest = key.partition(".")
-    if first in FLAT:
+    component = component_in(key)
+    first, _, rest = key.removeprefix(f"{COMPONENTS}.").partition(".")
+    if component is None and first in FLAT:
         return scenario.tree.get(first, {}).get(rest)
-    inside = first in (*TABLES, ACTIONS)
-    parts = (first, *address(rest).split(".")) if inside else _component_path(key)
+    parts = address(rest).split(".")
     value: Any = scenario.tree
-    for part in parts:
+    for part in (first, *parts) if component is None else (COMPONENTS, first, *parts):
         value = _inner(value, part)
-    if value is None and not inside:
+    if value is None and component is not None:
         value = scenario.specs.get(first)
-        for part in address(rest).split("."):
+        for part in parts:
             value = _inner(value, part)
-    if value is None and first == "scenario":
+    if value is None and component is None and first == "scenario":
         value = getattr(scenario.file.scenario, rest, None)
     return value
-
-
-def _component_path(key: str) -> tuple[str, ...]:
-    first, _, rest = key.partition(".")
-    return ("components", first, *address(rest).split("."))
 
 
 def _inner(value: Any, part: str) -> Any:
@@ -79,7 +74,7 @@ def noise_sources(scenario: Scenario, *, is_replay: bool) -> dict[str, str]:
     keys = {}
     for name, table in scenario.tree["components"].items():
         if table.get("seed") is not None:
-            keys[f"{name}.seed"] = name
+            keys[short(f"{COMPONENTS}.{name}.seed")] = name
     for number, action in scenario.actions.items():
         loses = action.drop is not None and not isinstance(action.drop, bool)
         if not is_replay and (action.noise is not None or loses):

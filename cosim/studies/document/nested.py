@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cosim.scenario.document.edits import short
+from cosim.scenario.document.edits import COMPONENTS, short
 from cosim.scenario.document.problems import Key
 from cosim.studies.contracts import SWAP
 from cosim.studies.document.variations import FORMS
@@ -47,6 +47,13 @@ def flat_variations(table: Mapping[str, Any]) -> tuple[dict[str, Any], Written]:
     return flat, written
 
 
+def varied_key(key: str) -> str:
+    """Return the key of what is varied: a component without a parameter is swapped."""
+    key = short(key)
+    name = key.removeprefix(f"{COMPONENTS}.")
+    return key if "." in name else f"{SWAP}{name}"
+
+
 def _is_varied(value: Any) -> bool:
     """Return whether a table says what a key is varied by; others have keys inside."""
     if not isinstance(value, Mapping):
@@ -65,7 +72,7 @@ def _descend(flat: dict[str, Any], written: Written, path: Key, table: Mapping[s
 
 
 def _enter(flat: dict[str, Any], written: Written, path: Key, value: Any) -> None:
-    key = short(".".join(map(str, path)))
+    key = varied_key(".".join(map(str, path)))
     flat[key] = _paths(value) if key.startswith(SWAP) else value
     written[key] = path
 

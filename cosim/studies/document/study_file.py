@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from cosim.arguments import mapping_argument
+from cosim.arguments import mapping_argument, swap_argument
 from cosim.errors import UsageError, nearest, option
 from cosim.scenario.document.edits import plain, short
 from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
@@ -142,7 +142,8 @@ class StudyFile:
             "results": results,
         }
         given: dict[str, Any] = {key: item for key, item in settings.items() if item is not None}
-        for name, value in (("set", set), ("swap", swap), ("map", map)):
+        swaps = swap_argument(swap)
+        for name, value in (("set", set), ("swap", swaps), ("map", map)):
             entries = mapping_argument(name, value)
             if entries:
                 given[name] = {key: _plain(name, key, item) for key, item in entries.items()}

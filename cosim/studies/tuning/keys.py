@@ -8,8 +8,9 @@ from typing import Any, Final
 
 from cosim.arguments import mapping_argument
 from cosim.errors import UsageError, option, quoted
-from cosim.scenario.document.edits import plain, short
+from cosim.scenario.document.edits import plain
 from cosim.studies.contracts import SWAP
+from cosim.studies.document.nested import varied_key
 from cosim.studies.document.paths import absolute
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 
@@ -41,7 +42,7 @@ def _read_key(key: str, value: Any) -> BoundedKey | ChoiceKey:
         value = plain(value)
     except UsageError as error:
         raise UsageError(f"{option('vary', key)}: {error}") from error
-    name = short(key) if "." in key else f"{SWAP}{key}"
+    name = varied_key(key)
     form, items = next(iter(value.items())) if _has_one_entry(value) else ("values", value)
     if form in _BOUNDS and _are_bounds(items):
         lower, upper = items
