@@ -11,12 +11,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from time import perf_counter
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol, TextIO
+from typing import TYPE_CHECKING, Final, Protocol, TextIO
 
 from cosim.interrupts import INTERRUPTED, REASONS
 
 if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
     from cosim.scenario.recordings.recording import Progress
+
+READER_GONE: Final = 141  # 128 + SIGPIPE: the exit code where the reader of stdout is gone
 
 
 @contextmanager
@@ -162,23 +166,28 @@ def keep_stdout() -> TextIO | None:
         os.dup2(sys.stderr.fileno(), 1)
     except (AttributeError, OSError, ValueError):  # no stream, no descriptor, or a closed one
         return None
-    sys.stdout = open(  # noqa: SIM115  stays open as stdout until the end
-        data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False
+    raw = _Data(data, "w", closefd=False)
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(raw), sys.stdout.encoding, sys.stdout.errors, line_buffering=raw.isatty()
     )
     return sys.stdout
 
 
-@contextmanager
-def ended_by_reader() -> Iterator[None]:
-    """End what writes to stdout without a word where its reader, such as ``head``, has enough."""
-    try:
-        yield
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # What is still in its buffer would be written at the end of the program.
-        nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, sys.stdout.fileno())
-        os.close(nothing)
+class _Data(io.FileIO):
+    """Data to a reader; where that has enough, as ``head`` has, the program ends without a word.
+
+    It ends as one that the signal for this ends, so that no code that means something else is seen.
+    """
+
+    def write(self, data: Buffer) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            # what is still in buffers would be written at the end of the program
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, self.fileno())
+            os.close(nothing)
+            raise SystemExit(READER_GONE) from None
 
 
 @contextmanager
@@ -220,8 +229,8 @@ def ended_by_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-class _Terminal(io.TextIOWrapper):
-    """Messages to a terminal, which may be closed while the program goes on: then they are lost."""
+class _Messages(io.TextIOWrapper):
+    """Messages to a terminal or a pipe, which may be closed before the end: then they are lost."""
 
     def write(self, text: str) -> int:
         with suppress(OSError):
@@ -234,9 +243,9 @@ class _Terminal(io.TextIOWrapper):
 
 
 def outlive_terminal() -> None:
-    """Ignore messages that find the terminal closed."""
+    """Ignore messages that find the terminal or the pipe closed."""
     stderr = sys.stderr
-    if isinstance(stderr, io.TextIOWrapper) and stderr.isatty():
+    if type(stderr) is io.TextIOWrapper:  # what tests have in its place keeps all
         encoding = stderr.encoding
         errors = stderr.errors
-        sys.stderr = _Terminal(stderr.detach(), encoding, errors, line_buffering=True)
+        sys.stderr = _Messages(stderr.detach(), encoding, errors, line_buffering=True)

@@ -1,8 +1,11 @@
 """No command sends a terminal what it would obey, whatever a log, an FMU or a scenario says."""
 
 import io
+import os
 import pty
 import re
+import signal
+import subprocess
 import sys
 from contextlib import suppress
 
@@ -134,6 +137,39 @@ def test_a_message_that_finds_the_terminal_closed_is_lost(tmp_path, monkeypatch)
                 sys.stderr.close()
     assert end.value.code == 2
     assert closed.is_dir()
+
+
+def test_a_message_that_finds_its_pipe_closed_is_lost(monkeypatch):
+    """The command ends with its own exit code, here that of an unknown scenario."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", open(writer, "w", encoding="utf-8"))  # noqa: SIM115  by main
+        with pytest.raises(SystemExit) as end:
+            main(["run", "nothing"])
+        with suppress(OSError):  # what is still in its buffer
+            sys.stderr.close()
+    assert end.value.code == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command", ["diff a.mcap a.mcap", "cat a.mcap", "info a.mcap", "list", "show pair", "--help"]
+)
+def test_a_reader_that_closes_early_ends_a_command_as_its_signal_would(tmp_path, command):
+    """The exit code is 128 + SIGPIPE, and so never that of logs that differ; nothing is said."""
+    cosim.run("academic", set={"scenario.stop": 0.01}, out=tmp_path / "a.mcap")
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "cosim", *command.split()],
+        cwd=tmp_path,
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, b"")
 
 
 class Tty(io.StringIO):

@@ -2,7 +2,7 @@
 
 Data goes to stdout, messages to stderr.
 Exit codes: 0 fine, 1 a check or the run failed, 2 wrong use; 130, 143, 129 interrupted by Ctrl-C,
-a request to terminate, a closed terminal.
+a request to terminate, a closed terminal; 141 whoever reads stdout closed it.
 Imports of a command are in its function: ``cosim --help`` imports neither numpy nor fmpy.
 """
 
@@ -106,7 +106,10 @@ def main(arguments: list[str] | None = None) -> None:
     stdout = keep_stdout()
     try:
         with ended_if_unanswered(), shell_language(), ended_by_signals():
-            _command_line(names)(args=arguments, prog_name="cosim")
+            try:
+                _command_line(names)(args=arguments, prog_name="cosim")
+            finally:
+                sys.stdout.flush()  # a reader that is gone is found here, or when Python ends
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]
         for note in getattr(error, "__notes__", ()):

@@ -10,7 +10,7 @@ import typer
 
 from cosim.cli.options import LogArgument
 from cosim.report.printable import printable
-from cosim.terminal import ended_by_interrupt, ended_by_reader
+from cosim.terminal import ended_by_interrupt
 
 SignalsOption = Annotated[
     list[str] | None,
@@ -62,7 +62,7 @@ def cat(
         table = choose(log, signals, start, stop)
     lines = table_text(table, text_format)
     is_terminal = sys.stdout.isatty()
-    with ended_by_reader(), ended_by_interrupt(quietly=follow):
+    with ended_by_interrupt(quietly=follow):
         for text in lines:
             shown = printable(text) if is_terminal else text
             sys.stdout.buffer.write(shown.encode())

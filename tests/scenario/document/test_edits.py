@@ -11,7 +11,7 @@ TABLES = ["scenario", "models", "connections", "truth", "actions", "record", "sw
 
 @pytest.fixture
 def tables(tmp_path):
-    """A scenario with a component of the name of each table."""
+    """Return a scenario with a component of the name of each table."""
     path = tmp_path / "tables.toml"
     components = [f'{name} = {{ kind = "constant", value = 1.0 }}' for name in TABLES]
     settings = 'scenario = { name = "tables", stop = 0.1, step = 0.1 }'
@@ -50,7 +50,7 @@ def test_a_swap_names_its_component_in_both_forms(tmp_path):
     log = str(tmp_path / "pair.mcap")
     edited = cosim.load("pair").edit(swap={"components.load": log})
     assert edited.document.swapped_components() == ["load"]
-    with pytest.raises(UsageError, match="load.*once"):
+    with pytest.raises(UsageError, match=r"load.*once"):
         cosim.load("pair").edit(swap={"components.load": log, "load": log})
 
 
@@ -61,7 +61,7 @@ def test_a_study_varies_components_of_any_name(tables):
         vary={"components.record.value": [1.0, 2.0], "components.swap.value": [3.0, 4.0]},
         metrics={"sum": "last(record.y) + last(swap.y)"},
     )
-    assert study["sum"].tolist() == [4.0, 5.0, 5.0, 6.0]
+    assert study.table(["sum"])["sum"].to_pylist() == [4.0, 5.0, 5.0, 6.0]
 
 
 def test_an_action_sets_a_component_in_both_forms(tmp_path):
