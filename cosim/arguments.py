@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import UsageError, command, flag, option, quoted
-from cosim.files import check_writable, file_type
+from cosim.files import check_writable, expanded, file_type
 
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
 
@@ -31,7 +31,7 @@ def path_argument(name: str, value: object) -> Path:
     if not isinstance(path, str):
         raise UsageError(f"{option(name)}: expected a path as a string, got {quoted(value)}")
     check_path(path)
-    return Path(path)
+    return expanded(path)
 
 
 def log_argument(value: object) -> Path:

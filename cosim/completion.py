@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import typer
 
 from cosim.errors import CosimError
-from cosim.files import FileType, file_type
+from cosim.files import FileType, expanded, file_type
 
 if TYPE_CHECKING:
     from cosim.scenario.parsing import Scenario
@@ -147,7 +146,7 @@ def _files(incomplete: str, wanted: FileType) -> Iterator[str]:
     """Yield paths that begin so: files of a type, and folders."""
     folder, slash, begin = incomplete.rpartition("/")
     with suppress(OSError):
-        for path in sorted(Path(folder + slash or ".").iterdir()):
+        for path in sorted(expanded(folder + slash or ".").iterdir()):
             if path.name.startswith(begin) and not path.name.startswith("."):
                 if path.is_dir():
                     yield f"{folder}{slash}{path.name}/"

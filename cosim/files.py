@@ -40,6 +40,14 @@ _TYPES: Final = (
 )
 
 
+def expanded(path: str | os.PathLike[str]) -> Path:
+    """Return a path with the home folder for ``~``, as a shell has it: every path that users give.
+
+    Environment variables in it stay as they are.
+    """
+    return Path(os.path.expanduser(path))
+
+
 def file_type(path: str | Path) -> FileType | None:
     """Return what a file is by the ending of its name, in any case; None: something else."""
     return _ENDINGS.get(Path(path).suffix.lower())

@@ -1,4 +1,4 @@
-"""Files that are read: regular ones, of a bounded size."""
+"""Files that are read: regular ones, of a bounded size, also in the home folder."""
 
 import json
 import os
@@ -7,7 +7,8 @@ import socket
 import pytest
 
 import cosim
-from cosim.errors import ScenarioError
+from cosim.cli import main
+from cosim.errors import CosimError, ScenarioError
 from cosim.files import read_bounded, regular
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document, find
@@ -131,3 +132,71 @@ def test_a_name_with_the_character_0_is_no_name(tmp_path):
     """TOML can write it; the system cannot open it."""
     with pytest.raises(OSError, match="its name has the character 0"):
         read_bounded(tmp_path / "a\0b", 5)
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """Return a home folder with a scenario, a table and a log; the working folder is another."""
+    home = tmp_path / "home"
+    work = tmp_path / "work"
+    home.mkdir()
+    work.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("SOMEWHERE", str(home))
+    monkeypatch.chdir(work)
+    (home / "x.toml").write_text(HOMELY)
+    (home / "x.csv").write_text("t,y\n0,3.0\n1,3.0\n")
+    cosim.run("~/x.toml", out="~/x.mcap")
+    yield home
+    assert list(work.iterdir()) == []  # no folder named ~ among them
+
+
+HOMELY = """
+[scenario]
+name = "x"
+stop = 0.2
+step = 0.1
+[components]
+a = { kind = "field-data", path = "~/x.csv" }
+b = { kind = "constant", value = 1.0 }
+"""
+
+
+def test_home_is_found_in_every_path_of_python(home):
+    """Of what is read, what is written, and what takes the place of a component."""
+    assert cosim.open_log("~/x.mcap")["a.y"].tolist() == [3.0, 3.0, 3.0]
+    assert cosim.read_field_data("~/x.csv")["y"].ravel().tolist() == [3.0, 3.0]
+    swapped = cosim.run("~/x.toml", swap={"b": "~/x.mcap"}, out="~/made/b.mcap")
+    assert swapped["b.y"].tolist() == [1.0, 1.0, 1.0]
+    assert swapped.path == home / "made" / "b.mcap"
+    cosim.replay("~/x.mcap", out="~/made/c.mcap")
+    cosim.study(
+        "~/x.toml", vary={"b": ["~/x.mcap"]}, metrics={"b": "last(b.y)"}, out="~/study", workers=1
+    )
+    assert (home / "study").is_dir()
+    with pytest.raises(CosimError, match="SOMEWHERE"):  # environment variables are none
+        cosim.open_log("$SOMEWHERE/x.mcap")
+
+
+@pytest.mark.parametrize(
+    ("command", "made"),
+    [
+        ("run ~/x.toml --out=~/y.mcap --swap b=~/x.mcap", "y.mcap"),
+        ("replay ~/x.mcap --out=~/y.mcap", "y.mcap"),
+        ("cut ~/x.mcap --from 0.1 --out=~/y.mcap", "y.mcap"),
+        ("convert ~/x.mcap ~/y.csv", "y.csv"),
+        ("export pair --component motor --out=~/y.fmu", "y.fmu"),
+        ("plot ~/x.mcap b.y --out=~/y.svg", "y.svg"),
+        ("diff ~/x.mcap ~/x.mcap", "x.mcap"),
+        ("info ~/x.mcap", "x.mcap"),
+        ("hash ~/x.mcap", "x.mcap"),
+        ("show ~/x.toml", "x.toml"),
+    ],
+)
+@pytest.mark.fast("info ~/x.mcap-x.mcap", "run ~/x.toml --out=~/y.mcap --swap b=~/x.mcap-y.mcap")
+def test_home_is_found_in_every_path_on_the_command_line(home, capsys, command, made):
+    """Also where a shell leaves the sign, as in ``--out=~/y.mcap``."""
+    with pytest.raises(SystemExit) as end:
+        main(command.split())
+    assert end.value.code == 0, capsys.readouterr().err
+    assert (home / made).is_file()

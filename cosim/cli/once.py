@@ -1,12 +1,17 @@
-"""Commands whose options are given once, unless they are repeatable: the last one is no choice."""
+"""Commands whose options are given once, unless they are repeatable: the last one is no choice.
+
+``~`` in their paths is the home folder: a shell leaves it in ``--out=~/run.mcap``.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from typer.core import TyperCommand, TyperOption
 
 from cosim.errors import UsageError
+from cosim.files import expanded
 
 
 class OnceCommand(TyperCommand):
@@ -30,4 +35,13 @@ class OnceCommand(TyperCommand):
             if count > 1:
                 name = max(parameter.opts, key=len)
                 raise UsageError(f"{name}: expected once, given {count} times")
-        return super().parse_args(ctx, args)
+        left = super().parse_args(ctx, args)
+        for name, value in ctx.params.items():
+            ctx.params[name] = _expanded(value)
+        return left
+
+
+def _expanded(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return type(value)(map(_expanded, value))
+    return expanded(value) if isinstance(value, Path) else value

@@ -13,6 +13,7 @@ from typing import Final
 from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
+from cosim.files import expanded
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.bundled import bundled
 from cosim.fmi.checking.binaries import machine_of, required_functions
@@ -71,7 +72,7 @@ def check(
     FmuError
         If there is no such file, or a start value is wrong; all else is a finding.
     """
-    path = Path(path)
+    path = expanded(path)
     need_file(path)
     with TemporaryFolder("check") as temporary, collector_paused():
         folder = temporary / "unpacked"

@@ -29,6 +29,7 @@ import numpy as np
 
 from cosim.core.linear import DescriptorModel
 from cosim.errors import FmuError, nearest, quoted
+from cosim.files import expanded
 from cosim.fmi.bundled import bundled
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.exporting.arrays import with_arrays
@@ -183,7 +184,7 @@ def export(
         platform is not known or cannot have what the model needs, or the folder of ``path`` is
         missing.
     """
-    path = Path(path)
+    path = expanded(path)
     _check_names(path, name, fmi)
     check_platforms(platforms)
     specification = specify(model, name)

@@ -16,6 +16,7 @@ from typing import Final
 from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
+from cosim.files import expanded
 from cosim.fmi.description import Description
 from cosim.fmi.reading.archive import ArchiveContents, read_archive
 from cosim.fmi.reading.capabilities import read_capabilities
@@ -70,7 +71,7 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
         modelDescription.xml, or the XML is broken, of an unknown version, or contradicts itself:
         all problems in one report.
     """
-    path = Path(path)
+    path = expanded(path)
     attributes = Attributes()
     with collector_paused():
         contents = open_archive(path, into)

@@ -8,7 +8,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from cosim.errors import LogError, flag, quoted
-from cosim.files import check_folder, regular
+from cosim.files import check_folder, expanded, regular
 
 
 def log_path(path: str | os.PathLike[str]) -> Path:
@@ -20,7 +20,7 @@ def log_path(path: str | os.PathLike[str]) -> Path:
         If no file can have that name.
     """
     try:
-        result = Path(path)
+        result = expanded(path)
         os.lstat(result)
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return result  # whoever reads or writes the file says that

@@ -9,6 +9,7 @@ from typing import final
 from cosim.arguments import check_path
 from cosim.core.recording import Recording
 from cosim.errors import UsageError, option, quoted
+from cosim.files import expanded
 
 
 @final
@@ -54,6 +55,6 @@ class NamedFiles:
                 f"yourself by {option('set')}, or run the scenario"
             )
         check_path(name)
-        path = self._folder / name
+        path = self._folder / expanded(name)
         self.paths.add(path.resolve())
         return path

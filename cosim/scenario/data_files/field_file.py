@@ -28,6 +28,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, warn
+from cosim.files import expanded
 from cosim.scenario.data_files.headers import (
     Header,
     find_headers,
@@ -144,7 +145,7 @@ def field_data(
 
     ``unread`` takes the signals that cannot be read, and why, where that shall be no error.
     """
-    path = Path(path)
+    path = expanded(path)
     form = form or TableForm()
     if isinstance(offset, int | float) and not math.isfinite(offset):
         raise UsageError(f'offset: expected a finite number or "first", got {offset}')

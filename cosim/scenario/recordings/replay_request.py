@@ -21,6 +21,7 @@ from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, warn
 from cosim.instants import NANOSECONDS
 from cosim.log import Log
+from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
@@ -141,7 +142,7 @@ def check_replay_target(source: Log, out: str | Path | None, *, force: bool) -> 
         ``check_target``.
     """
     if out is not None:
-        target = os.path.realpath(out)
+        target = os.path.realpath(log_path(out))
         if target == os.path.realpath(source.path):
             raise UsageError(f"{out} is the log being replayed; choose another path")
         if target in map(os.path.realpath, all_parts(source.path)):

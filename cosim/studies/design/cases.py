@@ -7,7 +7,6 @@ column ``replay`` has logs, one with the name of a component what takes its plac
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from functools import lru_cache
@@ -24,6 +23,7 @@ from cosim.scenario.document.edits import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.design.columns import ColumnValues, packed
 from cosim.studies.document.nested import varied_key
+from cosim.studies.document.paths import absolute
 
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
@@ -72,15 +72,15 @@ def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnVal
     """Return the values of a column; of paths, absolute ones."""
     if key != RECORDING and not key.startswith(SWAP):
         return values
-    absolute: list[str | None] = []
+    paths: list[str | None] = []
     for value in values if isinstance(values, list) else values.tolist():
         if value is not None and not isinstance(value, str):
             raise UsageError(
                 f"file {file}, column {key.removeprefix(SWAP)!r}: expected a path, or a key with "
                 f"a dot for a parameter, got {quoted(value)}"
             )
-        absolute.append(None if value is None else os.path.normpath(folder / value))
-    return absolute
+        paths.append(None if value is None else absolute(value, folder))
+    return paths
 
 
 # --- text and Excel ---

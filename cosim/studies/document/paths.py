@@ -8,7 +8,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from cosim.files import file_type
+from cosim.files import expanded, file_type
 from cosim.scenario.document.document import shipped
 from cosim.studies.contracts import SWAP
 
@@ -18,7 +18,7 @@ def absolute(text: Any, folder: Path) -> Any:
 
     What follows the path, as in ``x.fmu#cs``, stays.
     """
-    return os.path.normpath(folder / text) if isinstance(text, str) and text else text
+    return os.path.normpath(folder / expanded(text)) if isinstance(text, str) and text else text
 
 
 def scenario_path(text: Any, folder: Path) -> Any:
