@@ -222,6 +222,8 @@ def nearest(name: str, known_names: Iterable[str]) -> str:
     if name != composed and composed in names:
         return f"expected {composed!r}, composed as Unicode NFC"
     close = get_close_matches(name, names, n=1, cutoff=0.5)
+    if close and name not in close[0] and len(close[0]) > 2 * len(name):
+        close = []  # few letters are in every long name
     opening = f"did you mean {close[0]!r}? Available" if close else "available"
     return f"{opening}: {listing(names, MOST_NAMES)}"
 

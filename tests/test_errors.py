@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.errors import shell_language, warn
+from cosim.errors import nearest, shell_language, warn
 
 
 def test_a_warning_is_shown_once_at_the_line_of_the_caller():
@@ -24,3 +24,16 @@ def test_the_shell_has_its_own_lines():
         warnings.simplefilter("always")
         warn(["pump: too slow"])
     assert shown == []
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "meant"),
+    [
+        ("gian", ["offset", "gain"], "gain"),
+        ("obs", ["plant", "observer"], "observer"),
+        ("rate", ["theta", "parameters"], None),  # its letters are in there, far apart
+    ],
+)
+def test_a_name_is_suggested_where_it_is_like_the_unknown_one(name, known, meant):
+    """By its letters in their order; a long name has those of many short ones."""
+    assert (f"did you mean {meant!r}" in nearest(name, known)) == (meant is not None)

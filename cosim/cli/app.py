@@ -8,6 +8,7 @@ Imports of a command are in its function: ``cosim --help`` imports neither numpy
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -114,12 +115,23 @@ def main(arguments: list[str] | None = None) -> None:
         lines = printable(str(error)).splitlines() or [type(error).__name__]
         for note in getattr(error, "__notes__", ()):
             lines.append(printable(note))
+        lines += _lost_folder()
         sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
         sys.exit(error.exit_code)
     except OSError as error:  # stdout on a full disk, a folder that is gone
         place = printable(str(error.filename or "output"))
-        sys.stderr.write(f"cosim: {place}: {error.strerror or error}\n")
+        lines = _lost_folder() or [f"{place}: {error.strerror or error}"]
+        sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
         if stdout is not None:  # the rest of its buffer cannot be written either
             with suppress(OSError):
                 stdout.close()
         sys.exit(1)
+
+
+def _lost_folder() -> list[str]:
+    """Return what to say where relative paths lead nowhere, as their folder was removed."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return ["the working folder is gone: it was removed; change to another one"]
+    return []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -326,7 +327,25 @@ def _validate_components(
             problems += [((*key, *inner), text) for inner, text in error.problems]
         except ValidationError as error:
             problems += problems_of(error, kind, table, key)
+            with suppress(ValidationError, TableProblems):
+                # what is connected to it is then checked, too
+                specs[name] = kind.model_validate(_with_meant_keys(error, kind, table))
     return specs, problems
+
+
+def _with_meant_keys(
+    error: ValidationError, kind: type[Kind], table: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """Return a component's table with the keys that were probably meant for unknown ones."""
+    meant = dict(table)
+    for details in error.errors(include_url=False, include_input=False):
+        name, *inner = details["loc"]
+        if details["type"] == "extra_forbidden" and not inner:
+            known = [field.alias or key for key, field in kind.model_fields.items()]
+            close = get_close_matches(str(name), [key for key in known if key not in table], n=1)
+            if close:
+                meant[close[0]] = meant.pop(str(name))
+    return meant
 
 
 def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:

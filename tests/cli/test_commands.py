@@ -681,6 +681,17 @@ def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):
     assert not list(tmp_path.glob(".*.part"))
 
 
+def test_a_working_folder_that_is_gone_is_named(call, tmp_path, monkeypatch):
+    """Of a shipped scenario, and beside a path that leads nowhere without it."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    for command in (["run", "pair"], ["info", "a.mcap"]):
+        code, _, err = call(*command)
+        assert code in (1, 2)
+        assert "working folder" in err
+
+
 @pytest.mark.slow
 def test_a_full_disk_is_one_line():
     """No traceback."""

@@ -182,7 +182,12 @@ class Builder:
                 try:
                     check()
                 except CosimError as error:
-                    self.problems.append((key, str(error).removeprefix(f"{name}: ")))
+                    changes = self.scenario.document.changes
+                    is_of_step = "scenario.step" in changes and "scenario.stop" not in changes
+                    if name == "stop" and is_of_step and settings.stop > settings.start_time:
+                        self.problems.append((("scenario", "step"), str(error)))
+                    else:
+                        self.problems.append((key, str(error).removeprefix(f"{name}: ")))
                     unknown.add(key)
         return unknown
 

@@ -86,7 +86,7 @@ def _problems_of_columns(unknown: Sequence[int], columns: int) -> Iterator[tuple
         yield "disturbances", f"expected each column once, got {list(unknown)}"
 
 
-def system_of(name: str, table: ModelTable) -> DescriptorSystem:
+def system_of(table: ModelTable) -> DescriptorSystem:
     """Build the descriptor system of a table that has its matrices.
 
     Raises
@@ -103,7 +103,7 @@ def system_of(name: str, table: ModelTable) -> DescriptorSystem:
     for letter in LETTERS:
         rows = getattr(table, letter)
         if rows is not None:
-            matrices[letter] = matrix(rows, f"models.{name}.{letter}")
+            matrices[letter] = matrix(rows, letter)
     if table.n_a is not None:
         return DescriptorSystem.partitioned(n_a=table.n_a, **matrices)
     return general_system(matrices, table.disturbances or ())
@@ -182,6 +182,11 @@ def general_system(
         If they do not fit together.
     """
     split = {name: matrices[name] for name in SPLIT_B if name in matrices}
+    n = len(matrices["A"])
+    if "B" in matrices and len(matrices["B"]) != n:
+        raise AssumptionError(
+            f"B: expected {n} rows, one per row of A, got shape {matrices['B'].shape}"
+        )
     if "D" in matrices:
         n_y = len(matrices["C"])
         expected = (n_y, matrices["B"].shape[1])

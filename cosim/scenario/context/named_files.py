@@ -56,5 +56,10 @@ class NamedFiles:
             )
         check_path(name)
         path = self._folder / expanded(name)
+        if not name.isprintable() and not path.exists():
+            raise UsageError(
+                f"there is no file {quoted(name)}; in double quotes a backslash begins an escape: "
+                "write a path in single quotes"
+            )
         self.paths.add(path.resolve())
         return path

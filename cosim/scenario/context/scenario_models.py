@@ -75,7 +75,7 @@ class ScenarioModels:
         if name not in self._systems:
             table = self._tables[name]
             if table.file is None:
-                self._systems[name] = system_of(name, table)
+                self._systems[name] = system_of(table)
             else:
                 self._systems[name] = system_of_file(table, self._matrices(name, table.file))
         return self._systems[name]

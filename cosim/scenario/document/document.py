@@ -218,7 +218,7 @@ class Document:
         line = self.text.split("\n")[number - 1]
         key = line.split("=")[0].strip()
         if "overwrite" not in message and "twice" not in message:
-            return f"{place}: not TOML: {message}{_quotes_missing(key)}"
+            return f"{place}: not TOML: {message}{_quotes_missing(key)}{_escaped(line)}"
         return f"{place}: {given_twice(key, key_lines(self.text).table(number))}"
 
     def report(self, problems: Iterable[Problem]) -> ScenarioError:
@@ -279,6 +279,13 @@ def _quotes_missing(key: str) -> str:
     if key.isascii() or '"' in key or "'" in key:
         return ""
     return "; keys with non-ASCII letters must be quoted"
+
+
+def _escaped(line: str) -> str:
+    """Return the way out where a text in double quotes may be a path of Windows."""
+    if not re.search(r'"[^"]*\\', line):
+        return ""
+    return "; in double quotes a backslash begins an escape: write a path in single quotes"
 
 
 def _copied(table: Mapping[str, Any]) -> dict[str, Any]:

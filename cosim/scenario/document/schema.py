@@ -337,9 +337,11 @@ class RecordTable(TomlTable):
 class File(TomlTable):
     """The content of a scenario file; components and actions are validated each on its own."""
 
-    scenario: Settings
+    scenario: Settings = Field(description="the table [scenario] with name, stop and step")
     models: dict[str, ModelTable] = {}
-    components: dict[Name, dict[str, Any]]
+    components: dict[Name, dict[str, Any]] = Field(
+        description="a table [components.NAME] for each, with its kind"
+    )
     connections: dict[str, str | list[str] | ConnectionTable] = {}
     truth: dict[str, str | tuple[str, ...] | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}

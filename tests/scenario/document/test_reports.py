@@ -95,6 +95,61 @@ MISTAKES = [
 ]
 
 
+def test_a_misspelt_key_hides_no_wrong_connection_of_its_component():
+    """The component is taken as it was probably meant: one round for both."""
+    wrong = [("amplitude = 1.0", "amplitud = 1.0"), ('"plant.u" = "u.y"', '"plant.u" = "u.yy"')]
+    lines = report(edited(*wrong))
+    assert len(lines) == 2
+    assert "components.u.amplitud" in lines[0]
+    assert "connections.plant.u" in lines[1]
+    assert "did you mean 'y'" in lines[1]
+
+
+def test_a_path_of_windows_in_double_quotes_names_the_way_out():
+    """A backslash begins an escape there, which may be none (U) or mean something else (t)."""
+    head = '[scenario]\nname = "x"\nstop = 1.0\nstep = 0.5\n[components.a]\nkind = "field-data"\n'
+    for path in (r"C:\Users\me.csv", r"C:\temp\me.csv"):
+        (line,) = report(f'{head}path = "{path}"\n')
+        assert line.startswith(("x.toml:7: ", "x.toml:5: "))
+        assert "single quotes" in line
+    for other in ("path = x.csv", "path = 'x.csv'", 'path = "x.csv"'):
+        assert "single quotes" not in report(f"{head}{other}\n")[0]
+
+
+def test_a_file_without_settings_names_the_table():
+    """As it is written, with what it has."""
+    (line,) = report('[components.u]\nkind = "constant"\nvalue = 1.0\n')
+    assert "[scenario]" in line
+    assert "step" in line
+
+
+@pytest.mark.parametrize(
+    ("changes", "blamed"),
+    [
+        ({"scenario.step": 0.3}, "scenario.step"),
+        ({"scenario.stop": 0.0005}, "scenario.stop"),
+        ({"scenario.stop": 1.0, "scenario.step": 0.3}, "scenario.stop"),
+        ({"scenario.step": 0.0}, "scenario.step"),
+    ],
+)
+def test_a_time_off_the_grid_is_blamed_on_what_was_set(changes, blamed):
+    """Once, and with both numbers."""
+    with pytest.raises(ScenarioError) as error:
+        cosim.run("academic", set=changes)
+    line = next(line for line in str(error.value).splitlines() if line.startswith("set"))
+    assert line.startswith(f"set['{blamed}']: ")
+    assert str(changes[blamed]) in line
+    assert line.count(blamed) == 1
+
+
+def test_a_wrong_B_is_called_so():
+    """Not by a part of it, and its key once."""
+    rows = [[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]]
+    for value, expected in ((rows, "B: expected 2 rows"), ([[1.0], [1.0, 2.0]], "B: .*equal len")):
+        with pytest.raises(ScenarioError, match=rf"models\.motor: {expected}"):
+            cosim.run("pair", set={"models.motor.B": value})
+
+
 def test_a_consequence_of_a_mistake_is_not_a_second_mistake():
     """One wrong thing is one line."""
     reports = {edit: report(edited(edit)) for edit in MISTAKES}
