@@ -6,6 +6,7 @@ writes it.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -624,9 +625,7 @@ def _nominal(group: Sequence[Variable]) -> tuple[float, ...]:
         return ()
     values: list[float] = []
     for variable in group:
-        # One of 0 says nothing, and a negative one is meant by its size (FMI 3.0 section 2.4.7.4).
-        nominal = abs(variable.nominal or 1.0)
-        values += [nominal] * variable.size
+        values += [usable_nominal(variable.nominal)] * variable.size
     return tuple(values)
 
 
@@ -636,6 +635,15 @@ def _renamed(dependencies: VariableDependencies, names: Mapping[str, str]) -> Va
     for unknown, knowns in dependencies.items():
         renamed[unknown] = knowns and tuple(names.get(known, known) for known in knowns)
     return renamed
+
+
+def usable_nominal(nominal: float | None) -> float:
+    """Return a nominal value to scale with: 1 where there is none.
+
+    One of 0 says nothing, and a negative one is meant by its size (FMI 3.0 section 2.4.7.4).
+    """
+    size = abs(nominal or 1.0)
+    return size if size < math.inf else 1.0
 
 
 def _is_unclocked(variable: Variable) -> bool:

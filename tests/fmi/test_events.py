@@ -18,6 +18,7 @@ from cosim.core.linear import Linear
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory
 from cosim.errors import FmuError
+from cosim.fmi.checking.check import check
 from cosim.fmi.component import load
 from cosim.fmi.driving.events import KEPT, EventList, close, locate
 from cosim.fmi.driving.solvers import STEPPING, TOLERANT
@@ -497,6 +498,16 @@ def test_a_nominal_value_of_zero_is_taken_as_one():
     assert np.array_equal(*rows)
     text = "SWITCH: nominal value of state 0: found 0.0; needed a number other than zero"
     assert warnings == [[f"{text}, taken as 1"], []]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("nominal", "found"), [("0.0", "0"), ("-2.0", "-2"), ("0.0/0.0", "nan")])
+def test_a_nominal_value_that_is_none_is_named_and_not_used(nominal, found):
+    """What an FMU returns of a state while it runs; x' = -x is linearized all the same."""
+    path = build("SWITCH", 2, f"({nominal})")
+    texts = [finding.text for finding in check(path) if "nominal" in finding.text]
+    assert texts == [f"nominal value of 'x': expected a finite number > 0, got {found}"]
+    assert cosim.linearize(path).A.tolist() == [[-1.0]]
 
 
 def test_a_tolerance_that_is_none_is_refused(subtests):

@@ -181,8 +181,8 @@ def _check_range(variable: Variable) -> VariableProblems:
     nominal = variable.nominal
     if not low <= high:
         yield "error", f"min {low:g} is above max {high:g}"
-    if nominal is not None and not (math.isfinite(nominal) and nominal != 0.0):
-        yield "warning", f"nominal: expected a finite nonzero number, got {nominal:g}"
+    if nominal is not None and not 0.0 < nominal < math.inf:
+        yield "warning", f"nominal: expected a finite number > 0, got {nominal:g}"
 
 
 def _check_definitions(

@@ -8,6 +8,7 @@ an end names the last stage before the process was lost.
 from __future__ import annotations
 
 import json
+import math
 import os
 import pickle
 import sys
@@ -97,6 +98,11 @@ def _run(log: TrialLog, fmu: Fmu, h: float) -> None:
     log.stage(f"steps of {h:g} s")
     rows = _first_steps(component, t, h, u)
     _check_finite(log, component, rows)
+    if fmu.model_exchange is not None:
+        for state, nominal in fmu.model_exchange.nominals().items():
+            if not 0.0 < nominal < math.inf:
+                expected = f"expected a finite number > 0, got {nominal:g}"
+                log.problem(f"nominal value of {state!r}: {expected}", "inexact")
     log.stage("terminate and free")
 
 

@@ -44,6 +44,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.clock import REPETITIONS, Standstill
 from cosim.core.linearization import Linearized
 from cosim.errors import RunError, listing
+from cosim.fmi.description import usable_nominal
 from cosim.fmi.driving.clocks import ClockState, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import (
@@ -658,9 +659,8 @@ class Integrator:
         nominals = np.ones(self._n_x)
         if self._uses_nominals:
             given = np.abs(self._instance.get_nominals())
-            valid = (given > 0.0) & (given < math.inf)
-            nominals[valid] = given[valid]
-            for i in np.flatnonzero(~valid).tolist():
+            nominals[:] = list(map(usable_nominal, given.tolist()))
+            for i in np.flatnonzero(nominals != given).tolist():
                 self.diagnostics.add(
                     self.state.t,
                     f"nominal value of state {i}",

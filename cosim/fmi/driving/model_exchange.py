@@ -322,6 +322,14 @@ class ModelExchange:
             return ()
         return element_names_of([description[name] for name in description.states])
 
+    def nominals(self) -> dict[str, float]:
+        """Return the nominal values of the continuous states as the FMU has them now."""
+        if not self._instance.description.n_states:
+            return {}
+        given = self._instance.get_nominals().tolist()
+        numbers = [f"state {i}" for i in range(len(given))]
+        return dict(zip(self.state_names or numbers, given, strict=False))
+
     def states(self) -> Vector:
         """Return the continuous states at the time reached."""
         self._finish(self._take_over())

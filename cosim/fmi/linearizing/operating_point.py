@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError
+from cosim.fmi.description import usable_nominal
 from cosim.fmi.driving.initialization import Starts, StartValue, check_start
 from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
@@ -168,7 +169,8 @@ class OperatingPoint:
         How far is relative to the size of a state, its nominal value at the least; each goes the
         way that ``x`` is, within its range. The instance is there then, at this point no more.
         """
-        scale = np.maximum(np.abs(self._x), np.abs(self.instance.get_nominals()))
+        nominals = list(map(usable_nominal, self.instance.get_nominals().tolist()))
+        scale = np.maximum(np.abs(self._x), nominals)
         difference = x - self._x
         distance = np.max(np.abs(difference) / scale, initial=0.0) * scale
         step = np.copysign(distance, difference)
@@ -272,8 +274,7 @@ class OperatingPoint:
         nominals = self._nominals()
         for column, known in enumerate(selection.columns):
             f, z = self._along(column)
-            nominal = nominals[column] or 1.0
-            scale = max(abs(nominal), abs(z))
+            scale = max(nominals[column], abs(z))
             room = self._room(known, z)
             slope, slope_error = differentiate(f, z, scale=scale, room=room)
             if not np.isfinite(slope_error).all():
@@ -290,11 +291,11 @@ class OperatingPoint:
             error[n + row] = 0.0
         return jacobian, error
 
-    def _nominals(self) -> list[float | None]:
+    def _nominals(self) -> list[float]:
         """Return the nominal values of the selected states and inputs."""
-        states = self.instance.get_nominals()
+        states = self.instance.get_nominals()[self._state_columns].tolist()
         inputs = [element.variable.nominal for element in self.selection.inputs]
-        return [*states[self._state_columns].tolist(), *inputs]
+        return [usable_nominal(nominal) for nominal in (*states, *inputs)]
 
     def _room(self, known: Element, z: float) -> float:
         """Return how far an element can move within its range."""
