@@ -132,7 +132,7 @@ class Beginning:
         if loops is None or self._row is None:
             return []
         changes = changed_loops(self._experiment, loops, self._row)
-        return [report_on(loops), *map(report_behind, changes)]
+        return [report_on(loops, self._experiment.scenario), *map(report_behind, changes)]
 
     def resolution(self) -> Resolution:
         """Return whether the step resolves the model, after a check that is fulfilled."""

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from graphlib import CycleError, TopologicalSorter
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +28,7 @@ from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.problems import Key, Problem
 from cosim.scenario.document.schema import Settings
+from cosim.scenario.parsing import Scenario
 
 COUPLING: Final = "coupling"  # whose warnings these are
 STEP: Final = "scenario.step"
@@ -79,7 +81,8 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
         experiment = replace(experiment, plan=beginning.plan, messages=messages)
         for fmu in experiment.fmus.values():
             fmu.discard()  # the run says the same again
-    reports: list[tuple[Key, CouplingReport]] = [(("scenario", "step"), report_on(loops))]
+    first = report_on(loops, experiment.scenario)
+    reports: list[tuple[Key, CouplingReport]] = [(("scenario", "step"), first)]
     for changed in changes:
         reports.append((changed.key, report_behind(changed)))
     settings = experiment.scenario.file.scenario
@@ -96,8 +99,8 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
             problems.append((key, f'{text}; coupling_check = "warn" runs it anyway'))
     if problems:
         raise experiment.scenario.document.report(problems)
-    _note(experiment.graph, reports[0][1].gains)
-    experiment.graph.watched = _watched(reports[0][1].gains, settings)
+    _note(experiment.graph, first.gains)
+    experiment.graph.watched = _watched(first.gains, settings)
     coupling_warnings = tuple((COUPLING, text) for text in warnings)
     all_warnings = (*experiment.warnings, *coupling_warnings, *step_warnings)
     return replace(experiment, gains=tuple(gains), warnings=all_warnings)
@@ -179,9 +182,22 @@ def _watched(gains: tuple[LoopGain, ...], settings: Settings) -> frozenset[str]:
     return frozenset(components)
 
 
-def report_on(loops: LinearizedLoops) -> CouplingReport:
+def report_on(loops: LinearizedLoops, scenario: Scenario) -> CouplingReport:
     """Return what is known of loops, and what stands against their coupling."""
-    return _report(loops, dict(enumerate(loops.gains())))
+    gains = dict(enumerate(loops.gains()))
+    return _report(loops, {n: gain for n, gain in gains.items() if _is_closed(gain, scenario)})
+
+
+def _is_closed(gain: LoopGain, scenario: Scenario) -> bool:
+    """Return whether a loop is one without what is recorded, which reacts to nothing."""
+    names = {name for name in gain.components if not scenario.specs[name].is_recorded}
+    if len(names) == len(gain.components):
+        return True
+    try:
+        TopologicalSorter({name: scenario.sources_of(name) & names for name in names}).prepare()
+    except CycleError:
+        return True
+    return False
 
 
 def report_behind(changed: ChangedLoops) -> CouplingReport:

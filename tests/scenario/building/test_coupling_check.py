@@ -50,6 +50,18 @@ slow = { kind = "lag", time_constant = 0.02 }
 "fast.u" = "u.y"
 "slow.u" = "fast.y"
 """
+CHAIN = """
+scenario = { name = "chain", stop = 1.0, step = 0.1 }
+[components]
+a = { kind = "sum", signs = [-1.0, -1.0] }
+b = { kind = "lag", time_constant = 1.0 }
+c = { kind = "lag", time_constant = 1.0 }
+[connections]
+"a.u1" = "b.y"
+"a.u2" = "c.y"
+"b.u" = "a.y"
+"c.u" = "a.y"
+"""
 REFUSED = "the loop of one, two: coupling 'jacobi' amplifies an error by "
 WARN = {"scenario.coupling_check": "warn"}
 
@@ -223,6 +235,19 @@ def test_where_a_component_cannot_be_linearized_the_gain_is_not_known(call):
     _, text, _ = call("info", "compensation", "--json")
     (row,) = json.loads(text)["loops"]
     assert row["text"].startswith("unknown: no linearization of compensator, ")
+
+
+def test_a_recording_closes_no_loop(tmp_path):
+    """It reacts to nothing; what is left of a loop without it is one."""
+    (tmp_path / "chain.toml").write_text(CHAIN)
+    run = cosim.run(tmp_path / "chain.toml", out=tmp_path / "chain.mcap")
+    (gain,) = recorded_loop_gains(run)
+    assert {*gain.components} == {"a", "b", "c"}
+    for swapped, left in (("a", []), ("b", [gain.components])):
+        swap = {swapped: str(tmp_path / "chain.mcap")}
+        with pytest.warns(cosim.CosimWarning, match="does not react"):
+            log = cosim.run(tmp_path / "chain.toml", swap=swap)
+        assert [gain.components for gain in recorded_loop_gains(log)] == left
 
 
 def test_another_check_of_the_coupling_is_refused(pair):
