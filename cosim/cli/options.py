@@ -68,7 +68,12 @@ MapOption = Annotated[
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+QuietOption = Annotated[
+    bool,
+    typer.Option(
+        "--quiet", "-q", help="Print errors only, and what is assumed of times and units."
+    ),
+]
 
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing log.")]
 

@@ -84,6 +84,24 @@ def test_quiet_prints_nothing(call, monkeypatch):
     assert call("run", "academic", *SHORT, "--quiet") == (0, "", "")
 
 
+def test_quiet_keeps_what_times_and_units_are_taken_for(call, tmp_path):
+    """A table whose times have no name or unit, values without a unit beside others; no more."""
+    (tmp_path / "x.csv").write_text("a,y\n0,1\n1,1\n2,3\n")
+    components = """
+    a = { kind = "field-data", path = "x.csv" }
+    b = { kind = "constant", value = 1.0, unit = "mm" }
+    c = { kind = "gain", K = [[1.0, 0.0], [0.0, 1.0]], unit = { u = "m" } }
+    """
+    head = 'scenario = { name = "x", stop = 2.0, step = 1.0 }\n[components]'
+    connections = '[connections]\n"c.u" = ["a.y", "b.y"]\n'
+    (tmp_path / "x.toml").write_text(f"{head}{components}{connections}")
+    code, out, err = call("run", "x.toml", "--quiet")
+    assert (code, out) == (0, "")
+    assert [line.split(":")[1].strip() for line in err.splitlines()] == ["a", "c"]
+    (tmp_path / "x.csv").write_text("t [s],y\n0,1\n1,1\n2,3\n")
+    assert call("run", "x.toml", "--set", "c.unit.u=mm", "--quiet")[2].startswith("warning: c: ")
+
+
 def test_set_step_and_stop_reach_the_run(call):
     """--set, --step and --stop change the scenario."""
     call(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 ORDINALS: Final = {1: "first", 2: "second", 3: "third"}
 
+# what times or values are taken for: a wrong one is a wrong result, so that it is always said
+_TAKEN: Final = re.compile(r"\bunits?\b|\btimes are\b|\bsame time\b|\bstamps?\b")
 MOST_GAINS: Final = 5  # after actions, in a table
 
 
@@ -72,6 +75,9 @@ def print_summary(
         for names, verdict, reason in bad_verdicts(recording):
             if verdict:
                 print_line(f"warning: {names}: {verdict}: {reason}", error=True)
+        for text in warning_texts(recording.warnings):
+            if _TAKEN.search(text):
+                print_line(f"warning: {text}", error=True)
         return
     summary = summarize(recording)
     certificate = certificate_of(recording, summary)
