@@ -71,7 +71,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of 
 QuietOption = Annotated[
     bool,
     typer.Option(
-        "--quiet", "-q", help="Print errors only, and what is assumed of times and units."
+        "--quiet", "-q", help="Print errors only, and what times and units are taken for."
     ),
 ]
 

@@ -72,12 +72,7 @@ def print_summary(
     """
     path = _path_of(recording) if is_kept else None
     if quiet and not as_json:
-        for names, verdict, reason in bad_verdicts(recording):
-            if verdict:
-                print_line(f"warning: {names}: {verdict}: {reason}", error=True)
-        for text in warning_texts(recording.warnings):
-            if _TAKEN.search(text):
-                print_line(f"warning: {text}", error=True)
+        _print_quietly(recording)
         return
     summary = summarize(recording)
     certificate = certificate_of(recording, summary)
@@ -103,6 +98,16 @@ def print_summary(
     simulated = span(summary.start, summary.end)
     tables[0].title = f"{summary.scenario}: {simulated} in {summary.steps} steps"
     print_tables(tables)
+
+
+def _print_quietly(recording: RecordedRun) -> None:
+    """Print what nobody who trusts the result may miss."""
+    for names, verdict, reason in bad_verdicts(recording):
+        if verdict:
+            print_line(f"warning: {names}: {verdict}: {reason}", error=True)
+    for text in warning_texts(recording.warnings):
+        if _TAKEN.search(text):
+            print_line(f"warning: {text}", error=True)
 
 
 def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) -> list[str]:
