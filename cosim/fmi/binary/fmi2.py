@@ -151,7 +151,9 @@ class Fmi2:
         fmu_type = int(specification.interface_type == "cs")
         token = specification.token.encode()
         resources = (specification.folder / "resources").as_uri().encode()
-        created = self._create(name, fmu_type, token, resources, key, 0, 0)
+        # it logs what was raised in its Python code as debugging alone, and nothing else by itself
+        is_logging = specification.description.tool.startswith("PythonFMU ")
+        created = self._create(name, fmu_type, token, resources, key, 0, int(is_logging))
         self.library.instance.value = created
 
     def free(self) -> None:
