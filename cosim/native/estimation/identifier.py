@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Sequence
 from ctypes import byref, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.errors import UsageError
 from cosim.native.estimation.alphas import PastAlphas
 from cosim.native.estimation.between import BetweenConstants
 from cosim.native.estimation.output_error import (
@@ -138,6 +140,24 @@ class IdentifierConstants:
         return np.ones(0 if self.on_y is None else len(self.on_y.C))
 
 
+def _all_samples(count: int, steps: int) -> Vector:
+    """Return room for the numbers that are kept of all steps of a run.
+
+    Raises
+    ------
+    UsageError
+        If this machine does not have it.
+    """
+    present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if 8 * count > present:
+        raise UsageError(
+            f"the samples of {steps} steps need {8 * count / 2**30:.3g} GiB, and this machine has "
+            f"{present / 2**30:.3g} GiB of memory; use a shorter run, a larger step, or a method "
+            'that keeps none, such as "extended-kalman"'
+        )
+    return np.zeros(count)
+
+
 class IdentifierStep:
     """The identifier bound to its memory."""
 
@@ -197,7 +217,8 @@ class IdentifierStep:
             predictor, of_predictor = constants.predictor.struct()
             state.predictor = ctypes.addressof(predictor)
             keep_predictor = (predictor, *of_predictor)
-        memory = np.zeros(int(library.cosim_identifier_memory(byref(state))))
+        count = int(library.cosim_identifier_memory(byref(state)))
+        memory = _all_samples(count, constants.capacity)
         state.memory = pointer(memory)
         small = int(library.cosim_identifier_state(byref(state)))
         keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, keep_lagging, *structs)

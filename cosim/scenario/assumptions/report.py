@@ -17,6 +17,7 @@ from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError, listing
+from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
 from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
 from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
@@ -248,6 +249,8 @@ class _Check:
         if component is None or component.interface.n_u or component.interface.n_y != 1:
             return None
         clock = self._builder.clock
+        if clock.steps > LARGEST_MEMORY:
+            return None
         prepare(component, clock.h, np.zeros(0, np.bool_), {})
         t = clock.points
         nothing = np.zeros((len(t), 0))

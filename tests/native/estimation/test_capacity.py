@@ -14,6 +14,7 @@ from typing import ClassVar, final
 import numpy as np
 import pytest
 
+import cosim
 import cosim.native
 from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError, UsageError
@@ -315,3 +316,14 @@ def test_the_extended_filter_takes_many_states():
     y = np.zeros((50, 1))
     filtered = extended_kalman(T[:50], y, y, ["1"], plant, [Exponential()])
     assert filtered.theta.shape == (49, 1)
+
+
+@pytest.mark.slow
+def test_a_run_whose_samples_do_not_fit_into_memory_is_refused_with_their_size():
+    """Before its first step; a method that keeps none runs, and a check goes on."""
+    edits = {"scenario.stop": 1e8}  # of 1e11 steps, 6 numbers each
+    with pytest.raises(UsageError, match=r"100000000000 steps need 4\.47e\+03 GiB"):
+        cosim.run("academic", set=edits)
+    report = cosim.check_assumptions("academic", set=edits)
+    assert "GiB" in str(report.to_dict())
+    assert cosim.check_assumptions("academic", set={**edits, "identifier.method": "gradient"})
