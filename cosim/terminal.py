@@ -229,7 +229,7 @@ def ended_by_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-class _Messages(io.TextIOWrapper):
+class _StandardError(io.TextIOWrapper):
     """Messages to a terminal or a pipe, which may be closed before the end: then they are lost."""
 
     def write(self, text: str) -> int:
@@ -248,4 +248,4 @@ def outlive_terminal() -> None:
     if type(stderr) is io.TextIOWrapper:  # what tests have in its place keeps all
         encoding = stderr.encoding
         errors = stderr.errors
-        sys.stderr = _Messages(stderr.detach(), encoding, errors, line_buffering=True)
+        sys.stderr = _StandardError(stderr.detach(), encoding, errors, line_buffering=True)

@@ -170,12 +170,16 @@ def test_home_is_found_in_every_path_of_python(home):
     assert swapped["b.y"].tolist() == [1.0, 1.0, 1.0]
     assert swapped.path == home / "made" / "b.mcap"
     cosim.replay("~/x.mcap", out="~/made/c.mcap")
-    cosim.study(
-        "~/x.toml", vary={"b": ["~/x.mcap"]}, metrics={"b": "last(b.y)"}, out="~/study", workers=1
-    )
-    assert (home / "study").is_dir()
     with pytest.raises(CosimError, match="SOMEWHERE"):  # environment variables are none
         cosim.open_log("$SOMEWHERE/x.mcap")
+
+
+@pytest.mark.slow
+def test_home_is_found_in_every_path_of_a_study(home):
+    """Of its scenario, what it swaps, and its dataset."""
+    varied = {"b": ["~/x.mcap"]}
+    cosim.study("~/x.toml", vary=varied, metrics={"b": "last(b.y)"}, out="~/study", workers=1)
+    assert (home / "study").is_dir()
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,11 @@ def form_problems(table: ModelTable) -> Iterator[tuple[str, str]]:
         if table.n_a is not None:
             yield "n_a", "not allowed with file, which has the general form"
         return
+    for name in LETTERS:
+        try:
+            _rows(table, name)
+        except ValueError as error:
+            yield name, str(error).removeprefix(f"{name}: ")
     if table.n_a is not None:
         yield from _problems_of_partitioned(given)
         return
@@ -44,6 +49,18 @@ def form_problems(table: ModelTable) -> Iterator[tuple[str, str]]:
     if table.B is not None:
         columns = max(map(len, table.B), default=0)
         yield from _problems_of_columns(table.disturbances or (), columns)
+
+
+def _rows(table: ModelTable, name: str) -> Matrix | None:
+    """Return a matrix of a table; None: it has none.
+
+    Raises
+    ------
+    ValueError
+        If its rows have different lengths.
+    """
+    rows = getattr(table, name)
+    return None if rows is None else matrix(rows, name)
 
 
 def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -95,15 +112,13 @@ def system_of(table: ModelTable) -> DescriptorSystem:
         If its keys do not make up a form.
     AssumptionError
         If its matrices do not fit together.
-    ValueError
-        If the rows of a matrix have different lengths.
     """
     _check(form_problems(table))
     matrices: dict[str, Matrix] = {}
     for letter in LETTERS:
-        rows = getattr(table, letter)
+        rows = _rows(table, letter)
         if rows is not None:
-            matrices[letter] = matrix(rows, letter)
+            matrices[letter] = rows
     if table.n_a is not None:
         return DescriptorSystem.partitioned(n_a=table.n_a, **matrices)
     return general_system(matrices, table.disturbances or ())

@@ -67,8 +67,6 @@ class ScenarioModels:
         UsageError
             If its matrices do not fit together, or its file cannot be read, or is not to be opened;
             see :meth:`NamedFiles.path`.
-        ValueError
-            If the rows of a matrix have different lengths.
         LogError
             If the recorded matrices cannot be understood.
         """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from cosim.scenario.document.edits import COMPONENTS, short
@@ -23,9 +23,9 @@ def flat_edits(table: Mapping[str, Any]) -> tuple[dict[str, Any], Written]:
     for key, value in table.items():
         if isinstance(value, Mapping) and "." not in key:
             for name, item in value.items():
-                _enter(flat, written, (key, name), item)
+                _enter(flat, written, (key, name), item, short)
         else:
-            _enter(flat, written, (key,), value)
+            _enter(flat, written, (key,), value, short)
     return flat, written
 
 
@@ -71,8 +71,14 @@ def _descend(flat: dict[str, Any], written: Written, path: Key, table: Mapping[s
             _descend(flat, written, inner, value)
 
 
-def _enter(flat: dict[str, Any], written: Written, path: Key, value: Any) -> None:
-    key = varied_key(".".join(map(str, path)))
+def _enter(
+    flat: dict[str, Any],
+    written: Written,
+    path: Key,
+    value: Any,
+    form: Callable[[str], str] = varied_key,
+) -> None:
+    key = form(".".join(map(str, path)))
     flat[key] = _paths(value) if key.startswith(SWAP) else value
     written[key] = path
 
