@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import UsageError, quoted
+from cosim.files import expanded
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.lines import key_lines
 from cosim.scenario.document.places import Places
@@ -39,7 +40,7 @@ def read_study(name: str | Path) -> StudyFile:
         With every problem of the tables, each with its line; if there is no such file.
     """
     if is_log(str(name)):
-        return _of_log(str(Path(name).absolute()))
+        return _of_log(str(expanded(name).absolute()))
     document = find(name)
     tree, _ = document.tree()
     if "components" in tree or isinstance(tree.get("scenario"), Mapping):
