@@ -18,7 +18,7 @@ from typing import Final
 from cosim.core.recording import CompleteRecording
 from cosim.errors import FmuError, LogError, flag, quoted
 from cosim.files import read_bounded
-from cosim.log import Attachment
+from cosim.log import Attachment, Log
 from cosim.log.reading.container import MOST_ATTACHED
 from cosim.scenario.context.fmus import RecordedFmu
 from cosim.scenario.recorded_metadata import MEANS, component_metadata, component_record
@@ -111,14 +111,20 @@ def _content(source: CompleteRecording, name: str, sha256: str, paths: Iterable[
         content = source.attachment(attached)
         _check(name, f"the FMU in {source.label}", content, sha256)
         return content
+    # relative to the working folder; who is in another one has them beside the log, or above it
+    folders = source.path.parents[:2] if isinstance(source, Log) else []
     tried = list(dict.fromkeys(paths))
-    for path in tried:
+    others: dict[str, bytes] = {}
+    for path in [*tried, *(str(folder / path) for folder in folders for path in tried)]:
         try:
             content = read_bounded(Path(path), MOST_EMBEDDED)
         except OSError:
             continue
+        if hashlib.sha256(content).hexdigest() == sha256:
+            return content
+        others.setdefault(path, content)
+    for path, content in others.items():
         _check(name, path, content, sha256)
-        return content
     raise FmuError(
         f"the FMU of {name!r} is neither in the log nor in a readable file: {', '.join(tried)}; "
         f"restore one of them, or record with {flag('embed')} to put the FMU into the log"

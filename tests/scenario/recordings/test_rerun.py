@@ -96,12 +96,19 @@ def test_an_embedded_fmu_runs_again_from_the_log_alone(folder, tmp_path):
     assert verification.passed, verification.problems
 
 
-def test_a_reachable_fmu_runs_again(folder):
-    """From where it was."""
+def test_a_reachable_fmu_runs_again(folder, monkeypatch):
+    """From where it was, also for who works in another folder, where another FMU has its name."""
     log = run(folder)
     assert not [name for name in log.attachments if name.endswith(".fmu")]
-    assert verify(log, cosim.replay(log, **BOTH)).passed
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "lag.fmu").write_bytes(b"another")
+    for place in (folder, elsewhere):
+        monkeypatch.chdir(place)
+        log = cosim.open_log(folder / "a.mcap")
+        assert verify(log, cosim.replay(log, **BOTH)).passed
     assert (folder / "mark").exists()
+    (elsewhere / "lag.fmu").unlink()
     (folder / "lag.fmu").unlink()
     message = (
         r"the FMU of 'plant' is neither in the log nor in a readable file: lag\.fmu; .*embed=True"
