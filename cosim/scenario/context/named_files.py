@@ -56,6 +56,8 @@ class NamedFiles:
             )
         check_path(name)
         path = self._folder / expanded(name)
+        if ".." in path.parts:  # of a swap beside the folder
+            path = path.parent.resolve() / path.name
         if not name.isprintable() and not path.exists():
             raise UsageError(
                 f"there is no file {quoted(name)}; in double quotes a backslash begins an escape: "

@@ -413,7 +413,7 @@ def test_a_wrong_entry_of_the_file_is_reported_with_its_line(subtests):
             r"academic:\d+: swap\.plant: 'path' is missing .*\.fmu",
         ),
         (
-            'plant = "x.txt"',
+            'plant = "x.xyz"',
             r"academic:\d+: swap\.plant: expected a path that ends in \.fmu",
         ),
         (
