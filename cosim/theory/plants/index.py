@@ -109,7 +109,7 @@ def of_index_one(
         algebraic = (left / sizes).T @ decomposition.U2.T @ right  # with orthonormal rows A2
         combinations, determined, _ = np.linalg.svd(algebraic[:, :n] @ decomposition.V2)
         constraints = combinations[:, determined <= zero].T @ algebraic
-        _check_no_input(constraints, B, rounding, structure, inputs)
+        _check_no_input(constraints, B, rounding, zero, structure, inputs)
         found.append(constraints[:, :n])
         z = constraints[:, :n] @ decomposition.V1 / decomposition.values
         basis, _ = np.linalg.qr(z.T, mode="complete")
@@ -128,13 +128,19 @@ def _check_no_input(
     constraints: Matrix,
     B: Matrix,
     rounding: float,
+    zero: float,
     structure: PencilStructure,
     inputs: Sequence[str],
 ) -> None:
     """Check that no input acts on constraints `[A B W]`, made of the given equations by W."""
     n, m = B.shape
-    made_of = np.abs(constraints[:, n + m :])
-    acts = np.abs(constraints[:, n : n + m]) > rounding * (made_of @ np.abs(B))
+    parts = constraints[:, n + m :]
+    made_of = np.abs(parts)
+    # What is only rounding of the largest part would be compared with itself below.
+    is_part = made_of > zero * made_of.max(axis=1, keepdims=True)
+    parts = np.where(is_part, parts, 0.0)
+    made_of = np.abs(parts)
+    acts = np.abs(parts @ B) > rounding * (made_of @ np.abs(B))
     if not acts.any():
         return
     of_inputs = made_of[acts.any(axis=1)].max(axis=0)

@@ -1,5 +1,6 @@
 """Descriptor systems with any square E, against the pencil s E - A itself."""
 
+import itertools
 import re
 
 import mpmath
@@ -264,6 +265,33 @@ def test_any_index_has_the_transfers_of_its_pencil(subtests):
                 np.testing.assert_allclose(
                     reduced.C3 @ states + reduced.C5, expected, rtol=1e-8, atol=1e-10
                 )
+
+
+def test_dense_constraints_without_inputs_are_differentiated(subtests):
+    """The rows of the constraints are exact, their columns in any coordinates: index 3 and 4."""
+    for index, seed in itertools.product((3, 4), range(4)):
+        with subtests.test(index=index, seed=seed):
+            rng = np.random.default_rng(seed)
+            n = 2 + index
+            dynamic = rng.normal(size=(2, 2)) - np.eye(2)
+            E = np.diag(np.ones(n - 1), 1)
+            E[:2] = np.eye(2, n)
+            A = np.eye(n)
+            A[:2, :2] = dynamic
+            B = np.zeros((n, 1))
+            B[:2] = rng.normal(size=(2, 1))
+            states = rng.normal(size=(n, n))
+            columns = np.linalg.inv(states)[:, :2]
+            C = np.eye(n)
+            reduced = reduce(DescriptorSystem.general(E=E @ states, A=A @ states, Bu=B, C=C))
+            for s in POINTS:
+                x_a = np.linalg.solve(s * np.eye(2) - reduced.A_a, reduced.B_1a)
+                expected = columns @ np.linalg.solve(s * np.eye(2) - dynamic, B[:2])
+                error = np.abs(reduced.C3 @ x_a + reduced.C4 - expected)
+                assert error.max() <= 1e-10 * np.abs(expected).max()
+            B[-1] = 1e-9
+            with pytest.raises(AssumptionError, match=f"rows {n - 1} of E"):
+                reduce(DescriptorSystem.general(E=E @ states, A=A @ states, Bu=B, C=C))
 
 
 def test_a_constraint_with_an_input_is_refused_by_its_row():
