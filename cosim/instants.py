@@ -18,6 +18,7 @@ StepNs: TypeAlias = int | Fraction  # of a whole number of nanoseconds an int
 PointNumbers = TypeVar("PointNumbers", int, NDArray[np.int64])
 
 NANOSECONDS = 1_000_000_000  # in a second
+EXACT = 2**53  # integers up to it are doubles
 LARGEST_DENOMINATOR = 1_000_000  # of a fraction that a double may have meant
 
 
@@ -122,7 +123,12 @@ class Grid:
         if isinstance(self.step_ns, int):
             return self.stamp(numbers) / NANOSECONDS
         numerator, denominator = (self.step_ns / NANOSECONDS).as_integer_ratio()
-        return (self._first + numbers) * numerator / denominator
+        multiples = self._first + numbers
+        largest = max(int(np.abs(multiples).max(initial=0)) * numerator, denominator)
+        if largest <= EXACT:
+            return multiples * numerator / denominator
+        # As doubles the operands of the division would be rounded, too.
+        return np.array([k * numerator / denominator for k in multiples.tolist()], np.float64)
 
     @property
     def _first(self) -> int:

@@ -85,3 +85,11 @@ def test_a_double_is_the_step_that_has_it(h, step_ns, written):
     if math.isfinite(h):
         assert step_of(h) == step_ns
     assert written_step(h) == written
+
+
+def test_points_of_a_fraction_with_many_digits_are_the_doubles_next_to_them():
+    """Beyond 2**53 neither the multiple of the numerator nor a product is a double."""
+    step = Fraction("0.114279226627")
+    points = Grid(0, step * NANOSECONDS)
+    numbers = np.array([0, 1, 115_132, 1_000_000])
+    assert points.time(numbers).tolist() == [float(k * step) for k in numbers.tolist()]

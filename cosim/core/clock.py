@@ -335,6 +335,21 @@ class Clock:
         numbers = np.rint((times * NANOSECONDS - self.start_ns) / float(self.step_ns))
         return self.grid.time(numbers.astype(np.int64))
 
+    def at_points(self, times: Vector) -> Vector:
+        """Return instants [s], those that are stamps of communication points as these points.
+
+        Also outside the run: a part of a run takes them for what the whole took them for.
+        """
+        if isinstance(self.step_ns, int):
+            return times
+        longest = LARGEST_NS // (4 * self.step_ns.denominator)
+        ns = np.clip(times * NANOSECONDS, -longest, longest)
+        numbers = np.rint(ns / float(self.step_ns)).astype(np.int64)
+        grid = Grid(0, self.step_ns)
+        is_stamp = seconds(grid.stamp(numbers)) == times
+        points: Vector = np.where(is_stamp, grid.time(numbers), times)
+        return points
+
     def is_point(self, times: Vector) -> Mask:
         """Return which instants are communication points, but for the rounding of doubles."""
         rounding = 4.0 * np.spacing(np.maximum(np.abs(times), self.h))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
+from fractions import Fraction
 from typing import final
 
 import numpy as np
@@ -15,12 +16,12 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type
-from cosim.core.clock import Clock, whole_steps
+from cosim.core.clock import Clock, seconds, whole_steps
 from cosim.core.contracts import Stopped
 from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Layout
 from cosim.errors import ClockError, UnknownSignalError, UsageError, quoted
-from cosim.instants import NANOSECONDS, StepNs
+from cosim.instants import NANOSECONDS, Grid, StepNs
 from cosim.native.numerics.expression import compile_condition
 from cosim.native.numerics.programs import RowProgram
 
@@ -61,6 +62,7 @@ class Condition:
         columns = signal_columns(compiled.program.signals, layout, start)
         self.text = text
         self.held = 0
+        self._step_ns = step_ns
         self._program = RowProgram(compiled.program.with_columns(columns))
         self._needed = 1 + _duration_steps(compiled.duration_ns, step_ns, start)
 
@@ -93,6 +95,9 @@ class Condition:
 
     def _held_at(self, time: Vector, rows: Matrix) -> NDArray[np.int64]:
         """Return the number of rows without a break, up to each, at which it held."""
+        if isinstance(self._step_ns, Fraction):  # t of a condition is what the log has
+            numbers = np.rint(time * NANOSECONDS / float(self._step_ns)).astype(np.int64)
+            time = seconds(Grid(0, self._step_ns).stamp(numbers))
         holds = self._program.evaluate(time, rows) == 1.0
         numbers = np.arange(len(rows))
         breaks = np.where(holds, -1 - self.held, numbers)

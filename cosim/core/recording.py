@@ -288,6 +288,11 @@ class Recording(Protocol):
         ...
 
     @property
+    def step_ns(self) -> StepNs:
+        """Communication step [ns]."""
+        ...
+
+    @property
     def steps(self) -> int:
         """Number of communication steps."""
         ...
@@ -318,11 +323,6 @@ class Recording(Protocol):
 
 class CompleteRecording(Recording, Protocol):
     """A recording with the scenario of its run, which can be built again from it."""
-
-    @property
-    def step_ns(self) -> StepNs:
-        """Communication step [ns]."""
-        ...
 
     @property
     def grid(self) -> Grid:

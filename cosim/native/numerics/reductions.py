@@ -6,12 +6,13 @@ import ctypes
 from collections.abc import Sequence
 from ctypes import addressof, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, StepNs
 from cosim.native.library import declare, int32, library, pointer
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.instructions import RowInstructions
@@ -153,8 +154,7 @@ class RowReductions:
             struct.values = register
             struct.parts = bits
         self._holds = (HoldStruct * max(len(compiled.durations_ns), 1))()
-        for hold, duration_ns in zip(self._holds, compiled.durations_ns, strict=False):
-            hold.duration_ns = duration_ns
+        self._durations_ns = tuple(compiled.durations_ns)
         self._code = int32(compiled.instructions)
         self._memory = np.zeros((compiled.n_registers, _CHUNK))
         for register, value in compiled.constants.items():
@@ -178,9 +178,19 @@ class RowReductions:
         self._address = addressof(self._struct)
         self.begin()
 
-    def begin(self) -> None:
-        """Forget all rows."""
+    def begin(self, step_ns: StepNs = 1) -> None:
+        """Forget all rows.
+
+        Parameters
+        ----------
+        step_ns : int or Fraction
+            Communication step of the run [ns]. Of a fraction stamps are rounded, and may be 1 ns
+            less apart than a duration that is rounded, too.
+        """
         self._n_rows = 0
+        rounded = isinstance(step_ns, Fraction)
+        for hold, duration_ns in zip(self._holds, self._durations_ns, strict=False):
+            hold.duration_ns = duration_ns - rounded
         library.cosim_begin_reductions(self._address)
 
     def add(self, time_ns: Nanoseconds, rows: Matrix) -> None:

@@ -97,9 +97,8 @@ class StepKind(Kind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         context.clock.steps_until(self.time, "time")
-        return source.step(
-            time=self.time, before=self.before, after=self.after, unit=self.unit_name
-        )
+        time = float(context.clock.at_points(np.array([self.time]))[0])
+        return source.step(time=time, before=self.before, after=self.after, unit=self.unit_name)
 
 
 class RampKind(Kind):
@@ -300,6 +299,7 @@ class TableKind(TableKeys, Kind):
         hold = self.interpolation == "zero-order"
         clock = context.clock
         source.check_points(t, y, hold=hold)
+        t = clock.at_points(t)
         if hold:
             t = held_from_points(t, y, clock)
         else:

@@ -16,6 +16,7 @@ from cosim.core.recorded.signals import find_channel, find_signal
 from cosim.core.recording import Recording, SignalEvent, SignalNames, Substep
 from cosim.core.signals import Channel
 from cosim.errors import LogError, quoted
+from cosim.instants import StepNs
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,11 @@ class OutputsOfLog:
     def held(self) -> Mapping[str, Mask]:
         """Which input elements of every component had a zero-order hold."""
         return self._run.held
+
+    @property
+    def step_ns(self) -> StepNs:
+        """Communication step [ns]."""
+        return self._run.step_ns
 
     @property
     def steps(self) -> int:

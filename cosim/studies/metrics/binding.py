@@ -119,6 +119,7 @@ def _reduced(
         own_ns = recording.time_ns(component)
         rows[:, column] = recording[name][np.searchsorted(own_ns, time_ns)]
     bound = _bound(reductions, range(len(reductions)), columns.__getitem__)
+    bound.begin(recording.step_ns)
     bound.add(time_ns, rows)
     return bound
 

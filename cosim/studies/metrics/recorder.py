@@ -50,7 +50,7 @@ class MetricRecorder(Nothing):
             self._bound = bind_layout(self._metrics.reductions, plan.layout)
             self._layout = plan.layout
         for group in self._bound:
-            group.rows.begin()
+            group.rows.begin(plan.step_ns)
         self._has_rows = False
         self._step_ns = plan.step_ns
 

@@ -120,6 +120,50 @@ def test_the_error_of_the_step_is_estimated_from_halves_of_it(tmp_path):
         cosim.run(path, find_step={"wave.y": 1e-3})
 
 
+def ramp_of(tmp_path, out=None, **changes):
+    """Run a ramp of slope 1 at 60 Hz."""
+    path = tmp_path / "ramp.toml"
+    text = '[scenario]\nname = "ramp"\nstop = 1.0\nstep = "1/60"\n[components.ramp]\n'
+    path.write_text(text + 'kind = "expression"\ny = "t"\n')
+    return cosim.run(path, set=changes, out=out)
+
+
+def test_a_step_jumps_at_the_point_that_its_time_is_the_stamp_of():
+    """7/60 s is less than its stamp, 0.116666667 s, and 8/60 s more."""
+    for number in (7, 8):
+        time = round(number / 60, 9)
+        run = run_pair(60, **{"setpoint.time": time})
+        assert run["setpoint.y"].tolist() == [0.0] * number + [100.0] * (61 - number)
+
+
+def test_a_table_has_the_points_that_its_times_are_the_stamps_of(tmp_path):
+    """From start to stop, held and interpolated; a window of it has the bits of the whole."""
+    start, seven, last = (round(number / 60, 9) for number in (1, 7, 59))
+    table = {"kind": "table", "t": [start, seven, last], "y": [0.0, 1.0, 2.0]}
+    times = {"scenario.start_time": start, "scenario.stop": last}
+    held = ramp_of(tmp_path, held={**table, "interpolation": "zero-order"}, **times)
+    assert held["held.y"].tolist() == [0.0] * 6 + [1.0] * 52 + [2.0]
+    line = ramp_of(tmp_path, tmp_path / "line.mcap", line=table, **times)
+    assert line["line.y"][[0, 6, 58]].tolist() == [0.0, 1.0, 2.0]
+    part = cosim.replay(line, rerun=True, window=(start, 0.5))
+    assert (part["line.y"] == line["line.y"][:30]).all()
+
+
+def test_conditions_of_a_run_and_of_metrics_are_true_at_the_same_point(tmp_path):
+    """With t as the log has it, and durations that are as rounded as its stamps."""
+    whole = ramp_of(tmp_path)
+    for condition, number in {
+        "t >= 0.116666667": 7,
+        "t >= 0.116666667 for 0.05 s": 10,
+        "ramp.y > 0.11 for 0.016666667 s": 8,
+        "ramp.y > 0.13 for 0.033333333 s": 10,
+    }.items():
+        run = ramp_of(tmp_path, **{"scenario.until": condition})
+        assert run.steps == number
+        metrics = {"first": f"first(t, {condition})"}
+        assert cosim.metrics(whole, metrics) == {"first": round(number / 60, 9)}
+
+
 @pytest.mark.parametrize(
     ("changes", "place", "text"),
     [
