@@ -143,6 +143,7 @@ class FieldData:
 class _Line:
     """The measured values of one element, straight lines or a zero-order hold between them."""
 
+    name: str
     t: Vector
     values: Vector
 
@@ -341,11 +342,11 @@ def measured_lines(data: FieldData) -> list[_Line]:
     """
     lines = []
     for signal in data.signals:
-        for values in signal.values.T:
+        for name, values in zip(signal.element_labels, signal.values.T, strict=True):
             is_measured = np.isfinite(values)
             if not is_measured.any():
                 raise UsageError(f"{data.source} has no measured value of {signal.name!r}")
-            lines.append(_Line(data.t[is_measured], values[is_measured]))
+            lines.append(_Line(name, data.t[is_measured], values[is_measured]))
     return lines
 
 
@@ -395,34 +396,31 @@ def check_covers(
         If a signal begins later, ends earlier, or has a longer gap; says what can be done.
     """
     lines = measured_lines(data)
-    labels: list[str] = []
-    for signal in data.signals:
-        labels += signal.element_labels
     begin = max(float(line.t[0]) for line in lines)
     end = np.inf if extrapolate else last_covered(data, hold=hold)
     if begin > points[0] or end < points[-1]:
-        raise UsageError(_uncovered_text(data, points, labels, begin=begin, end=end, hold=hold))
+        raise UsageError(_uncovered_text(data, points, begin=begin, end=end, hold=hold))
     notes = []
     until = points[-1] if hold and maximum_gap is not None else None
-    for name, line in zip(labels, lines, strict=True):
+    for line in lines:
         t = line.t if until is None or until <= line.t[-1] else np.append(line.t, until)
-        note = _check_gaps(data, name, t, points, maximum_gap, hold=hold)
+        note = _check_gaps(data, line.name, t, points, maximum_gap, hold=hold)
         if note and data.zero_ns is None:  # of messages the largest gap is said anyway
             notes.append(note)
     return notes
 
 
 def _uncovered_text(
-    data: FieldData, points: Vector, labels: Sequence[str], *, begin: float, end: float, hold: bool
+    data: FieldData, points: Vector, *, begin: float, end: float, hold: bool
 ) -> str:
     """Return which signals do not cover a run, and what can be done."""
     late = []
     early = []
-    for name, line in zip(labels, measured_lines(data), strict=True):
+    for line in measured_lines(data):
         if line.t[0] > points[0]:
-            late.append(f"{name} begins at {line.t[0]} s")
+            late.append(f"{line.name} begins at {line.t[0]} s")
         if end < points[-1] and line.t[-1] < points[-1]:
-            early.append(f"{name} ends at {line.t[-1]} s")
+            early.append(f"{line.name} ends at {line.t[-1]} s")
     ways_out = []
     inside = points[(points >= begin) & (points <= end)]
     if len(inside) > 1:
@@ -458,29 +456,20 @@ def check_step(data: FieldData, step: float) -> None:
     UsageError
         If it is, so that most points have a value of no sample; says what can be done.
     """
-    names: list[str] = []
-    for signal in data.signals:
-        names += signal.element_labels
-    for name, line in zip(names, measured_lines(data), strict=True):
+    for line in measured_lines(data):
         if len(line.t) < 2:
             continue
         median = float(np.median(np.diff(line.t)))
         if median > JITTER * step:
             raise UsageError(
                 f"{data.source}: the communication step of {step:g} s is smaller than the "
-                f'sampling period of {name}, {median:g} s; set interpolation = "linear" or '
+                f'sampling period of {line.name}, {median:g} s; set interpolation = "linear" or '
                 f'"zero-order", or use a step of {median:g} s'
             )
 
 
 def _check_gaps(
-    data: FieldData,
-    name: str,
-    t: Vector,
-    points: Vector,
-    maximum_gap: float | None,
-    *,
-    hold: bool,
+    data: FieldData, name: str, t: Vector, points: Vector, maximum_gap: float | None, *, hold: bool
 ) -> str:
     """Check the times between samples; return what is to be known of one that is held for long."""
     begin = t[:-1]

@@ -397,13 +397,8 @@ class Description:
         self, capability: Literal["saves_state", "event_mode"], interface_type: InterfaceType
     ) -> Description:
         """Return the description of an FMU that cannot do what it says that it can."""
-        own = self.capabilities[interface_type]
-        drives_clocks = self.drives_clocks
-        if capability == "event_mode":
-            own = replace(own, event_mode=False)
-            drives_clocks = False
-        else:
-            own = replace(own, saves_state=False)
+        own = replace(self.capabilities[interface_type], **{capability: False})
+        drives_clocks = self.drives_clocks and capability != "event_mode"
         capabilities = {**self.capabilities, interface_type: own}
         return replace(self, capabilities=capabilities, drives_clocks=drives_clocks)
 

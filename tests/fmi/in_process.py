@@ -8,7 +8,7 @@ import pytest
 
 from cosim.errors import CosimError
 from cosim.fmi import child_process
-from cosim.fmi.checking.trial import TrialLog, roll_back
+from cosim.fmi.checking.trial import TASKS, TrialLog
 from cosim.fmi.child_process import CHILD_VARIABLE, TIMEOUT, TrialProblem, TrialTask
 
 IN_A_CHILD = child_process.attempt
@@ -27,7 +27,7 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CHILD_VARIABLE, "1")
         try:
-            roll_back(log, path, interface_type, step=step)
+            TASKS["rollback"](log, path, interface_type, step=step)
         except CosimError as error:
             log.problem(str(error))
     log.done(task)

@@ -14,6 +14,7 @@ import pickle
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn, TextIO
 
@@ -79,14 +80,8 @@ class _RefusedStep(Exception):
     """The first steps of a trial failed; the reason is its text."""
 
 
-def run(
-    log: TrialLog, path: str, interface_type: InterfaceType, given: str = "", step: str = ""
-) -> None:
-    """Go through a short run; ``step`` [s] is that of the scenario, or empty."""
-    _with_a_step(_run, log, path, interface_type, given, step)
-
-
-def _run(log: TrialLog, fmu: Fmu, h: float) -> None:
+def run(log: TrialLog, fmu: Fmu, h: float) -> None:
+    """Go through a short run."""
     if fmu.refused:
         log.problem(fmu.refused, "refused")
     component = fmu.component
@@ -106,17 +101,8 @@ def _run(log: TrialLog, fmu: Fmu, h: float) -> None:
     log.stage("terminate and free")
 
 
-def roll_back(
-    log: TrialLog, path: str, interface_type: InterfaceType, given: str = "", step: str = ""
-) -> None:
-    """Save, step, restore and step again, also after other inputs: the same bits each time.
-
-    ``step`` [s] is that of the scenario, or empty.
-    """
-    _with_a_step(_roll_back, log, path, interface_type, given, step)
-
-
-def _roll_back(log: TrialLog, fmu: Fmu, h: float) -> None:
+def roll_back(log: TrialLog, fmu: Fmu, h: float) -> None:
+    """Save, step, restore and step again, also after other inputs: the same bits each time."""
     component = fmu.component
     t = _times(h, 2 * STEPS)
     u = _initial_inputs(component, 2 * STEPS)
@@ -140,12 +126,13 @@ def _with_a_step(
     log: TrialLog,
     path: str,
     interface_type: InterfaceType,
-    given: str,
-    step: str,
+    given: str = "",
+    step: str = "",
 ) -> None:
     """Try an FMU with the first communication step that it takes, and record which it is.
 
-    Co-simulation FMUs that take steps of one length only need not say which.
+    Co-simulation FMUs that take steps of one length only need not say which. ``step`` [s] is that
+    of the scenario, or empty.
     """
     refusals: dict[float, str] = {}
     h: float | None = float(step) if step else None
@@ -325,8 +312,8 @@ def _check_finite(log: TrialLog, component: FmuComponent, rows: Matrix) -> None:
 
 TASKS: Final[dict[str, Callable[..., None]]] = {
     "symbols": find_symbols,
-    "run": run,
-    "rollback": roll_back,
+    "run": partial(_with_a_step, run),
+    "rollback": partial(_with_a_step, roll_back),
 }
 
 

@@ -15,9 +15,10 @@ import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
-from io import BytesIO
+from io import BytesIO, StringIO
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -44,13 +45,6 @@ _SEPARATORS: Final = ("\t", ";", "|", ",")
 _NAMES: Final = {"\t": "tab", " ": "blank"}
 _SAMPLE: Final = 50  # lines at each end that show how a file is made
 _THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+", re.ASCII)
-_MARKS: Final = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
-
-
 _DURATION: Final = re.compile(
     r"(?:(?P<days>-?\d{1,9}) days?)?\s*(?:\+?(?P<h>\d{1,9}):(?P<min>\d\d):(?P<s>\d\d(?:\.\d+)?))?"
 )
@@ -87,18 +81,14 @@ def nanoseconds(text: str) -> Decimal | None:
 
 @dataclass(slots=True)
 class _Row:
-    """A row of cells and its number from 1; None: the line cannot be split."""
+    """A row of cells and its number from 1; without cells: the line cannot be split."""
 
     number: int
-    cells: list[str] | None
-
-    @property
-    def values(self) -> list[str]:
-        return self.cells or []
+    cells: list[str]
 
     @property
     def width(self) -> int:
-        return len(self.values)
+        return len(self.cells)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +117,7 @@ class TextTable(DataTable):
         width = _usual_width(sheet.rows)
         if width > MOST_COLUMNS:
             raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
-        wide = [row.values for row in sheet.rows if row.width == width]
+        wide = [row.cells for row in sheet.rows if row.width == width]
         if not is_text and wide and not any(cells[-1].strip() for cells in wide):
             for cells in wide:  # a separator at the end of each line
                 del cells[-1]
@@ -149,7 +139,7 @@ class TextTable(DataTable):
             raise UsageError(f"{self.label}: expected rows of numbers, got text")
         self._decimal = form.decimal or self._likely_decimal(sheet.separator, is_text=is_text)
         self._tell(sheet, form, names, units)
-        self._take_headers(names.cells or [], units.cells if units is not None else None)
+        self._take_headers(names, units)
         if not is_text:
             self._classify()
 
@@ -165,12 +155,12 @@ class TextTable(DataTable):
         found: set[int] = set()
         for row in rows[-_SAMPLE:]:
             if row.width == width:
-                found |= {place for place, cell in enumerate(row.values) if self._is_value(cell)}
+                found |= {place for place, cell in enumerate(row.cells) if self._is_value(cell)}
         return sorted(found)
 
     def _values_in(self, row: _Row) -> list[int]:
         """Return the columns of numbers that have one in a row."""
-        cells = row.values
+        cells = row.cells
         return [
             place for place in self._numeric if place < len(cells) and self._is_value(cells[place])
         ]
@@ -179,7 +169,7 @@ class TextTable(DataTable):
         """Whether a row has numbers where the last rows have them, and no text before them."""
         values = self._values_in(row)
         first = self._numeric[0] if self._numeric else 0
-        return bool(values) and (values[0] == first or row.values[first].strip() in self._gaps)
+        return bool(values) and (values[0] == first or row.cells[first].strip() in self._gaps)
 
     def _given_names(
         self, rows: Sequence[_Row], form: TableForm, width: int, *, is_text: bool
@@ -193,10 +183,9 @@ class TextTable(DataTable):
         if form.skip is None:
             wide = [place for place, row in enumerate(rows) if row.width == width]
             first = wide[0] if wide else 0
-        above = list(rows[first : first + 1])
-        below = rows[first + 1 : first + 2]
-        if above and below and not is_text and self._are_units(below[0], above[0]):
-            above += below
+        above = list(rows[first : first + 2])
+        if len(above) > 1 and (is_text or not self._are_units(above[1], above[0])):
+            del above[1]
         return above, first + len(above)
 
     def _found_names(self, sheet: _Sheet, width: int) -> tuple[list[_Row], int]:
@@ -221,7 +210,7 @@ class TextTable(DataTable):
         if not above and data < len(rows):
             return self._commented(sheet, data), data
         for row in rows[:data]:
-            begins_so = row.width > 1 and self._is_value(row.values[0])
+            begins_so = row.width > 1 and self._is_value(row.cells[0])
             if begins_so and row.number < above[-1].number:
                 raise UsageError(
                     f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
@@ -261,12 +250,12 @@ class TextTable(DataTable):
 
     def _are_units(self, row: _Row, above: _Row) -> bool:
         """Whether a row has the units of the names above it."""
-        units = [unit.strip() for unit in row.values]
-        named = list(zip(above.values, units, strict=False))
+        units = [unit.strip() for unit in row.cells]
+        named = list(zip(above.cells, units, strict=False))
         is_beside = row.width == above.width and all(name.strip() for name, unit in named if unit)
         if not is_beside or self._is_data(row):
             return False
-        if any(Header.parse(name, 0).times for name in above.values):  # then any text is a unit
+        if any(Header.parse(name, 0).times for name in above.cells):  # then any text is a unit
             return not any(Header.parse(unit, 0).times and unit != "t" for unit in units)
         if self._values_in(above):
             return False
@@ -275,7 +264,7 @@ class TextTable(DataTable):
     def _check_widths(self, rows: Sequence[_Row], names: _Row) -> None:
         """Refuse rows of another width than the names have."""
         for row in rows:
-            if row.cells is None:
+            if not row.cells:
                 raise UsageError(
                     f"{self.label}: {self._at(row)} cannot be split: text beside quotes, or a cell "
                     "that spans several lines"
@@ -300,15 +289,12 @@ class TextTable(DataTable):
         if separator == ",":
             return "."
         commas: list[str] = []
-        for row in self._rows:
-            cells = row.values
-            for cell in cells if is_text else [cells[place] for place in self._numeric]:
-                if "," in cell or "." in cell:
-                    number = cell.strip()
-                    if is_number(number):
-                        return "."
-                    if is_number(number.replace(",", ".", 1)):
-                        commas.append(number)
+        columns = range(self._rows[0].width) if is_text and self._rows else self._numeric
+        for number in chain.from_iterable(map(self._stripped, columns)):
+            if "." in number and is_number(number):
+                return "."
+            if "," in number and is_number(number.replace(",", ".", 1)):
+                commas.append(number)
         if not commas:
             return "."
         if all(map(_THOUSANDS.fullmatch, commas)):
@@ -354,10 +340,10 @@ class TextTable(DataTable):
             reason = "units below the names"
             self.reading.append(Reading("units", self._at(units), reason, "unit"))
 
-    def _take_headers(self, names: Sequence[str], units: Sequence[str] | None) -> None:
-        for position, text in enumerate(names):
+    def _take_headers(self, names: _Row, units: _Row | None) -> None:
+        for position, text in enumerate(names.cells):
             header = Header.parse(text, position)
-            unit = units[position].strip().strip("[]()").strip() if units is not None else ""
+            unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
             self.headers.append(with_unit(self.label, header, unit, "the row of units"))
 
     def _classify(self) -> None:
@@ -366,7 +352,7 @@ class TextTable(DataTable):
             self.index = {0}
         for header in self.headers:
             position = header.position
-            cells = (row.values[position].strip() for row in self._rows)
+            cells = (row.cells[position].strip() for row in self._rows)
             first = next((cell for cell in cells if cell not in self._gaps), "")
             if is_number(first.replace(",", ".")):
                 self.numbers.add(position)
@@ -375,9 +361,12 @@ class TextTable(DataTable):
 
     # cells
 
+    def _stripped(self, position: int) -> list[str]:
+        return [row.cells[position].strip() for row in self._rows]
+
     def texts(self, position: int) -> list[str]:
         """Return the cells of a column, numbers with decimal points."""
-        cells = [row.values[position].strip() for row in self._rows]
+        cells = self._stripped(position)
         if self._decimal == ",":
             points = [cell.replace(",", ".") for cell in cells]
             pairs = zip(cells, points, strict=True)
@@ -386,9 +375,8 @@ class TextTable(DataTable):
 
     def times(self, position: int) -> list[Decimal]:
         """Return numbers, or the nanoseconds of dates and durations."""
-        cells = [row.values[position].strip() for row in self._rows]
         stamps: list[Decimal] = []
-        for row, cell in enumerate(cells):
+        for row, cell in enumerate(self._stripped(position)):
             stamp = nanoseconds(cell) if position in self.stamps else None
             if stamp is None:
                 if position in self.stamps and cell not in self._gaps:
@@ -407,10 +395,8 @@ class TextTable(DataTable):
 
     def values(self, position: int) -> Vector:
         """Return the numbers of a column; NaN in empty cells."""
-        numbers = []
-        for row, line in enumerate(self._rows):
-            numbers.append(self._number(row, position, line.values[position].strip()))
-        values = np.array(list(map(float, numbers)))
+        cells = enumerate(self._stripped(position))
+        values = np.array([float(self._number(row, position, cell)) for row, cell in cells])
         self._refuse_infinite(values, self._column(position))
         return values
 
@@ -444,7 +430,7 @@ def _reason(given: object, found: str) -> str:
 
 def _usual_width(rows: Sequence[_Row]) -> int:
     """Return how many cells most rows at the end have."""
-    widths = Counter(row.width for row in rows[-_SAMPLE:] if row.cells is not None)
+    widths = Counter(row.width for row in rows[-_SAMPLE:] if row.cells)
     return widths.most_common(1)[0][0] if widths else 0
 
 
@@ -485,7 +471,7 @@ def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     else:
         rows = [_Row(number, _cells(line, separator)) for number, line in kept]
         # of a row of separators nothing can be said but that it is empty
-        rows = [row for row in rows if row.cells is None or any(map(str.strip, row.cells))]
+        rows = [row for row in rows if not row.cells or any(map(str.strip, row.cells))]
     noted = [_Row(number, _cells(line, separator)) for number, line in comments]
     table = TextTable(path, form, _Sheet(rows, noted, separator=separator), is_text=is_text)
     if encoding != "utf-8":
@@ -497,16 +483,12 @@ def _decoded(path: Path, label: str) -> tuple[str, str]:
     """Return a text and its encoding: UTF-8, or UTF-16 by its mark or its zeros."""
     content = content_of(path)
     encoding = "utf-8"
-    for mark, name in _MARKS:
-        if content.startswith(mark):
-            content = content[len(mark) :]
-            encoding = name
-            break
-    else:
-        if len(content) % 2 == 0 and content[:4].count(0) == 2:
-            encoding = {0: "utf-16-be", 1: "utf-16-le"}.get(content.index(0), encoding)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif len(content) % 2 == 0 and content[:4].count(0) == 2:
+        encoding = {0: "utf-16-be", 1: "utf-16-le"}.get(content.index(0), encoding)
     try:
-        text = content.decode(encoding)
+        text = content.decode(encoding).removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         # not "from error": that one holds the content
         raise UsageError(
@@ -534,32 +516,29 @@ def _likely_separator(lines: Sequence[str]) -> str:
     return best
 
 
-def _cells(line: str, separator: str) -> list[str] | None:
-    """Split a line; None: it cannot be split, because of its quotes or a cell beyond all size."""
-    if '"' not in line:
-        return line.split(separator)
+def _cells(text: str, separator: str) -> list[str]:
+    """Split a row; []: it cannot be split, because of its quotes or a cell beyond all size."""
+    if '"' not in text:
+        return text.split(separator)
     try:
-        return next(csv.reader([line], delimiter=separator, strict=True), [])
+        return next(csv.reader(StringIO(text), delimiter=separator, strict=True), [])
     except csv.Error:
-        return None
+        return []
 
 
 def _long_rows(lines: Sequence[tuple[int, str]], separator: str) -> Iterator[_Row]:
     """Yield rows whose cells may span several lines, between quotes."""
+    pending: list[str] = []  # lines of a row whose last quote is open
     begin = 0
-    text = ""
     for number, line in lines:
-        begin = begin if text else number
-        text = f"{text}\n{line}" if text else line
-        if text.count('"') % 2 == 0:
-            rows = csv.reader(text.splitlines(keepends=True), delimiter=separator, strict=True)
-            try:
-                yield _Row(begin, next(rows, []))
-            except csv.Error:
-                yield _Row(begin, None)
-            text = ""
-    if text:
-        yield _Row(begin, None)
+        begin = begin if pending else number
+        is_closing = line.count('"') % 2 == (1 if pending else 0)
+        pending.append(line)
+        if is_closing:
+            yield _Row(begin, _cells("\n".join(pending), separator))
+            pending = []
+    if pending:
+        yield _Row(begin, [])
 
 
 # --- Excel ---
@@ -632,11 +611,4 @@ def _cell_text(cell: object) -> str:
         case timedelta():
             clock = datetime.min + timedelta(0, cell.seconds, cell.microseconds)
             return f"{cell.days} days {clock.time().isoformat('microseconds')}"
-        case datetime():
-            return cell.isoformat(sep=" ")
-        case date():
-            return cell.isoformat()
-        case float():
-            return repr(cell)
-        case _:
-            return str(cell).strip()
+    return str(cell).strip()
