@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from itertools import chain, groupby, pairwise
 from pathlib import Path
@@ -159,12 +159,9 @@ def field_data(
             path, fields, samples, offset=offset, time_unit=time_unit, missing=form.missing
         )
     table = read_table(path, form)
-    headers = _Headers(table)
-    if time is None:
-        clock = headers.clock()
-    else:
-        (clock,) = find_headers(table.label, headers.all, [time])
-    chosen = headers.signals(clock, columns)
+    named = [header for header in table.headers if header.text]
+    clock, reason, notes = _clock(table, named, time, time_unit or "s")
+    chosen = _signals(table.label, named, clock, columns)
     stamps = _Stamps(
         table, clock, offset=offset, time_unit=time_unit, same_time=same_time or table.same_time
     )
@@ -180,14 +177,14 @@ def field_data(
         stacked = without_codes(np.stack(columns_of, axis=1)[stamps.rows], form.missing)
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, stacked, tuple(part.text for part in parts)))
-    notes = () if time is not None else headers.notes(clock, time_unit or "s")
+    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time")
     return FieldData(
         table.label,
         stamps.t,
         tuple(signals),
         (*notes, *stamps.notes),
         restart=stamps.restart,
-        reading=(*table.reading, *headers.reading(clock, time), *stamps.reading),
+        reading=(*table.reading, *stamps.reading),
     )
 
 
@@ -210,90 +207,79 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
 # --- what the columns are ---
 
 
-class _Headers:
-    """The columns of a table that have a name."""
+def _clock(
+    table: DataTable, named: Sequence[Header], time: str | None, unit: str
+) -> tuple[Header, str, tuple[str, ...]]:
+    """Return the column of the times, why it is that, and what is to be known of it.
 
-    def __init__(self, table: DataTable) -> None:
-        self._label = table.label
-        self._table = table
-        self.all = [header for header in table.headers if header.text]
-        self._unnamed = [
-            header for header in table.headers if not header.text and header.position in table.index
-        ]
-
-    def clock(self) -> Header:
-        """Return the column of the times, where none is selected.
-
-        Raises
-        ------
-        UsageError
-            If several may be it.
-        """
-        candidates = self._candidates()
-        if len(candidates) > 1:
-            names = ", ".join(repr(header.name) for header in candidates)
-            raise UsageError(
-                f"{self._label}: expected one column of times, got {names}; select one by time"
-            )
-        return [*candidates, *self._unnamed, *self._of(self._table.index), *self.all][0]
-
-    def _of(self, positions: Collection[int]) -> list[Header]:
-        return [header for header in (*self._unnamed, *self.all) if header.position in positions]
-
-    def _candidates(self) -> list[Header]:
-        """Return the columns that say of themselves that they have times, in the first way."""
-        stamps = self._of(self._table.stamps)
-        timed = [header for header in self.all if header.time_unit is not None]
-        named = []
-        for header in self.all:
-            is_number = header.has_dates and header.position in self._table.numbers
-            if header.times is not None and not is_number:
-                named.append(header)
-        of_times = {header.position for header in (*named, *timed, *stamps)}
-        index = [header for header in self._of(self._table.index) if header.position in of_times]
-        return index or named or timed or stamps
-
-    def notes(self, clock: Header, unit: str) -> tuple[str, ...]:
-        """Return what is to be known where nothing says which column has the times."""
-        if self._candidates():
-            return ()
-        is_index = clock.position in self._table.index
-        where = "the index that pandas wrote" if is_index else "the first column"
-        name = f", {clock.name!r}" if clock.name else ""
-        return (
-            f"{self._label}: the times are those of {where}{name}, in {unit}, as no column says "
-            "that it has times, by a name such as t or time, a unit of time or dates; time selects "
-            "another",
+    Raises
+    ------
+    UsageError
+        If several may be it.
+    """
+    if time is not None:
+        (clock,) = find_headers(table.label, named, [time])
+        return clock, "given", ()
+    unnamed = [
+        header for header in table.headers if not header.text and header.position in table.index
+    ]
+    candidates = _candidates(table, named, unnamed)
+    if len(candidates) > 1:
+        names = ", ".join(repr(header.name) for header in candidates)
+        raise UsageError(
+            f"{table.label}: expected one column of times, got {names}; select one by time"
         )
+    if candidates:
+        clock = candidates[0]
+        is_named = clock.times is not None or clock.time_unit is not None
+        return clock, "says so by its name or unit" if is_named else "has dates or durations", ()
+    index = [header for header in named if header.position in table.index]
+    clock = [*unnamed, *index, *named][0]
+    where = "the index that pandas wrote" if clock.position in table.index else "the first column"
+    name = f", {clock.name!r}" if clock.name else ""
+    note = (
+        f"{table.label}: the times are those of {where}{name}, in {unit}, as no column says that "
+        "it has times, by a name such as t or time, a unit of time or dates; time selects another"
+    )
+    return clock, "no column says that it has times", (note,)
 
-    def reading(self, clock: Header, time: str | None) -> list[Reading]:
-        """Return which column has the times, and why."""
-        reason = "given"
-        if time is None:
-            reason = "no column says that it has times"
-            if self._candidates():
-                is_named = clock.times is not None or clock.time_unit is not None
-                reason = "says so by its name or unit" if is_named else "has dates or durations"
-        return [Reading("times", repr(clock.name) if clock.name else "index", reason, "time")]
 
-    def signals(
-        self, clock: Header, columns: Mapping[str, str | Sequence[str]] | None
-    ) -> dict[str, list[Header]]:
-        """Return the columns of every signal."""
-        if columns is None:
-            names = [header.name for header in self.all if header != clock]
-            for name, count in Counter(names).most_common(1):
-                if count > 1:
-                    raise UsageError(
-                        f"{self._label}: expected a unique column {name!r}, got {count}"
-                    )
-            own = {header.name: header for header in self.all if header != clock}
-            named = elements_named(names).items()
-            return {name: [own[part] for part in parts] for name, parts in named}
-        if not columns:
-            raise UsageError("columns: expected a column for each signal, got {}")
-        listed = listed_columns(columns).items()
-        return {name: find_headers(self._label, self.all, parts) for name, parts in listed}
+def _candidates(
+    table: DataTable, named: Sequence[Header], unnamed: Sequence[Header]
+) -> list[Header]:
+    """Return the columns that say of themselves that they have times, in the first way."""
+    everything = [*unnamed, *named]
+    stamps = [header for header in everything if header.position in table.stamps]
+    timed = [header for header in named if header.time_unit is not None]
+    called = []
+    for header in named:
+        is_number = header.has_dates and header.position in table.numbers
+        if header.times is not None and not is_number:
+            called.append(header)
+    of_times = {header.position for header in (*called, *timed, *stamps)} & table.index
+    index = [header for header in everything if header.position in of_times]
+    return index or called or timed or stamps
+
+
+def _signals(
+    label: str,
+    named: Sequence[Header],
+    clock: Header,
+    columns: Mapping[str, str | Sequence[str]] | None,
+) -> dict[str, list[Header]]:
+    """Return the columns of every signal."""
+    if columns is None:
+        others = [header for header in named if header != clock]
+        own = {header.name: header for header in others}
+        for name, count in Counter(header.name for header in others).most_common(1):
+            if count > 1:
+                raise UsageError(f"{label}: expected a unique column {name!r}, got {count}")
+        groups = elements_named(list(own)).items()
+        return {name: [own[part] for part in parts] for name, parts in groups}
+    if not columns:
+        raise UsageError("columns: expected a column for each signal, got {}")
+    listed = listed_columns(columns).items()
+    return {name: find_headers(label, named, parts) for name, parts in listed}
 
 
 # --- times ---

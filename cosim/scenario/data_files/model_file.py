@@ -5,14 +5,11 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from cosim.arrays import Matrix
 from cosim.errors import UsageError, listing
-from cosim.files import read_bounded
 from cosim.scenario.data_files.mat_file import OtherVariable, variables_of
-
-LARGEST: Final = 2**28  # bytes of a file
+from cosim.scenario.data_files.table import content_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +38,7 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
         If the file cannot be read or is none of that kind, or a variable of these names is no
         matrix of finite real numbers.
     """
-    try:
-        content = read_bounded(path, LARGEST)
-    except OSError as error:
-        raise UsageError(
-            f"file {path} cannot be read ({error.strerror}); expected a MAT-file (.mat)"
-        ) from error
+    content = content_of(path)
     variables = variables_of(f"file {path}", content)
     matrices = {}
     for name in letters:

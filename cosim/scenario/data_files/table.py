@@ -83,6 +83,10 @@ class DataTable:
         self.numbers: set[int] = set()
         self.reading: list[Reading] = []
 
+    def tell(self, what: str, found: str, reason: str, key: str, given: object = None) -> None:
+        """Note what was found and why: because its key says so, where that is ``given``."""
+        self.reading.append(Reading(what, found, "given" if given is not None else reason, key))
+
     def place(self, row: int) -> str:
         """Return how messages name a row."""
         return f"row {row + 1}"
@@ -140,6 +144,16 @@ class DataTable:
                 )
         return np.stack(columns, axis=1)
 
+    def _add_header(self, header: Header, unit: str, source: str) -> None:
+        """Add a column with the unit that is declared beside its name, if one is."""
+        unit = "1" if unit in NO_UNIT else unit
+        if unit and header.unit not in (None, unit):
+            raise UsageError(
+                f"{self.label}, column {header.text!r}: expected one unit, got {header.unit!r} in "
+                f"its name and {unit!r} in {source}"
+            )
+        self.headers.append(replace(header, unit=unit or header.unit))
+
     def _refuse_infinite(self, values: Vector, name: str) -> None:
         infinite = np.flatnonzero(np.isinf(values))
         if infinite.size:
@@ -148,19 +162,6 @@ class DataTable:
                 f"{self.label}, {self.place(row)}, column {name}: expected a finite number, got "
                 f"{values[row]}"
             )
-
-
-def with_unit(label: str, header: Header, unit: str, source: str) -> Header:
-    """Return a column with the unit that is declared beside its name."""
-    if not unit:
-        return header
-    unit = "1" if unit in NO_UNIT else unit
-    if header.unit not in (None, unit):
-        raise UsageError(
-            f"{label}, column {header.text!r}: expected one unit, got {header.unit!r} in its name "
-            f"and {unit!r} in {source}"
-        )
-    return replace(header, unit=unit)
 
 
 def content_of(path: Path) -> bytes:

@@ -29,14 +29,7 @@ from cosim.errors import UsageError, listing, nearest
 from cosim.filters import ignored_warnings
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number
-from cosim.scenario.data_files.table import (
-    LARGEST,
-    DataTable,
-    Reading,
-    TableForm,
-    content_of,
-    with_unit,
-)
+from cosim.scenario.data_files.table import LARGEST, DataTable, TableForm, content_of
 from cosim.units import base_unit
 
 MOST_COLUMNS: Final = 100_000
@@ -317,34 +310,28 @@ class TextTable(DataTable):
         """Note what was found."""
         if sheet.separator is not None:
             name = _NAMES.get(sheet.separator, sheet.separator)
-            reason = _reason(form.separator, "splits the lines equally")
-            self.reading.append(Reading("separator", name, reason, "separator"))
+            self.tell("separator", name, "splits the lines equally", "separator", form.separator)
         reason = "as in its numbers" if self._decimal == "," else "no number has a comma"
         if sheet.separator == ",":
             reason = "as commas separate columns"
-        reason = _reason(form.decimal, reason)
-        self.reading.append(Reading("decimal sign", self._decimal, reason, "decimal"))
+        self.tell("decimal sign", self._decimal, reason, "decimal", form.decimal)
         if sheet.comments:
             found = f"{len(sheet.comments)} {sheet.unit}s"
-            reason = f"begin with {form.comment or COMMENT}"
-            self.reading.append(Reading("comments", found, reason, "comment"))
-        reason = _reason(form.skip, "above the first row of numbers")
-        self.reading.append(Reading("names", self._at(names), reason, "skip"))
+            self.tell("comments", found, f"begin with {form.comment or COMMENT}", "comment")
+        self.tell("names", self._at(names), "above the first row of numbers", "skip", form.skip)
         codes = ", ".join(["empty cells, NaN", *map(str, form.missing)])
-        reason = "given" if form.missing else "the default"
-        self.reading.append(Reading("not measured", codes, reason, "missing"))
+        self.tell("not measured", codes, "the default", "missing", form.missing or None)
         if sheet.rows and sheet.rows[0].number < names.number:
             found = f"{sheet.unit}s {sheet.rows[0].number} to {names.number - 1}"
-            self.reading.append(Reading("left out", found, "above the names", "skip"))
+            self.tell("left out", found, "above the names", "skip")
         if units is not None:
-            reason = "units below the names"
-            self.reading.append(Reading("units", self._at(units), reason, "unit"))
+            self.tell("units", self._at(units), "units below the names", "unit")
 
     def _take_headers(self, names: _Row, units: _Row | None) -> None:
         for position, text in enumerate(names.cells):
             header = Header.parse(text, position)
             unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
-            self.headers.append(with_unit(self.label, header, unit, "the row of units"))
+            self._add_header(header, unit, "the row of units")
 
     def _classify(self) -> None:
         """Find out which columns have numbers and which dates, by their first cells."""
@@ -424,10 +411,6 @@ class TextTable(DataTable):
         return f"{self.label}, {self.place(row)}, column {self._column(position)}"
 
 
-def _reason(given: object, found: str) -> str:
-    return "given" if given is not None else found
-
-
 def _usual_width(rows: Sequence[_Row]) -> int:
     """Return how many cells most rows at the end have."""
     widths = Counter(row.width for row in rows[-_SAMPLE:] if row.cells)
@@ -475,7 +458,7 @@ def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     noted = [_Row(number, _cells(line, separator)) for number, line in comments]
     table = TextTable(path, form, _Sheet(rows, noted, separator=separator), is_text=is_text)
     if encoding != "utf-8":
-        table.reading.insert(0, Reading("encoding", encoding.upper(), "by its first bytes", ""))
+        table.tell("encoding", encoding.upper(), "by its first bytes", "")
     return table
 
 
@@ -583,8 +566,7 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
         )
     of_sheet = next(iter(filled.values()), [])
     table = TextTable(path, form, _sheet_of(of_sheet, form), is_text=is_text)
-    reason = _reason(form.sheet, "the only one with cells")
-    table.reading.insert(0, Reading("sheet", ", ".join(filled), reason, "sheet"))
+    table.tell("sheet", ", ".join(filled), "the only one with cells", "sheet", form.sheet)
     return table
 
 

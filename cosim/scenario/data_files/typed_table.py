@@ -17,7 +17,7 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import UsageError
 from cosim.scenario.data_files.headers import Header
 from cosim.scenario.data_files.mat_file import OtherVariable, variables_of
-from cosim.scenario.data_files.table import LARGEST, DataTable, Reading, content_of, with_unit
+from cosim.scenario.data_files.table import LARGEST, DataTable, content_of
 
 _BYTES: Final = 8  # of a number
 
@@ -69,9 +69,7 @@ class ParquetTable(DataTable):
             )
         units = self._declared_units()
         for position, name in enumerate(self._names):
-            header = Header.parse(name, position)
-            unit = units.get(position, "")
-            self.headers.append(with_unit(self.label, header, unit, "its metadata"))
+            self._add_header(Header.parse(name, position), units.get(position, ""), "its metadata")
 
     @contextmanager
     def _only_parquet(self) -> Iterator[None]:
@@ -169,12 +167,12 @@ class MatTable(DataTable):
                 self._take_matrices(matrices)
         except (KeyError, IndexError, ValueError) as error:
             raise UsageError(f"{self.label}: a damaged trajectory: {error}") from error
-        self.reading.append(Reading("variables", form, "by their names and sizes", ""))
+        self.tell("variables", form, "by their names and sizes", "")
         self.numbers = set(range(len(self._columns)))
 
     def _add(self, name: str, unit: str, column: tuple[Matrix, int, float]) -> None:
         header = Header(name, name, None, len(self._columns))
-        self.headers.append(with_unit(self.label, header, unit, "its description"))
+        self._add_header(header, unit, "its description")
         self._columns.append(column)
 
     def _take_trajectory(

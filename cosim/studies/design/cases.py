@@ -142,13 +142,6 @@ def _read_parquet(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]
 def _read_column(column: Any, file: str, name: str) -> ColumnValues:
     import pyarrow
 
-    is_whole = pyarrow.types.is_signed_integer(column.type)
-    if pyarrow.types.is_floating(column.type) and not column.null_count:
-        numbers: ColumnValues = column.cast(pyarrow.float64()).to_numpy()
-        return numbers
-    if is_whole and not column.null_count:
-        numbers = column.cast(pyarrow.int64()).to_numpy()
-        return numbers
     values = column.to_pylist()
     if pyarrow.types.is_decimal(column.type):  # as the same digits in a CSV file
         values = [None if value is None else float(value) for value in values]

@@ -54,7 +54,7 @@ def test_a_replay_needs_no_file(tmp_path):
     assert len(record["sha256"]) == 64
     faster = cosim.replay(log, set={"observer.poles": [-8.0]})
     assert not np.array_equal(faster["observer.x"], log["observer.x"])
-    with pytest.raises(ScenarioError, match=r"models\.m: file .*plant\.mat cannot be read"):
+    with pytest.raises(ScenarioError, match=r"models\.m: file .*plant\.mat' cannot be read"):
         cosim.run(path)
 
 
