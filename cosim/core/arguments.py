@@ -158,10 +158,10 @@ def check_step(step_ns: StepNs) -> None:
     Raises
     ------
     GraphError
-        If it is no whole number from 1 on.
+        If it is no whole number, or fraction, from 1 on.
     """
     if type(step_ns) not in (int, Fraction) or step_ns < 1:
-        raise GraphError(f"step_ns: expected an integer >= 1 [ns], got {kind_of(step_ns)}")
+        raise GraphError(f"step_ns: expected a number >= 1 [ns], got {kind_of(step_ns)}")
 
 
 def check_recorded_designs(

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 from cosim.arrays import Mask
 from cosim.core.recorded.selection import is_pattern, matches
@@ -397,7 +397,8 @@ class Description:
         self, capability: Literal["saves_state", "event_mode"], interface_type: InterfaceType
     ) -> Description:
         """Return the description of an FMU that cannot do what it says that it can."""
-        own = replace(self.capabilities[interface_type], **{capability: False})
+        cannot: dict[str, Any] = {capability: False}
+        own = replace(self.capabilities[interface_type], **cannot)
         drives_clocks = self.drives_clocks and capability != "event_mode"
         capabilities = {**self.capabilities, interface_type: own}
         return replace(self, capabilities=capabilities, drives_clocks=drives_clocks)

@@ -103,14 +103,9 @@ class ReferenceMap:
             groups.append(Group.of(variable_type, references, group_columns))
         ungrouped = Group.of("Float64", [v.reference for v in variables], columns)
         all_float64 = len(groups) == 1 and groups[0].type == "Float64"
+        size = len(columns)
         return ReferenceMap(
-            variables,
-            len(columns),
-            tuple(groups),
-            ungrouped,
-            all_float64,
-            columns,
-            opposite=opposite,
+            variables, size, tuple(groups), ungrouped, all_float64, columns, opposite=opposite
         )
 
     @staticmethod

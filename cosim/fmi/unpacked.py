@@ -58,11 +58,6 @@ class UnpackedFmu:
         """The folder."""
         return self._folder.path
 
-    @property
-    def is_open(self) -> bool:
-        """Whether it is in use."""
-        return self.openings > 0
-
     def take(self) -> None:
         """Keep it until it is given back."""
         self.openings += 1
@@ -157,7 +152,7 @@ class UnpackedFmus:
 
     def _remove_oldest(self) -> None:
         """Remove what was not opened for the longest, as far as there are too many."""
-        idle = [unpacked for unpacked in self._by_hash.values() if not unpacked.is_open]
+        idle = [unpacked for unpacked in self._by_hash.values() if not unpacked.openings]
         size = sum(unpacked.size for unpacked in idle)
         for number, unpacked in enumerate(idle):
             if len(idle) - number <= self._most and size <= self._most_bytes:

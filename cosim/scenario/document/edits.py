@@ -23,13 +23,8 @@ from cosim.scenario.document.schema import RecordTable, Settings
 SET = "(set)"  # first part of the key of a problem with a change, which stands in no file
 FLAT = ("connections", "truth")  # tables whose keys are the names of ports
 ACTIONS = "actions"  # a list of tables
-TABLES = (
-    "scenario",
-    "models",
-    *FLAT,
-    ACTIONS,
-    "record",
-)  # what a dotted key may begin with, beside a component
+# what a dotted key may begin with, beside a component
+TABLES = ("scenario", "models", *FLAT, ACTIONS, "record")
 COMPONENTS = "components"
 _NOT_COMPONENTS = (*TABLES, "swap", COMPONENTS)  # none that a short key could begin with
 
@@ -146,8 +141,8 @@ def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
 
 def _without_table(key: str) -> str:
     """Return a key that an action sets, which is always that of a component, in its short form."""
-    _, _, rest = key.partition(f"{COMPONENTS}.")
-    return rest if key.startswith(f"{COMPONENTS}.") and "." in rest else key
+    rest = key.removeprefix(f"{COMPONENTS}.")
+    return rest if "." in rest else key
 
 
 def given_twice(key: str, table: str) -> str:
@@ -186,11 +181,8 @@ def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list
 
 def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     """Set a value in the tables; return the problem of that, if there is one."""
-    first, *rest = key.split(".")
-    is_long = first == COMPONENTS and bool(rest)
-    if is_long:
-        first, *rest = rest
-    is_other = first in _NOT_COMPONENTS and not is_long  # a table beside [components]
+    is_other = component_in(key) is None  # it is in a table beside [components]
+    first, *rest = (key if is_other else key.removeprefix(f"{COMPONENTS}.")).split(".")
     if is_other and first in _keys(tree, COMPONENTS) and not _is_in_table(tree, first, rest):
         long = option("set", f"{COMPONENTS}.{key}")
         return f"{first!r} is a table of the scenario, and a component; of the component: {long}"

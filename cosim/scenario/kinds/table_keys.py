@@ -34,10 +34,4 @@ class TableKeys(TomlTable):
     @property
     def form(self) -> TableForm:
         """What is given of the form of the table."""
-        return TableForm(
-            separator=self.separator,
-            decimal=self.decimal,
-            skip=self.skip,
-            comment=self.comment,
-            sheet=self.sheet,
-        )
+        return TableForm(**self.model_dump(include=set(TableKeys.model_fields)))

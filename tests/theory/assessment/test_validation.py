@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cosim.theory.assessment.assessing import assess, assess_near
+from cosim.theory.assessment.assessing import _assessed, _white, assess
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.validation import ValidationVerdict, validate
 from cosim.theory.disturbances.families import Exponential, Sine
@@ -36,6 +36,11 @@ def fitted(sigma, seed=1):
     """Assess good data."""
     data = noisy("good", sigma, seed, COARSE)
     return assess_near(OutputErrorProblem([data], design(), FAMILIES), START)
+
+
+def assess_near(problem, start):
+    """Assess the optimum that a start leads to, whether or not there is a better one."""
+    return _assessed(_white(problem, start))
 
 
 def other(sigma, seed, scale=(1.0, 1.0), x0=(0.0, 2.0)):
