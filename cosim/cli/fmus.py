@@ -34,10 +34,7 @@ def compile_(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="FMU to write; default: fmus/<name>-<platform>.fmu",
+            "--out", "-o", metavar="FILE", help="FMU to write; default: fmus/<name>-<platform>.fmu"
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,

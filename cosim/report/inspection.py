@@ -117,10 +117,7 @@ def _environment(recorded: Mapping[str, str]) -> Section:
     """Return by what and on which machine a log was written, as far as it says so."""
     versions = [f"{name} {recorded[name]}" for name in VERSIONS if name in recorded]
     machine = [recorded[name] for name in ("processor", "platform") if name in recorded]
-    return {
-        "written by": ", ".join(versions) or None,
-        "machine": ", ".join(machine) or None,
-    }
+    return {"written by": ", ".join(versions) or None, "machine": ", ".join(machine) or None}
 
 
 def _partial(log: Log) -> Section:

@@ -29,12 +29,7 @@ from cosim.arrays import Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, warn
 from cosim.files import expanded
-from cosim.scenario.data_files.headers import (
-    Header,
-    find_headers,
-    second_of,
-    unit_of,
-)
+from cosim.scenario.data_files.headers import Header, find_headers, second_of, unit_of
 from cosim.scenario.data_files.recorded_fields import (
     MCAP,
     check_asked,

@@ -76,13 +76,7 @@ class IdentifierSource:
         known = self.regression.known
         if not known.known:
             return
-        check_step(
-            known,
-            known.names,
-            start=clock.start_time,
-            stop=clock.stop,
-            h=clock.h,
-        )
+        check_step(known, known.names, start=clock.start_time, stop=clock.stop, h=clock.h)
 
     def unchecked(self, *, is_judged: bool) -> list[str]:
         """Return what cannot be checked of the alphas before the run.

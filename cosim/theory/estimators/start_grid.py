@@ -352,14 +352,7 @@ def search_start(
 
     def fitted(start: Vector, iterations: int | None = None) -> OutputErrorFit:
         return fit_records(
-            records,
-            data,
-            plant,
-            families,
-            start,
-            noise=noise,
-            bounds=bounds,
-            iterations=iterations,
+            records, data, plant, families, start, noise=noise, bounds=bounds, iterations=iterations
         )
 
     starts = searched((), STARTS)
