@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Nanoseconds, Vector
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import Recording
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Grid
 
 RowNumbers: TypeAlias = NDArray[np.int64]  # shape (k,)
 
@@ -49,8 +49,8 @@ class RegularTimes:
     """
 
     def __init__(self, first_ns: int, period_ns: int, count: int) -> None:
-        self._first_ns = first_ns
         self._period_ns = period_ns
+        self._grid = Grid(first_ns, period_ns)
         self._count = count
 
     def __len__(self) -> int:
@@ -58,31 +58,27 @@ class RegularTimes:
 
     def nanoseconds(self, begin: int, stop: int) -> Nanoseconds:
         """Return those of the rows from ``begin`` to ``stop`` [ns]."""
-        return self._first_ns + self._period_ns * np.arange(begin, stop, dtype=np.int64)
+        return self._grid.stamp(np.arange(begin, stop, dtype=np.int64))
 
     def seconds(self, begin: int, stop: int) -> Vector:
         """Return those of the rows from ``begin`` to ``stop`` [s]."""
-        return self.nanoseconds(begin, stop) / NANOSECONDS
+        return self._grid.time(np.arange(begin, stop, dtype=np.int64))
 
     def last_not_after(self, t: Vector) -> RowNumbers:
         """Return the number of the last row that is not after each time [s]; -1: there is none."""
         last = self._count - 1
-        guesses = np.floor((t * NANOSECONDS - self._first_ns) / self._period_ns)
+        guesses = np.floor((t * NANOSECONDS - self._grid.start_ns) / self._period_ns)
         numbers: RowNumbers = np.clip(guesses, -1, last).astype(np.int64)
         # A guess is rounded: it is compared with the times themselves, as a search compares them.
-        while (late := (numbers >= 0) & (self._seconds(numbers) > t)).any():
+        while (late := (numbers >= 0) & (self._grid.time(numbers) > t)).any():
             numbers -= late
-        while (early := (numbers < last) & (self._seconds(numbers + 1) <= t)).any():
+        while (early := (numbers < last) & (self._grid.time(numbers + 1) <= t)).any():
             numbers += early
         return numbers
 
     def span(self, begin: int, stop: int) -> tuple[int, int]:
         """Return these bounds: no two rows have the same instant."""
         return begin, stop
-
-    def _seconds(self, numbers: RowNumbers) -> Vector:
-        seconds: Vector = (self._first_ns + self._period_ns * numbers) / NANOSECONDS
-        return seconds
 
 
 @final

@@ -423,21 +423,17 @@ def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> In
 
 def _check_options_for_co_simulation(archive: Archive, options: FmuOptions) -> None:
     """Refuse options that only a solver of ours could follow."""
-    if options.solver is not None:
-        raise FmuError(
-            f"{archive.path}: solver {options.solver!r}: a co-simulation FMU brings its own; "
-            'leave it out or use interface_type = "me"'
-        )
-    if options.tolerance is not None:
-        raise FmuError(
-            f"{archive.path}: relative tolerance {options.tolerance}: a co-simulation FMU brings "
-            'its own solver; leave it out or use interface_type = "me"'
-        )
-    if options.max_step is not None:
-        raise FmuError(
-            f"{archive.path}: max_step {options.max_step}: a co-simulation FMU brings its own "
-            'solver; leave it out or use interface_type = "me"'
-        )
+    ours = {
+        "solver": options.solver,
+        "relative tolerance": options.tolerance,
+        "max_step": options.max_step,
+    }
+    for name, value in ours.items():
+        if value is not None:
+            raise FmuError(
+                f"{archive.path}: {name} {value!r}: a co-simulation FMU brings its own solver; "
+                'leave it out or use interface_type = "me"'
+            )
     if options.dae == "residual":
         raise FmuError(
             f'{archive.path}: dae = "residual": a co-simulation FMU solves for itself; '

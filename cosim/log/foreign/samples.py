@@ -56,7 +56,7 @@ class FieldSamples:
     values: Matrix
     spacing: Spacing
     is_discrete: bool
-    end_ns: int
+    end_ns: int = 0
 
 
 def read_fields(
@@ -303,13 +303,7 @@ class _Collector:
                 raise LogError(self._nothing_text(column))
             values = column.values(count)[kept]
             found = FieldSamples(
-                column.field,
-                self._topic,
-                stamps[kept],
-                values,
-                spacing,
-                column.is_discrete,
-                int(stamps[kept[-1]]),
+                column.field, self._topic, stamps[kept], values, spacing, column.is_discrete
             )
             samples.append(found)
         return samples

@@ -107,7 +107,8 @@ class TextTable(DataTable):
         self._has_commas = sheet.separator != ","
         if sheet.separator is not None:
             self.hint = f" (separated by {sheet.separator!r})"
-        width = _usual_width(sheet.rows)
+        widths = Counter(row.width for row in sheet.rows[-_SAMPLE:] if row.cells)
+        width = max(widths, key=lambda width: widths[width], default=0)
         if width > MOST_COLUMNS:
             raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
         wide = [row.cells for row in sheet.rows if row.width == width]
@@ -411,12 +412,6 @@ class TextTable(DataTable):
         return f"{self.label}, {self.place(row)}, column {self._column(position)}"
 
 
-def _usual_width(rows: Sequence[_Row]) -> int:
-    """Return how many cells most rows at the end have."""
-    widths = Counter(row.width for row in rows[-_SAMPLE:] if row.cells)
-    return widths.most_common(1)[0][0] if widths else 0
-
-
 def _is_unit(text: str) -> bool:
     is_marked = len(text) > 1 and text[0] + text[-1] in ("[]", "()")
     return not text or text in NO_UNIT or is_marked or base_unit(text) is not None
@@ -487,16 +482,12 @@ def _likely_separator(lines: Sequence[str]) -> str:
     """Return the separator that splits most lines into equally many cells, at least two."""
     sample = [*lines[:_SAMPLE], *lines[max(_SAMPLE, len(lines) - _SAMPLE) :]]
     plain = [re.sub('"[^"]*"', "", line) for line in sample]
-    best = ","
-    most = 0
+    agreeing: dict[str, int] = {}
     for separator in _SEPARATORS:
-        counts = Counter(line.count(separator) for line in plain)
-        if counts:
-            cells, agreeing = counts.most_common(1)[0]
-            if cells and agreeing > most:
-                best = separator
-                most = agreeing
-    return best
+        for count, agree in Counter(line.count(separator) for line in plain).most_common(1):
+            agreeing[separator] = agree if count else 0
+    most = max(agreeing.values(), default=0)
+    return next((name for name, agree in agreeing.items() if most and agree == most), ",")
 
 
 def _cells(text: str, separator: str) -> list[str]:
