@@ -38,7 +38,7 @@ from cosim.scenario.data_files.recorded_fields import (
     recorded_data,
     without_codes,
 )
-from cosim.scenario.data_files.table import DataTable, Reading, TableForm
+from cosim.scenario.data_files.table import DataTable, TableForm
 from cosim.scenario.data_files.tables import read_table
 
 TimeOffset: TypeAlias = float | Literal["first"]
@@ -156,6 +156,7 @@ def field_data(
     table = read_table(path, form)
     named = [header for header in table.headers if header.text]
     clock, reason, notes = _clock(table, named, time, time_unit or "s")
+    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time", time)
     chosen = _signals(table.label, named, clock, columns)
     stamps = _Stamps(
         table, clock, offset=offset, time_unit=time_unit, same_time=same_time or table.same_time
@@ -172,14 +173,13 @@ def field_data(
         stacked = without_codes(np.stack(columns_of, axis=1)[stamps.rows], form.missing)
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, stacked, tuple(part.text for part in parts)))
-    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time")
     return FieldData(
         table.label,
         stamps.t,
         tuple(signals),
         (*notes, *stamps.notes),
         restart=stamps.restart,
-        reading=(*table.reading, *stamps.reading),
+        reading=tuple(table.reading),
     )
 
 
@@ -214,7 +214,7 @@ def _clock(
     """
     if time is not None:
         (clock,) = find_headers(table.label, named, [time])
-        return clock, "given", ()
+        return clock, "", ()
     unnamed = [
         header for header in table.headers if not header.text and header.position in table.index
     ]
@@ -328,18 +328,15 @@ class _Stamps:
             gap = int(np.argmax(np.diff(self.t)))
             self.restart = (seconds[gap], offset_text(stamps[gap + 1]))
         own = table.stamp_unit(clock.position) or clock.time_unit
-        reason = "given" if time_unit is not None else "the default"
-        if own is not None and time_unit is None:
+        reason = "the default"
+        if own is not None:
             reason = "of dates or durations" if clock.position in table.stamps else "of the column"
+        table.tell("time unit", time_unit or own or "s", reason, "time_unit", time_unit)
         origin = "the first time stamp" if offset == "first" else str(offset or 0)
-        why = 'the default, or "first"' if offset is None else "given"
-        self.reading = [
-            Reading("time unit", time_unit or own or "s", reason, "time_unit"),
-            Reading("t = 0", origin, why, "offset"),
-        ]
+        table.tell("t = 0", origin, 'the default, or "first"', "offset", offset)
         if repeated:
             found = f"{repeated} rows have the time of the one before"
-            self.reading.append(Reading("same time", found, str(same_time), "same_time"))
+            table.tell("same time", found, str(same_time), "same_time")
 
     def _check_increasing(self, table: DataTable, seconds: Sequence[float]) -> None:
         for number, t in enumerate(seconds):
