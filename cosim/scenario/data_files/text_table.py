@@ -112,7 +112,7 @@ class TextTable(DataTable):
         if width > MOST_COLUMNS:
             raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
         wide = [row.cells for row in sheet.rows if row.width == width]
-        if not is_text and wide and not any(cells[-1].strip() for cells in wide):
+        if width and not is_text and not any(cells[-1].strip() for cells in wide):
             for cells in wide:  # a separator at the end of each line
                 del cells[-1]
             width -= 1

@@ -80,6 +80,15 @@ def test_a_row_of_commas_is_a_case_of_the_own_values(write):
     assert plain(read_cases(write("\na.x\n\n 1 \n  \n"))) == {"a.x": [1]}
 
 
+def test_a_form_feed_between_quoted_cells_ends_no_row(write):
+    """As it ends none without quotes."""
+    assert plain(read_cases(write('a.x,a.y,a.z\n"p",q\x0cr,1\n'))) == {
+        "a.x": ["p"],
+        "a.y": ["q\x0cr"],
+        "a.z": [1],
+    }
+
+
 def test_a_quote_that_is_not_closed_costs_no_more_than_its_lines(write):
     """Not the square of their number: 40 s of 100 000 lines."""
     path = write('a.x,a.y\n1,"2\n' + "1.5,2.5\n" * 100_000)
