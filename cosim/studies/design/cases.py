@@ -89,15 +89,11 @@ def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnVal
 def _read_cells_of(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
     table = read_texts(path)
     names = [header.text for header in table.headers]
-    columns = []
-    for header in table.headers:
-        cells = table.texts(header.position)
-        if not cells:
-            raise UsageError(f"file {file} {NO_ROWS}")
-        columns.append(_read_cells(cells, f"file {file}", header.text))
-    if not columns:
+    columns = [table.texts(header.position) for header in table.headers]
+    if not columns or not columns[0]:
         raise UsageError(f"file {file} {NO_ROWS}")
-    return names, columns
+    pairs = zip(names, columns, strict=True)
+    return names, [_read_cells(cells, f"file {file}", name) for name, cells in pairs]
 
 
 def _read_cells(texts: Sequence[str], file: str, name: str) -> ColumnValues:
