@@ -102,6 +102,16 @@ def test_quiet_keeps_what_times_and_units_are_taken_for(call, tmp_path):
     assert call("run", "x.toml", "--quiet") == (0, "", "")
 
 
+def test_quiet_looks_for_units_in_what_is_said_and_not_in_names(call, tmp_path):
+    """Samples that are held for long are no question of units, of whichever component."""
+    (tmp_path / "x.csv").write_text("t [s],y\n0,1\n0.1,1\n0.2,1\n0.3,1\n5,2\n")
+    (tmp_path / "x.toml").write_text(
+        'scenario = { name = "x", stop = 1.0, step = 1.0 }\n[components]\n'
+        'unit = { kind = "field-data", path = "x.csv", interpolation = "zero-order" }\n'
+    )
+    assert call("run", "x.toml", "--quiet") == (0, "", "")
+
+
 def test_set_step_and_stop_reach_the_run(call):
     """--set, --step and --stop change the scenario."""
     call(

@@ -105,9 +105,9 @@ def _print_quietly(recording: RecordedRun) -> None:
     for names, verdict, reason in bad_verdicts(recording):
         if verdict:
             print_line(f"warning: {names}: {verdict}: {reason}", error=True)
-    for text in warning_texts(recording.warnings):
-        if _TAKEN.search(text):
-            print_line(f"warning: {text}", error=True)
+    taken = [warning for warning in recording.warnings if _TAKEN.search(warning.text)]
+    for text in warning_texts(taken):
+        print_line(f"warning: {text}", error=True)
 
 
 def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) -> list[str]:
