@@ -356,6 +356,17 @@ class Clock:
         on_grid: Mask = np.abs(self.nearest_points(times) - times) <= rounding
         return on_grid
 
+    def is_point_or_stamp(self, times: Vector) -> Mask:
+        """Return which instants are communication points, or the whole nanoseconds next to them.
+
+        Of a step that is a fraction, logs and tables have the latter.
+        """
+        numbers = np.rint((times * NANOSECONDS - self.start_ns) / float(self.step_ns))
+        stamps = self.grid.stamp(numbers.astype(np.int64)) / NANOSECONDS
+        rounding = 4.0 * np.spacing(np.maximum(np.abs(times), self.h))
+        is_stamp: Mask = np.abs(stamps - times) <= rounding
+        return self.is_point(times) | is_stamp
+
     def points_around(self, time: float) -> tuple[float, float]:
         """Return the communication points before and after an instant [s] that is none."""
         number = round((time * NANOSECONDS - self.start_ns) / float(self.step_ns))

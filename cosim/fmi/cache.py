@@ -16,6 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from cosim.files import expanded
+
 VARIABLE: Final = "COSIM_CACHE"  # of the environment: the folder; empty: no cache
 TRIALS: Final = "trials"
 COMPILED: Final = "compiled"
@@ -31,7 +33,7 @@ def cache_folder() -> Path | None:
     """
     given = os.environ.get(VARIABLE)
     if given is not None:
-        return Path(given).absolute() if given else None
+        return expanded(given).absolute() if given else None
     with suppress(RuntimeError):  # no home
         return _user_caches() / "cosim"
     return None

@@ -179,6 +179,7 @@ def test_clear_removes_what_is_kept_and_nothing_else(folder):
 def test_the_folder_of_each_system(monkeypatch, subtests):
     """As the XDG Base Directory Specification, Apple and Microsoft say."""
     for platform, variables, expected in [
+        ("linux", {cache.VARIABLE: "~/c"}, "/home/me/c"),
         ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/cosim"),
         ("linux", {"XDG_CACHE_HOME": "relative"}, "/home/me/.cache/cosim"),
         ("linux", {}, "/home/me/.cache/cosim"),

@@ -98,9 +98,17 @@ def exact_text(path: Iterable[Step]) -> str:
     return path_text(quoted)
 
 
-def field_text(topic: str, path: str) -> str:
-    """Return the written name of a field of a topic."""
-    return f"{topic}.{path}" if path and not path.startswith("[") else f"{topic}{path}"
+def field_text(topic: str, path: str, topics: Iterable[str] = ()) -> str:
+    """Return the written name of a field of a topic, in quotes where others may begin it, too."""
+    point = "." if path and not path.startswith("[") else ""
+    text = f"{topic}{point}{path}"
+    if any(other != topic and _begins(text, other) for other in topics):
+        text = f"{json.dumps(topic, ensure_ascii=False)}{point}{path}"
+    return text
+
+
+def _begins(field: str, topic: str) -> bool:
+    return field == topic or field.startswith((f"{topic}.", f"{topic}["))
 
 
 def split_field(field: str, topics: Iterable[str]) -> tuple[str, str] | None:
@@ -115,10 +123,7 @@ def split_field(field: str, topics: Iterable[str]) -> tuple[str, str] | None:
     if quoted is not None:
         topic = _unquoted(field, quoted[0])
         return (topic, field[quoted.end() :].removeprefix(".")) if topic in set(topics) else None
-    matches = []
-    for topic in topics:
-        if field == topic or field.startswith((f"{topic}.", f"{topic}[")):
-            matches.append(topic)
+    matches = [topic for topic in topics if _begins(field, topic)]
     if len(matches) > 1:
         names = " or ".join(json.dumps(topic, ensure_ascii=False) for topic in matches)
         raise FieldProblem(f"it begins with several topics; expected one in quotes, {names}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -77,7 +78,8 @@ def survey(path: Path) -> list[TopicSurvey]:
                 f"{path}: topic {message.channel.topic!r}: expected times below 2**63 ns (year "
                 f"2262), got {message.log_time} ns"
             ) from None
-    topics = [_surveyed(messages) for messages in kept.values()]
+    names = {messages.channel.topic for messages in kept.values()}
+    topics = [_surveyed(messages, names) for messages in kept.values()]
     return sorted(topics, key=lambda topic: topic.topic)
 
 
@@ -85,13 +87,13 @@ def _key(channel: ForeignChannel) -> tuple[object, ...]:
     return channel.topic, channel.encoding, channel.schema
 
 
-def _surveyed(messages: _KeptMessages) -> TopicSurvey:
+def _surveyed(messages: _KeptMessages, names: Collection[str]) -> TopicSurvey:
     channel = messages.channel
     fields: dict[str, str] = {}
     problem = ""
     try:
         for name, type_name in format_of(channel).fields(messages.first).items():
-            fields[field_text(channel.topic, name)] = type_name
+            fields[field_text(channel.topic, name, names)] = type_name
     except FieldProblem as error:
         problem = str(error)
     schema = channel.schema

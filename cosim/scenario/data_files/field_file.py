@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from itertools import chain, groupby, pairwise
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -112,6 +112,8 @@ def read_field_data(
     >>> data["level"][:, 0].tolist()
     [1.5, nan, 2.5]
     """
+    if isinstance(missing, str):  # a sequence too, of letters
+        raise UsageError(f"missing: expected a list of numbers and texts, got {missing!r}")
     data = field_data(
         path,
         time=time,
@@ -142,8 +144,11 @@ def field_data(
     """
     path = expanded(path)
     form = form or TableForm()
-    if isinstance(offset, int | float) and not math.isfinite(offset):
-        raise UsageError(f'offset: expected a finite number or "first", got {offset}')
+    is_instant = isinstance(offset, int | float) and not isinstance(offset, bool)
+    if offset is not None and offset != "first" and not (is_instant and math.isfinite(offset)):
+        raise UsageError(f'offset: expected a finite number or "first", got {offset!r}')
+    if same_time not in (None, *get_args(SameTime)):
+        raise UsageError(f'same_time: expected "last" or "spread", got {same_time!r}')
     if path.suffix.lower() == MCAP:
         fields = listed_columns(columns or {})
         check_asked(path, fields, same_time)

@@ -19,7 +19,7 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal
 from cosim.errors import UsageError, option
 from cosim.instants import NANOSECONDS
-from cosim.scenario.data_files.headers import seconds_in
+from cosim.scenario.data_files.headers import is_number, seconds_in
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
@@ -147,9 +147,16 @@ def recorded_data(
 
 
 def without_codes(values: Matrix, missing: Sequence[float | str]) -> Matrix:
-    """Return values with NaN in the place of numbers that stand for no measured value."""
-    codes = [code for code in missing if not isinstance(code, str)]
-    return np.where(np.isin(values, codes), NAN, values) if codes else values
+    """Return values with NaN in the place of numbers that stand for no measured value.
+
+    Texts that are numbers are meant as such, and a column of float32 has a code as float32.
+    """
+    codes = [float(code) for code in missing if not isinstance(code, str) or is_number(code)]
+    if not codes:
+        return values
+    with np.errstate(over="ignore"):
+        rounded = np.array(codes).astype(np.float32).astype(np.float64)
+    return np.where(np.isin(values, [*codes, *rounded]), NAN, values)
 
 
 def offset_text(stamp: Decimal) -> str:

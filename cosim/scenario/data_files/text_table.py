@@ -432,7 +432,7 @@ def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     comments: list[tuple[int, str]] = []
     for number, line in enumerate(lines[form.skip or 0 :], start=1 + (form.skip or 0)):
         if mark and line.lstrip().startswith(mark):
-            comments.append((number, line.lstrip()[len(mark) :]))
+            comments.append((number, line.lstrip()[len(mark) :].strip(" ")))
         elif line.strip():
             kept.append((number, line))
     separator = form.separator

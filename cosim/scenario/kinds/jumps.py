@@ -104,8 +104,8 @@ def held_from_points(t: Vector, y: Matrix, clock: Clock) -> Vector:
     Parameters
     ----------
     t : Vector, shape (N,)
-        Increasing [s]; one that differs from a communication point by the rounding of doubles is
-        that point.
+        Increasing [s]; one that differs from a communication point by the rounding of doubles, or
+        that is its whole nanosecond, is that point.
     y : Matrix, shape (N, n)
 
     Raises
@@ -113,7 +113,7 @@ def held_from_points(t: Vector, y: Matrix, clock: Clock) -> Vector:
     UsageError
         If a value changes between two communication points of the run.
     """
-    on_grid = clock.is_point(t)
+    on_grid = clock.is_point_or_stamp(t)
     changes = np.zeros(len(t), np.bool_)
     changes[1:] = (y[1:] != y[:-1]).any(axis=1)
     in_run = (t > clock.start_time) & (t <= clock.stop)
@@ -148,7 +148,7 @@ def unseen_rows(t: Vector, y: Matrix, clock: Clock) -> list[str]:
         Empty where no row is farther from the line than a hundredth of the range of its column.
     """
     in_run = (t > clock.start_time) & (t < clock.stop)
-    between = in_run & ~clock.is_point(t)
+    between = in_run & ~clock.is_point_or_stamp(t)
     times = t[between]
     distances = _distances_from_lines(t, y, between, clock)
     unseen = distances > _UNSEEN

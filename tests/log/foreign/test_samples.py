@@ -8,6 +8,7 @@ import pytest
 from mcap.writer import IndexType, Writer
 
 from cosim.errors import LogError
+from cosim.log.foreign.survey import survey
 from tests.log.foreign.field_logs import COMPRESSIONS, COUNT, EPOCH, raw_file, read, write_json
 
 FORMS = [
@@ -97,6 +98,8 @@ def test_a_name_that_begins_with_two_topics_is_refused_with_the_way_to_say_which
         read(path, "/a.b.c")
     first, second = read(path, '"/a".b.c', '"/a.b".c')
     assert (first.values.item(), second.values.item()) == (1.0, 2.0)
+    listed = [list(topic.fields) for topic in survey(path)]
+    assert listed == [['"/a".b.c'], ['"/a.b".c']]
 
 
 def test_unknown_encodings_are_refused(tmp_path, subtests):

@@ -428,6 +428,37 @@ def test_codes_for_missing_values_are_not_measured(tmp_path):
         read_field_data(path, missing=[-9999])
 
 
+def test_a_code_for_missing_values_is_a_number_also_in_quotes_and_of_float32(tmp_path):
+    """A column of float32 has the float32 next to it; "-999.9" is meant as a number."""
+    pyarrow = pytest.importorskip("pyarrow")
+    text = written(tmp_path, "t,y\n0,-999.90\n1,5\n2,7\n")
+    for kind in ("float32", "float64"):
+        y = pyarrow.array([-999.9, 5.0, 7.0], kind)
+        typed = parquet(tmp_path, {"t": [0.0, 1.0, 2.0], "y": y})
+        for file in (text, typed):
+            for code in (-999.9, "-999.9"):
+                values = read_field_data(file, missing=[code])["y"][:, 0]
+                np.testing.assert_array_equal(values, [np.nan, 5.0, 7.0])
+
+
+def test_values_of_another_kind_are_refused_by_their_key(tmp_path):
+    path = written(tmp_path, "t,y\n0,1\n1,9\n")
+    for key, value in [
+        ("missing", "-9999"),
+        ("offset", "firstt"),
+        ("offset", True),
+        ("same_time", "first"),
+    ]:
+        with pytest.raises(UsageError, match=f"^{key}: expected .*, got {value!r}"):
+            read_field_data(path, **{key: value})
+
+
+def test_names_that_numpy_writes_are_read_where_blanks_separate(tmp_path):
+    np.savetxt(tmp_path / "field.txt", [[0.0, 1.0], [1.0, 2.0]], header="t y")
+    data = read_field_data(tmp_path / "field.txt", separator=" ")
+    assert data["y"][:, 0].tolist() == [1.0, 2.0]
+
+
 def test_a_whole_offset_is_exact_to_the_ns(tmp_path):
     """Of 19 digits, of which a double has 16."""
     begin = 1_700_000_000_123_456_789
