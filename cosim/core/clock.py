@@ -38,6 +38,7 @@ BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
 REPETITIONS: Final = 1000  # of events or returns that do not advance time; as in model_exchange.c
 CAUSES: Final = 100  # of the last of them
+_HIGHEST_RATE: Final = 10_000  # Hz, of which the periods differ by more than whole nanoseconds
 RESOLUTION: Final = 1e-9  # s in which so many are none that advance it
 
 
@@ -244,7 +245,7 @@ class Clock:
             raise ClockError(f"stop: expected {needed}, got {self.stop} s")
         if isinstance(self.step_ns, Fraction):
             self._check_fraction(self.step_ns)
-        steps = self.steps_until(self.stop, "stop")
+        steps = self._steps_to_stop()
         if isinstance(self.step_ns, Fraction):
             for key, number in (("start_time", 0), ("stop", steps)):
                 object.__setattr__(self, key, float(self.grid.time(np.array([number]))[0]))
@@ -267,6 +268,22 @@ class Clock:
                 f"in 64 bits, got {self.step} s, with which stop is at most "
                 f"{longest / NANOSECONDS:g} s"
             )
+
+    def _steps_to_stop(self) -> int:
+        try:
+            return self.steps_until(self.stop, "stop")
+        except ClockError as error:
+            raise ClockError(f"{error}{self._fraction_hint()}") from error
+
+    def _fraction_hint(self) -> str:
+        """Name the fraction whose first point a step is the whole nanosecond of, as 1/60 s."""
+        if isinstance(self.step_ns, Fraction):
+            return ""
+        rate = round(NANOSECONDS / self.step_ns)
+        is_fraction = 0 < rate <= _HIGHEST_RATE and NANOSECONDS % rate
+        if not is_fraction or round(NANOSECONDS / rate) != self.step_ns:
+            return ""
+        return f', or a step of the fraction "1/{rate}"'
 
     @cached_property
     def step_ns(self) -> StepNs:

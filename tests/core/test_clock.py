@@ -141,6 +141,14 @@ def test_a_grid_that_is_none_is_refused(options, text):
         Clock(**options)
 
 
+def test_a_step_that_stands_for_a_fraction_gets_the_fraction_as_a_hint():
+    """Where the run does not end at one of its multiples."""
+    with pytest.raises(ClockError, match=r'nearest: 1.00000002 s, or a step of .* "1/60"$'):
+        Clock(1.0, 0.016666667)
+    with pytest.raises(ClockError, match=r"nearest: 0.9 s$"):
+        Clock(1.0, 0.3)
+
+
 def test_a_duration_off_the_grid_is_refused_by_name():
     """Delays and periods are whole numbers of steps."""
     assert whole_steps(3.0, 1_000_000, "delays[2]") == 3000
