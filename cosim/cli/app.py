@@ -125,7 +125,7 @@ def main(arguments: list[str] | None = None) -> None:
         if stdout is not None:  # the rest of its buffer cannot be written either
             with suppress(OSError):
                 stdout.close()
-        sys.exit(1)
+        sys.exit(2)  # 1 says that a check or the run failed
 
 
 def _lost_folder() -> list[str]:

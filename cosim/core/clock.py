@@ -29,7 +29,6 @@ from cosim.instants import (
     step_part,
     step_seconds,
     step_value,
-    written_step,
 )
 
 LARGEST_NS = 2**63 - 1
@@ -38,6 +37,8 @@ BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
 REPETITIONS: Final = 1000  # of events or returns that do not advance time; as in model_exchange.c
 CAUSES: Final = 100  # of the last of them
+LARGEST_DENOMINATOR: Final = 100_000  # of a fraction that a step may have meant
+CLOSE: Final = 1e-12  # of a step: it was written with so many digits
 _HIGHEST_RATE: Final = 10_000  # Hz, of which the periods differ by more than whole nanoseconds
 RESOLUTION: Final = 1e-9  # s in which so many are none that advance it
 
@@ -304,8 +305,10 @@ class Clock:
         try:
             return nanoseconds(step)
         except ClockError as error:
-            fraction = written_step(step) if isinstance(step, float) else step
-            if not isinstance(fraction, str):
+            if not isinstance(step, float) or not math.isfinite(step):
+                raise
+            fraction = Fraction(step).limit_denominator(LARGEST_DENOMINATOR)
+            if abs(fraction - Fraction(step)) > CLOSE * abs(step):
                 raise
             raise ClockError(f'{error}; or the fraction "{fraction}"') from error
 

@@ -729,7 +729,7 @@ def test_a_full_disk_is_one_line():
         done = subprocess.run(
             command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False, env=environment
         )
-    assert (done.returncode, done.stderr) == (1, "cosim: output: No space left on device\n")
+    assert (done.returncode, done.stderr) == (2, "cosim: output: No space left on device\n")
 
 
 @pytest.mark.slow

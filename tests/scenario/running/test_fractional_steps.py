@@ -168,6 +168,7 @@ def test_conditions_of_a_run_and_of_metrics_are_true_at_the_same_point(tmp_path)
     ("changes", "place", "text"),
     [
         ({"scenario.step": 1 / 60}, "scenario.step", '"1/60"'),
+        ({"scenario.step": 0.0166666666666667}, "scenario.step", '"1/60"'),
         ({"scenario.step": "1/0"}, "scenario.step", "1/0"),
         ({"scenario.step": "-1/60"}, "scenario.step", "-1/60"),
         ({"scenario.step": "0/60"}, "scenario.step", "> 0"),
