@@ -85,6 +85,7 @@ def read_field_data(
         elements of ``x``. Of an MCAP the fields, such as ``/drive/state.position``; needed there.
     separator, decimal : str, optional
         Between the columns of a text, and the decimal sign, "." or ","; by default as found.
+        Several blanks count as one.
     skip : int, optional
         Lines, or rows of a sheet, before the names of the columns; by default they are found, above
         the first row of numbers.
@@ -226,9 +227,10 @@ def _clock(
     candidates = _candidates(table, named, unnamed)
     if len(candidates) > 1:
         names = ", ".join(repr(header.name) for header in candidates)
-        raise UsageError(
-            f"{table.label}: expected one column of times, got {names}; select one by time"
-        )
+        way_out = "select one by time"
+        if any(header.has_dates for header in candidates):
+            way_out += ", or write date and time of day into one, such as 2024-03-01T12:00:00"
+        raise UsageError(f"{table.label}: expected one column of times, got {names}; {way_out}")
     if candidates:
         clock = candidates[0]
         is_named = clock.times is not None or clock.time_unit is not None
@@ -301,8 +303,8 @@ class _Stamps:
         time_unit: str | None,
         same_time: str | None,
     ) -> None:
-        second = _second(table, clock, time_unit)
         stamps = table.times(clock.position)
+        second = _second(table, clock, time_unit)
         if not stamps:
             raise UsageError(f"{table.label}: expected rows of numbers, got none")
         infinite = next((row for row, stamp in enumerate(stamps) if not stamp.is_finite()), None)

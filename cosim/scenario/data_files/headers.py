@@ -14,9 +14,16 @@ from cosim.units import base_unit
 _HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
 NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
 _TIMES: Final = re.compile(
-    r"(t|(?P<date>(?i:date|date_?time))|(?i:times?|time_?stamps?|(elapsed|simulation|log)_?time))"
-    r"(_(?P<unit>[mun]?s|min|h))?"
+    r"(t|(?P<date>(?i:date|datum|date_?time))|"
+    r"(?i:times?|zeit|uhrzeit|time_?stamps?|zeitstempel|(elapsed|simulation|log)_?time))"
+    r"(_(?P<unit>[mun]?s(ec)?|min|h|(?i:(milli|micro|nano)?seconds|minutes|hours)))?"
 )
+# units of time in words of English and German, and the symbols of their beginnings
+_TIME_WORDS: Final = re.compile(
+    r"(?P<prefix>milli|mi[ck]ro|nano)?(seconds?|sekunden?)|minute[ns]?|hours?|stunden?|days?|tage?",
+    re.IGNORECASE,
+)
+_SYMBOLS: Final = {"se": "s", "mi": "min", "ho": "h", "st": "h", "da": "d", "ta": "d"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +45,7 @@ class Header:
         unit = (match["unit"] or match["known"]).strip()
         is_spaced = text[len(match["name"])].isspace()
         is_index = unit.isdecimal() and not (is_spaced and unit == "1")
-        if is_index or (match["known"] and base_unit(unit) is None):
+        if is_index or (match["known"] and base_unit(symbol_of(unit)) is None):
             return Header(text, text, None, position)
         return Header(text, match["name"], "1" if unit in NO_UNIT else unit, position)
 
@@ -55,6 +62,8 @@ class Header:
         """The unit in which it has times, as it is written; None: it does not say."""
         if self.unit is not None:
             return self.unit if seconds_in(self.unit) is not None else None
+        if is_time_word(self.name) and self.name[-1] in "ns":  # no minute of a clock, no tag
+            return self.name
         return self.times and self.times["unit"]
 
     @property
@@ -136,11 +145,26 @@ def second_of(
 
 def seconds_in(unit: str) -> float | None:
     """Return a unit of time in s; None: it is none."""
-    meaning = base_unit(unit)
+    meaning = base_unit(symbol_of(unit))
     second = base_unit("s")
     assert second is not None
     is_time = meaning is not None and meaning.exponents == second.exponents
     return meaning.factor if meaning is not None and is_time else None
+
+
+def is_time_word(text: str) -> bool:
+    """Return whether a text is a unit of time in a word, such as ``Millisekunden``."""
+    return _TIME_WORDS.fullmatch(text) is not None
+
+
+def symbol_of(unit: str) -> str:
+    """Return the symbol of a unit of time in a word; any other unit as it is."""
+    word = _TIME_WORDS.fullmatch(unit)
+    if word is None:
+        return unit
+    if word["prefix"]:
+        return {"mil": "ms", "mic": "us", "mik": "us", "nan": "ns"}[unit[:3].lower()]
+    return _SYMBOLS[unit[:2].lower()]
 
 
 def is_number(cell: str) -> bool:

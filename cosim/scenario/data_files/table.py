@@ -18,6 +18,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
 from cosim.files import read_bounded
+from cosim.instants import EXACT
 from cosim.scenario.data_files.headers import NO_UNIT, Header, find_headers
 
 LARGEST: Final = 2**28  # bytes
@@ -162,6 +163,17 @@ class DataTable:
                 f"{self.label}, {self.place(row)}, column {name}: expected a finite number, got "
                 f"{values[row]}"
             )
+
+    def _refuse_rounded(self, values: Vector, written: Sequence[object], name: str) -> None:
+        """Refuse integers that are no float64; ``written`` is what ``values`` were made of."""
+        for row in np.flatnonzero(np.abs(values) >= EXACT).tolist():
+            digits = str(written[row])
+            if digits.lstrip("+-").isdigit() and Decimal(digits) != Decimal(values[row]):
+                raise UsageError(
+                    f"{self.label}, {self.place(row)}, column {name}: expected an integer that a "
+                    "float64 represents (up to 2**53), got a larger one; write it in fewer digits, "
+                    "or leave its column out by columns"
+                )
 
 
 def content_of(path: Path) -> bytes:

@@ -20,7 +20,7 @@ from decimal import Decimal
 from io import BytesIO, StringIO
 from itertools import chain
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError, listing, nearest
 from cosim.filters import ignored_warnings
 from cosim.instants import NANOSECONDS
-from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number
+from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number, is_time_word
 from cosim.scenario.data_files.table import LARGEST, DataTable, TableForm, content_of
 from cosim.units import base_unit
 
@@ -43,7 +43,12 @@ _DURATION: Final = re.compile(
 )
 _DATE: Final = re.compile(
     r"(?P<day>\d{4}-\d\d-\d\d)(?:[T ](?P<time>\d\d:\d\d(?::\d\d)?)(?:[.,](?P<fraction>\d+))?"
-    r" ?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?)?"
+    r" ?(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?)?"
+)
+_LIKE_A_DATE: Final = re.compile(
+    r"(\d{4}[-./]\d\d?[-./]\d\d?|\d\d?[-./]\d\d?[-./]\d{4})"
+    r"([T ,]*\d\d?:\d\d(:\d\d([.,]\d+)?)?)?( ?([AP]M|[A-Z]{1,4}|[+-]\d\d:?\d\d))?",
+    re.ASCII | re.IGNORECASE,
 )
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -54,7 +59,7 @@ def nanoseconds(text: str) -> Decimal | None:
     if day is not None:
         try:
             instant = datetime.fromisoformat(
-                f"{day['day']}T{day['time'] or '00:00'}{day['zone'] or 'Z'}"
+                f"{day['day']}T{day['time'] or '00:00'}{(day['zone'] or 'Z').replace('UTC', 'Z')}"
             )
         except ValueError:
             return None
@@ -104,9 +109,12 @@ class TextTable(DataTable):
         super().__init__(path)
         self._unit = sheet.unit
         self._gaps = form.missing_texts | {""}
-        self._has_commas = sheet.separator != ","
+        self._separator = sheet.separator
         if sheet.separator is not None:
             self.hint = f" (separated by {sheet.separator!r})"
+            aligned = sheet.rows[-1].cells[0].split() if sheet.rows and sheet.rows[-1].cells else []
+            if len(aligned) > 1 and all(map(is_number, aligned)):
+                self.hint += '; separator = " " splits at blanks'
         widths = Counter(row.width for row in sheet.rows[-_SAMPLE:] if row.cells)
         width = max(widths, key=lambda width: widths[width], default=0)
         if width > MOST_COLUMNS:
@@ -141,8 +149,8 @@ class TextTable(DataTable):
 
     def _is_value(self, cell: str) -> bool:
         cell = cell.strip()
-        number = cell.replace(",", ".") if self._has_commas else cell
-        return is_number(number) or nanoseconds(cell) is not None
+        is_date = nanoseconds(cell) is not None or _LIKE_A_DATE.fullmatch(cell) is not None
+        return is_date or is_number(cell.replace(",", "."))
 
     def _columns_of_numbers(self, rows: Sequence[_Row], width: int) -> list[int]:
         """Return the columns that have numbers or times in the last rows."""
@@ -176,6 +184,8 @@ class TextTable(DataTable):
         first = 0
         if form.skip is None:
             wide = [place for place, row in enumerate(rows) if row.width == width]
+            if self._separator is None:  # the rows of a sheet are filled up
+                wide = [place for place in wide if rows[place].cells[-1].strip()] or wide
             first = wide[0] if wide else 0
         above = list(rows[first : first + 2])
         if len(above) > 1 and (is_text or not self._are_units(above[1], above[0])):
@@ -253,7 +263,9 @@ class TextTable(DataTable):
             return not any(Header.parse(unit, 0).times and unit != "t" for unit in units)
         if self._values_in(above):
             return False
-        return all(map(_is_unit, units)) and not any(Header.parse(unit, 0).times for unit in units)
+        if any(map(is_time_word, units)):  # German words begin with a capital: Bar
+            units = [unit if is_unit(unit) else unit.lower() for unit in units]
+        return all(map(is_unit, units)) and not any(Header.parse(unit, 0).times for unit in units)
 
     def _check_widths(self, rows: Sequence[_Row], names: _Row) -> None:
         """Refuse rows of another width than the names have."""
@@ -367,6 +379,12 @@ class TextTable(DataTable):
         for row, cell in enumerate(self._stripped(position)):
             stamp = nanoseconds(cell) if position in self.stamps else None
             if stamp is None:
+                if _LIKE_A_DATE.fullmatch(cell):
+                    raise UsageError(
+                        f"{self._cell(row, position)}: expected a date of the calendar in ISO 8601 "
+                        f"(YYYY-MM-DDThh:mm:ss), got {cell!r}; convert the column, such as by "
+                        "pandas.to_datetime"
+                    )
                 if position in self.stamps and cell not in self._gaps:
                     raise UsageError(
                         f"{self._cell(row, position)}: expected a date or duration as in the rows "
@@ -384,8 +402,10 @@ class TextTable(DataTable):
     def values(self, position: int) -> Vector:
         """Return the numbers of a column; NaN in empty cells."""
         cells = enumerate(self._stripped(position))
-        values = np.array([float(self._number(row, position, cell)) for row, cell in cells])
+        numbers = [self._number(row, position, cell) for row, cell in cells]
+        values = np.array(list(map(float, numbers)))
         self._refuse_infinite(values, self._column(position))
+        self._refuse_rounded(values, numbers, self._column(position))
         return values
 
     def _number(self, row: int, position: int, cell: str) -> str:
@@ -401,6 +421,8 @@ class TextTable(DataTable):
         if is_number(cell.replace(",", ".")):
             other = "," if self._decimal == "." else "."
             way_out = f'; the decimal separator is {self._decimal!r}, see decimal = "{other}"'
+            if self._separator == ",":
+                way_out += ', and separator = ","'
         raise UsageError(
             f"{self._cell(row, position)}: expected a number or an empty cell, got text{way_out}"
         )
@@ -412,9 +434,11 @@ class TextTable(DataTable):
         return f"{self.label}, {self.place(row)}, column {self._column(position)}"
 
 
-def _is_unit(text: str) -> bool:
+def is_unit(text: str) -> bool:
+    """Return whether a cell below a name is a unit, or none of its own."""
     is_marked = len(text) > 1 and text[0] + text[-1] in ("[]", "()")
-    return not text or text in NO_UNIT or is_marked or base_unit(text) is not None
+    is_known = base_unit(text) is not None or is_time_word(text)
+    return not text or text in NO_UNIT or is_marked or is_known
 
 
 # --- text ---
@@ -438,7 +462,8 @@ def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     separator = form.separator
     if separator is None:
         separator = _likely_separator([line for _, line in kept])
-    forbidden = f'{form.decimal or "."}"\r\n0123456789'
+    is_quoted = separator == "," and any('"' in line for _, line in kept)
+    forbidden = f'{"" if is_quoted else form.decimal or "."}"\r\n0123456789'
     if len(separator) != 1 or separator in forbidden:
         raise UsageError(
             f"separator: expected one character other than the decimal separator "
@@ -492,10 +517,15 @@ def _likely_separator(lines: Sequence[str]) -> str:
 
 def _cells(text: str, separator: str) -> list[str]:
     """Split a row; []: it cannot be split, because of its quotes or a cell beyond all size."""
+    is_blank = separator == " "  # then columns may be aligned
+    text = text.strip(" ") if is_blank else text
     if '"' not in text:
-        return text.split(separator)
+        return re.split(" +", text) if is_blank else text.split(separator)
     try:
-        return next(csv.reader(StringIO(text), delimiter=separator, strict=True), [])
+        reader = csv.reader(
+            StringIO(text), delimiter=separator, strict=True, skipinitialspace=is_blank
+        )
+        return next(reader, [])
     except csv.Error:
         return []
 
@@ -529,7 +559,6 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             "table as CSV"
         ) from error
     stream = BytesIO(content_of(path))
-    sheets: dict[str, list[list[str]]] = {}
     try:
         with zipfile.ZipFile(stream) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
@@ -537,10 +566,9 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             raise OverflowError
         with ignored_warnings():  # of styles and the like
             book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
-            for sheet in book.worksheets:
-                if form.sheet in (None, sheet.title):
-                    rows = sheet.iter_rows(values_only=True)
-                    sheets[sheet.title] = [[_cell_text(cell) for cell in row] for row in rows]
+            sheets, empty = _cells_of(book, form)
+            formulas = openpyxl.load_workbook(stream, read_only=True) if empty else book
+            unknown = _formula_in(formulas, empty, form)
     except OverflowError:
         raise UsageError(f"{label}: expected at most {LARGEST} bytes of sheets, got more") from None
     except Exception as error:  # openpyxl raises whatever a damaged byte leads to
@@ -548,6 +576,11 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     if form.sheet is not None and not sheets:
         raise UsageError(
             f"{label} has no sheet {form.sheet!r}; {nearest(form.sheet, book.sheetnames)}"
+        )
+    if unknown is not None:
+        raise UsageError(
+            f"{label}, {unknown}: expected a value, got a formula whose value is not in the "
+            "file; open and save it in Excel or LibreOffice"
         )
     filled = {name: cells for name, cells in sheets.items() if any(map(any, cells))}
     if len(filled) > 1:
@@ -559,6 +592,33 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     table = TextTable(path, form, _sheet_of(of_sheet, form), is_text=is_text)
     table.tell("sheet", ", ".join(filled), "the only one with cells", "sheet", form.sheet)
     return table
+
+
+def _cells_of(
+    book: Any, form: TableForm
+) -> tuple[dict[str, list[list[str]]], set[tuple[str, str]]]:
+    """Return the cells of the sheets, and the places of those without a value."""
+    sheets: dict[str, list[list[str]]] = {}
+    empty: set[tuple[str, str]] = set()
+    for sheet in book.worksheets:
+        if form.sheet in (None, sheet.title):
+            rows = sheets[sheet.title] = []
+            for row in sheet.iter_rows():
+                rows.append([_cell_text(cell.value) for cell in row])
+                for cell in row:  # "str": the value of a formula is an empty text
+                    is_empty = cell.value is None and cell.data_type != "str"
+                    if is_empty and hasattr(cell, "coordinate"):  # else it is not in the file
+                        empty.add((sheet.title, cell.coordinate))
+    return sheets, empty
+
+
+def _formula_in(book: Any, places: set[tuple[str, str]], form: TableForm) -> str | None:
+    """Return the first of these places that has a formula, in rows that are not skipped."""
+    for sheet in book.worksheets if places else ():
+        for cell in chain.from_iterable(sheet.iter_rows(min_row=(form.skip or 0) + 1)):
+            if cell.data_type == "f" and (sheet.title, cell.coordinate) in places:
+                return f"sheet {sheet.title!r}, cell {cell.coordinate}"
+    return None
 
 
 def _sheet_of(cells: Sequence[list[str]], form: TableForm) -> _Sheet:

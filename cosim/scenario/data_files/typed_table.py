@@ -114,6 +114,7 @@ class ParquetTable(DataTable):
         column = self._column(position)
         values = np.array([NAN if value is None else float(value) for value in column])
         self._refuse_infinite(values, repr(self._names[position]))
+        self._refuse_rounded(values, column, repr(self._names[position]))
         return values
 
     def _column(self, position: int, *, is_time: bool = False) -> list[Any]:

@@ -18,7 +18,9 @@ import numpy as np
 from cosim.errors import UsageError, quoted
 from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
+from cosim.scenario.data_files.headers import is_number
 from cosim.scenario.data_files.tables import read_texts
+from cosim.scenario.data_files.text_table import is_unit
 from cosim.scenario.document.edits import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.design.columns import ColumnValues, packed
@@ -92,6 +94,13 @@ def _read_cells_of(path: Path, file: str) -> tuple[list[str], list[ColumnValues]
     columns = [table.texts(header.position) for header in table.headers]
     if not columns or not columns[0]:
         raise UsageError(f"file {file} {NO_ROWS}")
+    words = [cells for cells in columns if cells[0].strip() and not is_number(cells[0])]
+    rest = [cell for cells in words for cell in cells[1:] if cell]
+    if rest and all(map(is_number, rest)) and all(is_unit(cells[0].strip()) for cells in words):
+        raise UsageError(
+            f"file {file}, {table.place(0)}: expected values as in the rows below, got units; take "
+            "that row out, values are in the units of their keys"
+        )
     pairs = zip(names, columns, strict=True)
     return names, [_read_cells(cells, f"file {file}", name) for name, cells in pairs]
 

@@ -48,6 +48,8 @@ FORMS = [
         "1700000000002900000,4e-3\n",
         {"offset": "first"},
     ),
+    ("  t     y\n 0.0   1\n 0.001 -2.5\n 0.0021 nan \n 0.0029 4e-3\n", {"separator": " "}),
+    ('"t","y"\n"0,0","1"\n"0,001","-2,5"\n"0,0021",""\n"0,0029","4e-3"\n', {"decimal": ","}),
     ("t [h],y\n0.5,1\n0.50000027777777778,-2.5\n0.5000005833333333,\n", {"offset": 0.5}),
 ]
 
@@ -71,6 +73,12 @@ BY_NAME = [
     "3,2024-01-01T00:00:01.000000000Z\n4,2024-01-01 01:00:01.5+01:00\n",
     "ramp,y,zeit [s]\n0,1,0\n3,2,0.5\n6,3,1\n9,4,1.5\n",
     "ramp,y,when\n0,1,00:00:00\n3,2,00:00:00.5\n6,3,00:00:01\n9,4,00:00:01.5\n",
+    "Zeit,Dauer [ms],y\n0,1,1\n0.5,2,2\n1,3,3\n1.5,4,4\n",
+    "Datum;y\n2024-01-01 00:00:00 UTC;1\n2024-01-01 00:00:00.5 UTC;2\n"
+    "2024-01-01 00:00:01Z;3\n2024-01-01 00:00:01.5Z;4\n",
+    "ramp,Milliseconds,y\n0,0,1\n3,500,2\n6,1000,3\n9,1500,4\n",
+    "ramp,Time (minutes),y\n0,0,1\n30,0.008333333333333333,2\n60,0.016666666666666666,3\n"
+    "90,0.025,4\n",
     "t,delay [ms],y\n0,1,1\n0.5,2,2\n1,3,3\n1.5,4,4\n",
     ",y\n0 days 00:00:00,1\n0 days 00:00:00.500000,2\n0 days 00:00:01,3\n0 days 00:00:01.5,4\n",
 ]
@@ -103,11 +111,11 @@ def test_the_first_column_is_that_of_the_times_if_no_column_says_so(tmp_path):
 
 def test_numbers_for_dates_are_no_seconds(tmp_path):
     """As 20240301: they are times only where a unit says which."""
-    text = "Zeit,Date,y\n0,20240301,1\n0.5,20240302,2\n"
+    text = "Takt,Date,y\n0,20240301,1\n0.5,20240302,2\n"
     path = written(tmp_path, text)
     data = read_field_data(path)
     assert data.t.tolist() == [0.0, 0.5]
-    assert "'Zeit'" in data.diagnostics[0]
+    assert "'Takt'" in data.diagnostics[0]
     assert read_field_data(path, time="Date", time_unit="d", offset="first").t[1] == 86400.0
     for refused, options in ((path, {"time": "Date"}), ("Date,y\n20240301,1\n", {})):
         file = written(tmp_path, refused, "d.csv") if isinstance(refused, str) else refused
@@ -115,7 +123,7 @@ def test_numbers_for_dates_are_no_seconds(tmp_path):
             read_field_data(file, **options)
 
 
-@pytest.mark.parametrize(("one", "other"), [("timestamp", "time"), ("Zeit (s)", "Dauer [s]")])
+@pytest.mark.parametrize(("one", "other"), [("timestamp", "time"), ("Beginn (s)", "Dauer [s]")])
 def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path, one, other):
     path = written(tmp_path, f"{one},{other},y\n0,5,1\n1,6,2\n")
     with pytest.raises(UsageError, match=rf"of times, got '{one[:4]}.*', '{other[:4]}.*by time"):
@@ -283,6 +291,19 @@ NO_SAMPLES = [
     (("t,y\n0,1\n", {"decimal": ","}), r"separator: .*',', got ','"),
     (("t,y\n0,1\n", {"separator": "::"}), r"separator: .*got '::'"),
     (("t\0y", {}), r"got a NUL"),
+    (("t  y\n0  1\n", {}), r"at least two named columns .*got 1 .*; separator = \" \" splits"),
+    (('"t","y"\n"0,0","1,5"\n', {}), r"line 2, column 1 .*decimal = \",\", and separator = \",\""),
+    (("Zeit,y\nTakte,bar\n0,1\n", {}), r"'Zeit': .*unit of time.*'Takte'.*time_unit"),
+    (("Date,Time,y\n2024-03-01,12:00:00,1\n", {}), r"'Date', 'Time'; .* one, .*03-01T12:00:00"),
+    (
+        ("t,y\n0,9007199254740992\n1,-9007199254740993\n", {}),
+        r"line 3, column 2 \('y'\): .*2\*\*53",
+    ),
+    *(
+        ((f"Datum;y\n{date};1\n2024-03-01 12:00:02;2\n", {}), rf"line 2, .*ISO 8601.* got '{date}'")
+        for date in ("01.03.2024 12:00:00", "2024/03/01 12:00", "2024-02-30", "2024-03-01 12:00:60")
+    ),
+    (("t;y\n2024-03-01;1\n2024-02-30;2\n", {}), r"line 3, column 1 \('t'\): .*got '2024-02-30'"),
 ]
 
 
@@ -293,7 +314,7 @@ def test_another_file_than_a_table_of_samples_is_refused(tmp_path):
         text, options = case
         read_field_data(written(tmp_path, text), **options)
 
-    of_file = r"(?s)^(?!.*n/a)(?=.*field\.csv|decimal|separator|columns).*"
+    of_file = r"(?s)^(?!.*n/a|.*skip = )(?=.*field\.csv|decimal|separator|columns).*"
     check_refused([(case, of_file + pattern) for case, pattern in NO_SAMPLES], read)
 
 

@@ -94,6 +94,8 @@ TEXTS = {
     "a preamble of as many cells": (f"Rate,100\nDate,2024-01-01\ntime,y\n{ROWS_BELOW}", None),
     "a row of units": ("time,y,n\nms,mm,-\n0,1,0\n500,2,0\n1000,3.5,0\n1500,4,0\n", "mm"),
     "units in brackets": ("time,y,n\n[ms],[rpm],\n0,1,0\n500,2,0\n1e3,3.5,0\n1500,4,0\n", "rpm"),
+    "units in words": ("y;t\nBar;Millisekunden\n1,0;0\n2;500\n3,5;1000\n4;1500\n", "Bar"),
+    "units of German words": ("Zeit;y\nSekunden;Bar\n0;1,0\n0,5;2\n1;3,5\n1,5;4\n", "Bar"),
     "decimal commas": ("time;y\n0,0;1,0\n0,5;2,0\n1,0;3,5\n1,5;4,0\n", None),
     "separators at the ends": ("time;y\n0;1;\n0,5;2;\n1;3,5;\n1,5;4;\n", None),
     "tabs and decimal commas": ("time\ty [m/s]\n0\t1\n0,5\t2\n1\t3,5\n1,5\t4\n", "m/s"),
@@ -182,6 +184,10 @@ def test_sheets_of_excel(tmp_path):
         read_field_data(path)
     with pytest.raises(UsageError, match="no sheet 'tow'; did you mean 'two'"):
         read_field_data(path, sheet="tow")
+    path = sheet(tmp_path / "formula.xlsx", ("one", [["t", "y"], [0, 1], [1, "=B2+1"], [2, None]]))
+    with pytest.raises(UsageError, match=r"sheet 'one', cell B3: .*formula.*save it in Excel"):
+        read_field_data(path)
+    path = tmp_path / "two.xlsx"
     path.write_bytes(b"PK\3\4")
     with pytest.raises(UsageError, match=r"two\.xlsx': not a valid Excel file"):
         read_field_data(path)

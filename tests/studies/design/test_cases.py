@@ -68,7 +68,7 @@ def test_tables_of_cases_have_the_forms_of_other_tables(write, tmp_path):
     assert plain(read_cases(path)) == expected
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
-    for row in (["a.x", "a.n", "a.kind"], [1.5, 3, "sine"], ["2.0", None, "step"]):
+    for row in (["Plan 7"], [], ["a.x", "a.n", "a.kind"], [1.5, 3, "sine"], ["2.0", None, "step"]):
         book.active.append(row)
     book.save(tmp_path / "cases.xlsx")
     assert plain(read_cases(tmp_path / "cases.xlsx")) == expected
@@ -148,6 +148,7 @@ def test_a_parquet_table_has_the_same(tmp_path):
         ("a.x,a.x\n1,2\n", "two columns 'a.x'"),
         ("a.x,components.a.x\n1,2\n", "two columns 'components.a.x'"),
         ("a.x,\n1,2\n", r"a column without a name.* \(of pandas: "),
+        ("a.x,a.y,a.n\n-,V,s\n1,2.5,3\n2,,4\n", "line 2: .*got units; take that row out"),
         ("plant\n3\n", "column 'plant': .*got 3"),
         ("a.x\n" + 60 * "[" + 60 * "]" + "\n", r"column 'a.x': .*nested"),
         ("a.x\n1979-05-27\n", r"column 'a.x': .*datetime.date\(1979, 5, 27\)"),
