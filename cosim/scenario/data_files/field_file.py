@@ -229,7 +229,10 @@ def _clock(
         names = ", ".join(repr(header.name) for header in candidates)
         way_out = "select one by time"
         if any(header.has_dates for header in candidates):
-            way_out += ", or write date and time of day into one, such as 2024-03-01T12:00:00"
+            way_out = (
+                "write date and time of day into one, such as 2024-03-01T12:00:00, or select one "
+                "by time and the signals by columns"
+            )
         raise UsageError(f"{table.label}: expected one column of times, got {names}; {way_out}")
     if candidates:
         clock = candidates[0]

@@ -74,6 +74,11 @@ def nanoseconds(text: str) -> Decimal | None:
     return (60 * minutes + Decimal(duration["s"] or 0)) * NANOSECONDS
 
 
+def _is_stamp(cell: str) -> bool:
+    """Return whether a cell is a date, of ISO 8601 or not, or a duration."""
+    return nanoseconds(cell) is not None or _LIKE_A_DATE.fullmatch(cell) is not None
+
+
 # --- rows of cells ---
 
 
@@ -112,7 +117,8 @@ class TextTable(DataTable):
         self._separator = sheet.separator
         if sheet.separator is not None:
             self.hint = f" (separated by {sheet.separator!r})"
-            aligned = sheet.rows[-1].cells[0].split() if sheet.rows and sheet.rows[-1].cells else []
+            last = sheet.rows[-1].cells[:1] if sheet.rows else []
+            aligned = [part for cell in last for part in cell.split(" ") if part]
             if len(aligned) > 1 and all(map(is_number, aligned)):
                 self.hint += '; separator = " " splits at blanks'
         widths = Counter(row.width for row in sheet.rows[-_SAMPLE:] if row.cells)
@@ -149,8 +155,7 @@ class TextTable(DataTable):
 
     def _is_value(self, cell: str) -> bool:
         cell = cell.strip()
-        is_date = nanoseconds(cell) is not None or _LIKE_A_DATE.fullmatch(cell) is not None
-        return is_date or is_number(cell.replace(",", "."))
+        return _is_stamp(cell) or is_number(cell.replace(",", "."))
 
     def _columns_of_numbers(self, rows: Sequence[_Row], width: int) -> list[int]:
         """Return the columns that have numbers or times in the last rows."""
@@ -257,7 +262,7 @@ class TextTable(DataTable):
         units = [unit.strip() for unit in row.cells]
         named = list(zip(above.cells, units, strict=False))
         is_beside = row.width == above.width and all(name.strip() for name, unit in named if unit)
-        if not is_beside or self._is_data(row):
+        if not is_beside or self._is_data(row) or any(map(_is_stamp, above.cells)):
             return False
         if any(Header.parse(name, 0).times for name in above.cells):  # then any text is a unit
             return not any(Header.parse(unit, 0).times and unit != "t" for unit in units)
@@ -423,6 +428,8 @@ class TextTable(DataTable):
             way_out = f'; the decimal separator is {self._decimal!r}, see decimal = "{other}"'
             if self._separator == ",":
                 way_out += ', and separator = ","'
+            if _THOUSANDS.fullmatch(cell):
+                way_out += ", unless commas separate thousands"
         raise UsageError(
             f"{self._cell(row, position)}: expected a number or an empty cell, got text{way_out}"
         )

@@ -16,7 +16,7 @@ class TableKeys(TomlTable):
     separator: str | None = Field(
         None,
         description="column separator of a text; default: tab, semicolon, vertical bar or "
-        "comma, the one that splits its lines into equally many cells",
+        "comma, the one that splits its lines into equally many cells; several blanks are one",
     )
     decimal: Literal[".", ","] | None = Field(
         None, description="decimal separator of a text; default: as found in its numbers"

@@ -294,7 +294,7 @@ NO_SAMPLES = [
     (("t  y\n0  1\n", {}), r"at least two named columns .*got 1 .*; separator = \" \" splits"),
     (('"t","y"\n"0,0","1,5"\n', {}), r"line 2, column 1 .*decimal = \",\", and separator = \",\""),
     (("Zeit,y\nTakte,bar\n0,1\n", {}), r"'Zeit': .*unit of time.*'Takte'.*time_unit"),
-    (("Date,Time,y\n2024-03-01,12:00:00,1\n", {}), r"'Date', 'Time'; .* one, .*03-01T12:00:00"),
+    (("Date,Time,y\n2024-03-01,12:00:00,1\n", {}), r"'Date', 'Time'; .*T12:00:00, .* by columns"),
     (
         ("t,y\n0,9007199254740992\n1,-9007199254740993\n", {}),
         r"line 3, column 2 \('y'\): .*2\*\*53",

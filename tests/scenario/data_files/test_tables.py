@@ -91,6 +91,7 @@ TEXTS = {
     "comments": (f"# tank 3\n# rate: 2 Hz, 4 rows\ntime,y\n0,1\n# paused\n{ROWS_BELOW[4:]}", None),
     "names in a comment": (f"# of numpy\n# time,y\n{ROWS_BELOW}", None),
     "a preamble": (f"Logger 5\nDevice,ABC\nDate,2024-01-01\n\ntime,y\n{ROWS_BELOW}", None),
+    "a date above": (f"Datum,01.03.2024\nwhen [s],y\n{ROWS_BELOW}", None),
     "a preamble of as many cells": (f"Rate,100\nDate,2024-01-01\ntime,y\n{ROWS_BELOW}", None),
     "a row of units": ("time,y,n\nms,mm,-\n0,1,0\n500,2,0\n1000,3.5,0\n1500,4,0\n", "mm"),
     "units in brackets": ("time,y,n\n[ms],[rpm],\n0,1,0\n500,2,0\n1e3,3.5,0\n1500,4,0\n", "rpm"),
