@@ -75,7 +75,7 @@ _ALWAYS_COMPARED = (
 )
 NOT_COMPARED = (
     "designs of what was not recomputed, models from files and FMUs, error growth of loops, error "
-    "estimates, stop reason, machine, metadata of FMUs and files"
+    "estimates, stop reason, machine and time, metadata of FMUs and files"
 )
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the

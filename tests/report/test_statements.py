@@ -120,7 +120,11 @@ def records(path):
         component = name.removeprefix("cosim.component.")
         for key in items:
             taken = TAKEN_OF_COPIED if component == "plant" else set()
-            if name == "cosim.env" or (name, key) in TAKEN or (component != name and key in taken):
+            if (
+                name in ("cosim.env", "cosim.written")
+                or (name, key) in TAKEN
+                or (component != name and key in taken)
+            ):
                 continue
             yield name, key
 

@@ -49,11 +49,6 @@ class RecordedFmu:
     means: bool
 
 
-def _recorded(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the metadata of an FMU, its path from the working folder: a log is sent to others."""
-    return {**metadata, "path": os.path.relpath(metadata["path"])}
-
-
 NONE_AGAIN: Final[Mapping[str, RecordedFmu]] = MappingProxyType({})
 
 
@@ -117,11 +112,11 @@ class ScenarioFmus:
 
         if self._describes:
             described = describe(self._files.path(path), options)
-            self._records.add_metadata(name, _recorded(described.metadata))
+            self._records.add_metadata(name, self._recorded(name, described.metadata))
             return described
         loaded = self._resources.enter_context(self._load(name, path, options))
         self._records.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
-        self._records.add_metadata(name, _recorded(loaded.metadata))
+        self._records.add_metadata(name, self._recorded(name, loaded.metadata))
         for note in loaded.notes:
             self._records.warn(name, note)
         self.opened[name] = loaded
@@ -129,6 +124,15 @@ class ScenarioFmus:
         if loaded.model_exchange is not None:
             self.model_exchange[name] = loaded.model_exchange
         return loaded.component
+
+    def _recorded(self, name: str, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the metadata of an FMU, its path from the working folder: a log is sent to others.
+
+        That of a recorded run stays as it is.
+        """
+        if name in self._again:
+            return metadata
+        return {**metadata, "path": os.path.relpath(metadata["path"])}
 
     def _load(self, name: str, path: str, options: FmuOptions) -> Fmu:
         """Load an FMU, or the one of the recorded run, which is known by where it was then."""

@@ -176,6 +176,24 @@ def _is_apart(own: FittedModel, theta: Vector, standard_error: Vector) -> bool:
     return bool((distances > reach + SAME_THETA * sizes).any())
 
 
+def assess_near(problem: OutputErrorProblem, start: Vector) -> Assessment:
+    """Assess the optimum that a start leads to, whether or not there is a better one.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    start : Vector, shape (P,)
+
+    Raises
+    ------
+    AssumptionError
+        As from :func:`assess`.
+    StartError
+        If the response at the start is not finite.
+    """
+    return _assessed(_white(problem, start))
+
+
 def _near(problem: OutputErrorProblem, theta: Vector) -> _Examined | None:
     """Fit from a theta; None where nothing can be fitted from it."""
     if not np.isfinite(theta).all():

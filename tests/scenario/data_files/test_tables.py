@@ -387,7 +387,12 @@ def test_a_crafted_file_is_read_right_or_refused(tmp_path_factory, file):
     lines = text.removeprefix("\ufeff").split(end)
     if any(row.what == "units" for row in table.reading):
         lines.pop(next(i for i, line in enumerate(lines) if i and line.strip()))
-    names, values = reference("\n".join(line for line in lines if line.strip()))
+    filled = [line for line in lines if line.strip()]
+    names, values = reference("\n".join(filled))
+    if len(table.headers) < len(names):
+        assert all(line.rstrip().endswith(",") for line in filled)
+        values = [row[:-1] for row in values]
+        names.pop()
     assert [header.text for header in table.headers] == names
     assert np.array_equal(found, np.array(values).reshape(found.shape))
 

@@ -100,9 +100,11 @@ def test_files_are_sent_and_outcomes_name_those_of_the_planner(two_workers, tmp_
         for result in pool.run(design.members()):
             dataset.add(*result)
         needed = dataset.read()
-    assert_same(found, needed)
     reasons = found.column("reason").to_pylist()
     assert f"{HERE}/fmus/FAILS_STEP.fmu" in reasons[1]
+    own = [reason and reason.replace(str(folder), HERE) for reason in needed["reason"].to_pylist()]
+    place = needed.column_names.index("reason")
+    assert_same(found, needed.set_column(place, "reason", [own]))
     assert found.column("status").to_pylist().count(FAILED) == 3
 
 
