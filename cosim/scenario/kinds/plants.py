@@ -208,7 +208,7 @@ class FmuKind(PlantKind, PeriodicKind):
     outputs: list[StrictStr] = Field(
         [],
         description="local variables and parameters to add to the outputs, or patterns such as "
-        '"damper.*"; "cosim info" lists them',
+        "\"damper.*\"; 'cosim info' lists them",
     )
 
     input_interpolation: Literal["linear", "zero-order"] | None = Field(
