@@ -128,7 +128,14 @@ class Grid:
         if largest <= EXACT:
             return multiples * numerator / denominator
         # As doubles the operands of the division would be rounded, too.
-        return np.array([k * numerator / denominator for k in multiples.tolist()], np.float64)
+        return np.array([self.instant(number) for number in numbers.tolist()], np.float64)
+
+    def instant(self, number: int) -> float:
+        """Return the double next to one point [s]."""
+        if isinstance(self.step_ns, int):
+            return self.stamp(number) / NANOSECONDS
+        numerator, denominator = (self.step_ns / NANOSECONDS).as_integer_ratio()
+        return (self._first + number) * numerator / denominator
 
     @property
     def _first(self) -> int:

@@ -17,6 +17,7 @@ from time import perf_counter
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.arguments import kind_of
@@ -249,7 +250,7 @@ class Clock:
         steps = self._steps_to_stop()
         if isinstance(self.step_ns, Fraction):
             for key, number in (("start_time", 0), ("stop", steps)):
-                object.__setattr__(self, key, float(self.grid.time(np.array([number]))[0]))
+                object.__setattr__(self, key, self.grid.instant(number))
         if self.block is not None and (type(self.block) is not int or self.block < 1):
             found = kind_of(self.block)
             raise ClockError(f"block: expected a number of steps >= 1, or None, got {found}")
@@ -352,8 +353,11 @@ class Clock:
 
     def nearest_points(self, times: Vector) -> Vector:
         """Return the communication point nearest to each instant [s], also outside the run."""
+        return self.grid.time(self._nearest(times))
+
+    def _nearest(self, times: Vector) -> NDArray[np.int64]:
         numbers = np.rint((times * NANOSECONDS - self.start_ns) / float(self.step_ns))
-        return self.grid.time(numbers.astype(np.int64))
+        return numbers.astype(np.int64)
 
     def at_points(self, times: Vector) -> Vector:
         """Return instants [s], those that are stamps of communication points as these points.
@@ -381,18 +385,16 @@ class Clock:
 
         Of a step that is a fraction, logs and tables have the latter.
         """
-        numbers = np.rint((times * NANOSECONDS - self.start_ns) / float(self.step_ns))
-        stamps = self.grid.stamp(numbers.astype(np.int64)) / NANOSECONDS
+        stamps = seconds(self.grid.stamp(self._nearest(times)))
         rounding = 4.0 * np.spacing(np.maximum(np.abs(times), self.h))
         is_stamp: Mask = np.abs(stamps - times) <= rounding
         return self.is_point(times) | is_stamp
 
     def points_around(self, time: float) -> tuple[float, float]:
         """Return the communication points before and after an instant [s] that is none."""
-        number = round((time * NANOSECONDS - self.start_ns) / float(self.step_ns))
-        around = self.grid.time(np.array([number - 1, number, number + 1]))
-        before = 0 if around[1] >= time else 1
-        return float(around[before]), float(around[before + 1])
+        (nearest,) = self._nearest(np.array([time])).tolist()
+        before = nearest - 1 if self.grid.instant(nearest) >= time else nearest
+        return self.grid.instant(before), self.grid.instant(before + 1)
 
     def block_at(self, index: int, steps: int) -> Block:
         """Return some communication steps, from the point of number ``index`` on."""

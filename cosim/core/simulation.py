@@ -161,7 +161,7 @@ class Simulation:
     @property
     def t(self) -> float:
         """The time that is reached [s]."""
-        return float(self._clock.grid.time(np.array([self.index]))[0])
+        return self._clock.grid.instant(self.index)
 
     @property
     def steps_left(self) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-import numpy as np
 from pydantic import Field
 
 from cosim.core.clock import LARGEST_NS, Clock
@@ -67,7 +66,7 @@ def start_time(
             "fractions"
         )
     steps = math.ceil(elapsed_ns / clock.step_ns)
-    time = float(clock.grid.time(np.array([steps]))[0])
+    time = clock.grid.instant(steps)
     context.add_metadata(source.identifier, {"start_time": time})
     return time
 
