@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from cosim.scenario.identifying import identify
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.replay import replay
-    from cosim.studies.dataset.study import open_study
+    from cosim.studies.study import open_study
     from cosim.studies.metrics.recorded import metrics
-    from cosim.studies.running.studying import study
+    from cosim.studies.studying import study
     from cosim.studies.tuning.tuning import tune
 
 _HOMES = {
@@ -46,12 +46,12 @@ _HOMES = {
     "metrics": "cosim.studies.metrics.recorded",
     "model_table": "cosim.scenario.context.models",
     "open_log": "cosim.log.reading.reader",
-    "open_study": "cosim.studies.dataset.study",
+    "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",
     "replay_sweep": "cosim.report.sweep",
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
-    "study": "cosim.studies.running.studying",
+    "study": "cosim.studies.studying",
     "tune": "cosim.studies.tuning.tuning",
 }
 

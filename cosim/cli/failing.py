@@ -12,8 +12,8 @@ from cosim.cli.options import print_notice
 from cosim.errors import UsageError, listing, nearest, option, quoted
 
 if TYPE_CHECKING:
-    from cosim.studies.dataset.study import Study
     from cosim.studies.metrics.assertions import AssertedView, Assertions
+    from cosim.studies.study import Study
 
 # what fails a verdict of a study, by the words in it
 _WORDS: Final = {

@@ -6,8 +6,8 @@ from __future__ import annotations
 def stopped_text(place: str, *, new: bool) -> str:
     """Return what there is of a study that is stopped; ``new``: that was to begin anew."""
     from cosim.errors import DatasetError
-    from cosim.studies.dataset.study import open_study
-    from cosim.studies.dataset.study_dataset import StudyDataset
+    from cosim.studies.dataset import StudyDataset
+    from cosim.studies.study import open_study
 
     try:
         if not StudyDataset.is_at(place):

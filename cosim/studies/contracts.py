@@ -7,9 +7,8 @@ worker, and on another machine.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from types import TracebackType
-from typing import Any, Final, Literal, Protocol, Self, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, TypeAlias
 
 MetricValue: TypeAlias = float | str | None
 MemberStatus: TypeAlias = Literal["complete", "failed"]
@@ -36,16 +35,12 @@ class StudyMember:
         As of ``cosim run --swap``.
     recording : str or None
         The log that is replayed with these edits; None: the scenario is run.
-    designs : str
-        What was designed for it alone where it ran before, as of MemberOutcome; empty: that is
-        computed.
     """
 
     number: int
     set: Mapping[str, Any] = field(default_factory=dict)
     swap: Mapping[str, str] = field(default_factory=dict)
     recording: str | None = None
-    designs: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +59,10 @@ class MemberOutcome:
         None: there is none, such as where it failed.
     wall_time : float
         [s], building included.
-    designs : str
-        JSON of what was designed for this member alone (gains, discretized matrices); empty:
-        nothing was.
     worker : str
         Where it ran.
     warnings : sequence of str
         What it warned of, in alphabetical order.
-    details : mapping of name to value
-        What its runner says of it besides; that is not recorded.
     """
 
     number: int
@@ -81,10 +71,8 @@ class MemberOutcome:
     steps: int = 0
     metrics: Mapping[str, MetricValue] = field(default_factory=dict)
     wall_time: float = 0.0
-    designs: str = ""
     worker: str = ""
     warnings: Sequence[str] = ()
-    details: Mapping[str, MetricValue] = field(default_factory=dict)
 
 
 MemberResult: TypeAlias = tuple[StudyMember, MemberOutcome]  # what was run, and what it came to
@@ -105,13 +93,6 @@ class StudySubject:
         Keep, beside the metrics, what the result of a run says: estimates, errors, verdicts.
     allow_code : bool
         Of members that replay logs, as of :func:`cosim.replay`.
-    logs : str
-        Folder for the logs of members that are logged.
-    designs : str
-        What was designed where the study was planned (gains, discretized matrices) for all members
-        alike: JSON. Linear algebra gives other bits on other machines. Empty: it is computed.
-    replay_designs : sequence of (recording, JSON)
-        The same for members that replay one log: what that does not have.
     digests : mapping of path to SHA-256
         Of all files that members read, as they were when the study was planned, under the absolute
         paths that are opened; behind ``code of`` those of the classes of users. A member that
@@ -125,38 +106,4 @@ class StudySubject:
     metrics: Mapping[str, str] = field(default_factory=dict)
     with_results: bool = False
     allow_code: bool = False
-    logs: str = ""
-    designs: str = ""
-    replay_designs: Sequence[Sequence[str]] = ()
     digests: Mapping[str, str] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
-
-
-class MemberRunner(Protocol):
-    """Runs members one after the other in this process; a context manager that frees what it holds.
-
-    What fails in a run is an outcome. A crash or a hang of a foreign binary is not: it is the
-    process that is lost, which is why members run in workers.
-    """
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Free what it holds."""
-        ...
-
-    def run(self, member: StudyMember) -> MemberOutcome:
-        """Run a member."""
-        ...

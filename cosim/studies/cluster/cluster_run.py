@@ -32,7 +32,7 @@ from cosim.studies.cluster.planned_members import OutcomeSink, PlannedMembers
 from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.workers.messages import encode_member
 
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ from typing import Final, final
 from cosim.errors import CosimError, UsageError
 from cosim.studies.cluster.opening import TRIAL, TryingRunner
 from cosim.studies.contracts import FAILED, MemberOutcome, MemberRunner, StudyMember, StudySubject
-from cosim.studies.dataset.columns import LOG
+from cosim.studies.dataset import LOG
 from cosim.studies.dataset.log_files import LOGS, log_name, unfinished_name
 from cosim.studies.dataset.storage import Storage, open_storage
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.members.left_log import readable_log
 from cosim.studies.members.logging_runner import LoggingRunner
 from cosim.temporary import TemporaryFolder

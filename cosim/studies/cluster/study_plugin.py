@@ -25,7 +25,7 @@ from cosim.studies.cluster.file_copies import (
 from cosim.studies.cluster.member_executor import MemberExecutor
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 
 
 @final

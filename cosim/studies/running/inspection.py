@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,10 +15,9 @@ from cosim.studies.design.member_check import is_own_code
 from cosim.studies.design.planning import edited_scenario
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.members.inspector import REFUSED, open_inspector
-from cosim.studies.workers.pool import WorkerPool
+from cosim.studies.members import MemberSources, OpenedSubject, inspect_member
+from cosim.studies.workers import LocalExecutor
 
-INSPECTOR: Final = "cosim.studies.members.inspector:open_inspector"
 MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
 MOST_DRAWN: Final = 10  # samples that are tried where the first one is refused
 
@@ -29,15 +28,14 @@ class Inspection:
 
     Parameters
     ----------
-    outcomes : sequence of MemberOutcome
-        Of the inspector.
+    found : mapping of member to MemberSources or MemberOutcome
     trial : StudyMember
         One that is not refused, if there is one.
     notices : sequence of str
         Which members are, where others are not.
     """
 
-    outcomes: Sequence[MemberOutcome]
+    found: Mapping[int, MemberSources | MemberOutcome]
     trial: StudyMember
     notices: Sequence[str]
 
@@ -46,21 +44,21 @@ def inspect_members(
     study: StudyFile, scenario: Scenario, design: StudyDesign, members: Sequence[StudyMember]
 ) -> Inspection:
     """Build members; one that is refused with its draws is built with those of other members."""
-    outcomes = {outcome.number: outcome for outcome in _inspect(study, scenario, members)}
+    found = dict(_inspect(study, scenario, members))
     trial = members[0]
     notices = []
     for member in members:
         others = _with_other_draws(design, member)
-        if not others or REFUSED not in outcomes[member.number].details:
+        first = found[member.number]
+        if not others or isinstance(first, MemberOutcome) or not first.refused:
             continue
-        for outcome in _inspect(study, scenario, others):
-            if REFUSED not in outcome.details:
-                reason = outcomes[member.number].details[REFUSED]
-                notices.append(f"{_refusal_of(design, member)}: {reason}")
-                outcomes[member.number] = replace(outcome, number=member.number)
-                trial = others[outcome.number] if member is members[0] else trial
+        for number, other in _inspect(study, scenario, others):
+            if isinstance(other, MemberOutcome) or not other.refused:
+                notices.append(f"{_refusal_of(design, member)}: {first.refused}")
+                found[member.number] = other
+                trial = others[number] if member is members[0] else trial
                 break
-    return Inspection(list(outcomes.values()), trial, notices)
+    return Inspection(found, trial, notices)
 
 
 def _refusal_of(design: StudyDesign, member: StudyMember) -> str:
@@ -84,16 +82,17 @@ def inspected_members(design: StudyDesign, checked: CheckedDesign) -> list[Study
 
 def _inspect(
     study: StudyFile, scenario: Scenario, members: Sequence[StudyMember]
-) -> Iterator[MemberOutcome]:
+) -> Iterator[tuple[int, MemberSources | MemberOutcome]]:
     """Build members, and yield what the inspector says of each."""
     edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
     if all(is_own_code(one) for one in edited):
-        with open_inspector(study.subject) as inspector:
-            yield from map(inspector.run, members)
+        with OpenedSubject(study.subject) as opened:
+            for member in members:
+                yield member.number, opened.inspect(member)
         return
-    with WorkerPool(INSPECTOR, study.subject, 1, timeout=study.settings.timeout) as pool:
-        for _, outcome in pool.run(members):
-            yield outcome
+    with LocalExecutor(study.subject, 1, timeout=study.settings.timeout) as executor:
+        for member, found in executor.run(members, inspect_member):
+            yield member.number, found
 
 
 def _with_other_draws(design: StudyDesign, member: StudyMember) -> list[StudyMember]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,31 +15,32 @@ from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.analysis.columns import count_text
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import MetricValue, StudyMember, StudySubject
-from cosim.studies.dataset.columns import (
+from cosim.studies.dataset import (
+    OF_METRICS,
     StudyColumn,
+    StudyIdentity,
     metric_column,
     parameter_column,
     result_columns,
+    scenario_digests,
 )
-from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity, scenario_digests
 from cosim.studies.design.checking import check_design
 from cosim.studies.design.columns import SampleColumn, plain_values
 from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import STUDY, StudyFile
-from cosim.studies.members.sources import common_texts
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.inspection import inspect_members, inspected_members
 from cosim.studies.running.recorded_study import RecordedStudy, own_environment
 from cosim.studies.running.sources import (
     StudySources,
+    common_texts,
     found_sources,
     named_files,
     scenario_digest,
 )
 
-RUNNER: Final = "cosim.studies.members.runner:open_runner"
 RECORD: Final = "record"  # the table of a scenario, and the first word of its keys
 
 
@@ -105,16 +106,7 @@ class StudyPlan:
             digests,
             self._columns(results),
             len(self.design),
-            designs=self.sources.designs,
-            replay_designs=self.sources.replay_designs,
         )
-
-    def with_designs(self, identity: StudyIdentity) -> StudyPlan:
-        """Return the plan with the designs that a dataset was begun with, wherever that was."""
-        sources = replace(
-            self.sources, designs=identity.designs, replay_designs=identity.replay_designs
-        )
-        return replace(self, sources=sources)
 
     def _columns(self, results: Mapping[str, MetricValue]) -> tuple[StudyColumn, ...]:
         columns = []
@@ -178,7 +170,7 @@ def plan_members(
     inspection = inspect_members(study, scenario, design, inspected)
     members = {member.number: member for member in inspected}
     sources = found_sources(
-        {**named, **files}, inspection.outcomes, members, refused=refused or _refused
+        {**named, **files}, inspection.found, members, refused=refused or _refused
     )
     warnings = [f"warning: {text}" for text in sources.warnings]
     settings = study.settings

@@ -15,9 +15,12 @@ from typing import Final
 from cosim.digests import sha256_of
 from cosim.errors import RunError, UsageError, listing
 from cosim.files import file_type
-from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember, StudySubject
-from cosim.studies.members.inspector import DESIGNS, FILE, MODULE, REFUSED
-from cosim.studies.members.sources import CODE, possible_files
+from cosim.log.mcap_file.rotation import part_paths
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.replaying import texts_in
+from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
+from cosim.studies.document.study_file import STUDY
+from cosim.studies.members import MemberSources
 
 _KINDS: Final = {".fmu": "FMU", ".mcap": "log", ".csv": "table", ".parquet": "table"}
 _SHOWN: Final = 5  # members that a warning names
@@ -45,16 +48,12 @@ class StudySources:
     files: Mapping[str, str] = field(default_factory=dict)
     modules: Mapping[str, str] = field(default_factory=dict)
     codes: Mapping[str, str] = field(default_factory=dict)
-    designs: str = ""
-    replay_designs: tuple[tuple[str, str], ...] = ()
     warnings: tuple[str, ...] = ()
 
     def given_to(self, subject: StudySubject) -> StudySubject:
         """Return a subject whose members are checked to read just this."""
         digests = {**self.files, **self.modules, **self.codes}
-        return replace(
-            subject, designs=self.designs, replay_designs=self.replay_designs, digests=digests
-        )
+        return replace(subject, digests=digests)
 
     def digests(self, scenario: str, folder: Path) -> dict[str, str]:
         """Return the SHA-256 of everything but the scenario, by names for messages.
@@ -118,7 +117,7 @@ def named_files(texts: Iterable[str], folder: Path) -> dict[str, str]:
 
 def found_sources(
     files: Mapping[str, str],
-    outcomes: Iterable[MemberOutcome],
+    found: Mapping[int, MemberSources | MemberOutcome],
     members: Mapping[int, StudyMember],
     *,
     refused: Callable[[StudyMember, str], str],
@@ -145,42 +144,18 @@ def found_sources(
     known = dict(files)
     modules: dict[str, str] = {}
     codes: dict[str, str] = {}
-    designs: dict[str | None, str] = {}
     lost: dict[str, list[int]] = {}
-    for outcome in outcomes:
-        if outcome.status == FAILED:
-            lost.setdefault(outcome.reason, []).append(outcome.number)
-        member = members[outcome.number]
-        for name, digest in _answers(member, outcome, refused).items():
-            if name == DESIGNS:
-                if digest:
-                    designs[member.recording] = digest
-            elif name.startswith(CODE):
-                codes[name] = digest
-            elif name.startswith(MODULE):
-                modules[name.removeprefix(MODULE)] = digest
-            else:
-                _add(known, name.removeprefix(FILE), digest)
-    of_scenario = designs.pop(None, "")
-    of_replays = tuple((path, text) for path, text in designs.items() if path)
-    return StudySources(known, modules, codes, of_scenario, of_replays, tuple(_warnings(lost)))
-
-
-def _answers(
-    member: StudyMember, outcome: MemberOutcome, refused: Callable[[StudyMember, str], str]
-) -> dict[str, str]:
-    """Return what a member is made of; nothing where it was lost with its process.
-
-    Raises
-    ------
-    UsageError
-        If the member is refused.
-    """
-    if outcome.status == FAILED:
-        return {}
-    if REFUSED in outcome.details:
-        raise UsageError(refused(member, str(outcome.details[REFUSED])))
-    return {name: str(digest) for name, digest in outcome.details.items()}
+    for number, one in found.items():
+        if isinstance(one, MemberOutcome):
+            lost.setdefault(one.reason, []).append(number)
+            continue
+        if one.refused:
+            raise UsageError(refused(members[number], one.refused))
+        codes |= one.codes
+        modules |= one.modules
+        for path, digest in one.files.items():
+            _add(known, path, digest)
+    return StudySources(known, modules, codes, tuple(_warnings(lost)))
 
 
 def _add(files: dict[str, str], path: str, digest: str) -> None:
@@ -208,3 +183,26 @@ def _label(path: Path, folder: Path) -> str:
 
 def _is_in(path: str, folder: Path) -> bool:
     return Path(path).is_relative_to(os.path.realpath(folder))
+
+
+def possible_files(texts: Iterable[str], folder: Path) -> Iterator[str]:
+    for text in texts:
+        path = os.path.join(folder, text)
+        yield from _with_parts(path)
+        if "#" in text:
+            yield from _with_parts(path.rpartition("#")[0])
+
+
+def common_texts(scenario: Scenario, subject: StudySubject) -> set[str]:
+    document = scenario.document
+    texts = texts_in([dict(subject.set), dict(subject.swap)])
+    for tree in (scenario.tree, document.unswapped().tree()[0]):
+        texts |= texts_in({name: table for name, table in tree.items() if name != STUDY})
+    return texts
+
+
+def _with_parts(path: str) -> Iterator[str]:
+    if file_type(path) != "log":
+        yield path
+        return
+    yield from map(str, part_paths(Path(path)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.report.tables.console import print_json, print_section
-from cosim.studies.running.estimate import StudyEstimate
+from cosim.studies.studying import StudyEstimate
 
 
 def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False) -> None:

@@ -16,7 +16,7 @@ from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.study import WORST, CommandOf, print_study
 
 if TYPE_CHECKING:
-    from cosim.studies.dataset.study import Study
+    from cosim.studies.study import Study
     from cosim.studies.running.recorded_study import RecordedSearch
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cosim.errors import listing
 from cosim.report.tables.console import print_json, print_line
 from cosim.studies.analysis.columns import count_text
-from cosim.studies.verification.study_verification import StudyVerification
+from cosim.studies.verifying import StudyVerification
 
 
 def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:

@@ -13,8 +13,8 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.parsing import Scenario
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import RECORDING, SWAP, StudyMember
-from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity
+from cosim.studies.dataset import metric_column, parameter_column
+from cosim.studies.dataset import OF_METRICS, StudyIdentity
 from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn
 from cosim.studies.design.commands import run_command
 from cosim.studies.design.own_values import own_value

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, RECORDING, SWAP, StudyMember
-from cosim.studies.dataset.columns import MEMBER, ColumnRole, StudyColumn, json_value
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import MEMBER, ColumnRole, StudyColumn, StudyDataset, json_value
 
 if TYPE_CHECKING:
     import pandas
@@ -49,7 +48,7 @@ class Study:
     @property
     def planned(self) -> int:
         """Return how many members it has in all."""
-        return self._dataset.layout.total
+        return self._dataset.total
 
     @property
     def columns(self) -> tuple[str, ...]:

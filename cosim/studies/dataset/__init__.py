@@ -1,1 +1,0 @@
-"""The dataset of a study: what its members came to, as columns, in a folder or an object store."""

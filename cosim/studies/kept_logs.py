@@ -1,0 +1,208 @@
+"""The logs of members that are kept: they run again when the study is done, with a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import LogError, UsageError, listing, nearest, option
+from cosim.log import open_log
+from cosim.log.editing.recovering import recover
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    HANGS,
+    MemberOutcome,
+    StudyMember,
+    StudySubject,
+)
+from cosim.studies.dataset import LOGS, StudyColumn, StudyDataset
+from cosim.studies.document.keep import KeptLogs
+from cosim.studies.members import run_member
+from cosim.studies.workers import FACTOR, LEAST, UNTIL_TIMED, LocalExecutor
+from cosim.temporary import TemporaryFolder
+
+MembersDone = Callable[[int, int, int], None]
+_COMPARED: Final = ("status", "reason", "steps", "other_results")  # beside metrics
+
+
+def keep_logs(
+    kept: KeptLogs,
+    subject: StudySubject,
+    members: Callable[[int], StudyMember],
+    dataset: StudyDataset,
+    *,
+    workers: int,
+    timeout: float | None,
+    notice: Callable[[str], None],
+    progress: MembersDone | None = None,
+) -> None:
+    """Write the logs of the members that are chosen and have none yet.
+
+    Parameters
+    ----------
+    kept : KeptLogs
+    subject : StudySubject
+    members : callable
+        Returns a member by its number.
+    dataset : StudyDataset
+        Complete.
+    workers : int
+        Processes at a time.
+    timeout : float or None
+        Wall time that a member may take [s].
+    notice : callable
+        Takes what is noteworthy.
+    progress : callable, optional
+        Called with how many logs are there, of how many, and how many members have none.
+    """
+    chosen = chosen_members(kept, dataset).tolist()
+    settled = {name.partition(".")[0] for name in dataset.storage.names(LOGS)}
+    missing = [number for number in chosen if str(number) not in settled]
+    rows = {row["member"]: row for row in dataset.read(members=missing).to_pylist()}
+    failed = [number for number in missing if rows[number]["status"] == FAILED]
+    others = [number for number in missing if rows[number]["status"] == COMPLETE]
+    done = len(chosen) - len(missing)
+    without: list[str] = []
+    # the end of a log says what was identified, which may take longer than the run
+    limits = ((failed, limit_again(dataset, timeout)), (others, max(UNTIL_TIMED, timeout or 0.0)))
+    for numbers, limit in limits:
+        if not numbers:
+            continue
+        with (
+            TemporaryFolder("logs") as folder,
+            LocalExecutor(subject, min(workers, len(numbers)), timeout=limit) as executor,
+        ):
+            for member, outcome in executor.run(map(members, numbers), partial(log_member, folder)):
+                row = rows[member.number]
+                reason = _keep(dataset, _path(folder, member.number), outcome)
+                if reason:
+                    without.append(f"{member.number} ({reason})")
+                for name, was, now in different(row, dataset.row_of(member, outcome), dataset):
+                    notice(
+                        f"member {member.number} was rerun for its log: {name} = {now!r}; "
+                        f"recorded: {was!r}; the model is not deterministic, or it ran on another machine"
+                    )
+                done += 1
+                if progress is not None:
+                    progress(done, len(chosen), len(without))
+    if without:
+        notice(f"no log of failed members: {listing(without, 3)}")
+
+
+def log_member(folder: Path, subject: StudySubject, member: StudyMember) -> MemberOutcome:
+    """Run a member with a log in a folder."""
+    return run_member(subject, member, _path(folder, member.number))
+
+
+def _path(folder: Path, number: int) -> Path:
+    return folder / f"{number}.mcap"
+
+
+def _keep(dataset: StudyDataset, path: Path, outcome: MemberOutcome) -> str:
+    """Put a log to the others; return why there is none."""
+    log: Path | None = path
+    if outcome.status == FAILED:
+        log = _readable(path)
+    if log is not None:
+        dataset.storage.put(f"{LOGS}/{outcome.number}.mcap", log)
+        return ""
+    reason = f"{outcome.reason}, before a row of its log was written"
+    dataset.storage.write(f"{LOGS}/{outcome.number}.txt", f"{reason}\n".encode())
+    return reason
+
+
+def _readable(path: Path) -> Path | None:
+    """Return the log that a failed run has left, or what is intact in it; None: no row is."""
+    with suppress(LogError):
+        open_log(path)
+        return path
+    recovered = path.with_suffix(".recovered.mcap")
+    with suppress(LogError):
+        recover(path, recovered, force=True)
+        return recovered
+    return None
+
+
+def chosen_members(kept: KeptLogs, dataset: StudyDataset) -> NDArray[np.int64]:
+    """Return the members whose logs are kept, of those that are done."""
+    if kept.which == "none":
+        return np.empty(0, np.int64)
+    columns = ["member", "status", *([kept.metric] if kept.metric else [])]
+    table = dataset.read(columns)
+    members: NDArray[np.int64] = table["member"].to_numpy()
+    match kept.which:
+        case "failed":
+            return members[np.array(table["status"].to_pylist(), object) == FAILED]
+        case "numbers":
+            return members[np.isin(members, kept.numbers)]
+        case "worst" | "best":
+            values = table[kept.metric].to_numpy()  # NaN: there is none
+            order = np.lexsort((members, -values if kept.which == "worst" else values))
+            return np.sort(members[order[~np.isnan(values[order])][: kept.count]])
+    return members
+
+
+def check_kept_metric(kept: KeptLogs, columns: Iterable[StudyColumn]) -> None:
+    """Check that logs are kept by a metric that is a number."""
+    numbers = [c.name for c in columns if c.role == "metric" and c.type == "double"]
+    if kept.metric and kept.metric not in numbers:
+        raise UsageError(
+            f"{option('keep')}: {kept.metric!r} is not a numeric metric of the members; "
+            f"{nearest(kept.metric, numbers)}"
+        )
+
+
+def limit_again(dataset: StudyDataset, timeout: float | None) -> float:
+    """Return the wall time after which a member hangs that runs again [s].
+
+    One that hung has at least the time that it had; the others ten times the slowest one's.
+    """
+    if timeout:
+        return max(LEAST, timeout)
+    limit = LEAST
+    for table in dataset.tables(["reason", "wall_time"]):
+        for row in table.to_pylist():
+            hung = (row["reason"] or "").startswith(HANGS)
+            limit = max(limit, row["wall_time"] * (1.0 if hung else FACTOR))
+    return limit
+
+
+def different(
+    recorded: Mapping[str, Any], now: Mapping[str, Any], dataset: StudyDataset
+) -> Sequence[tuple[str, Any, Any]]:
+    """Return what is otherwise now than it is recorded: name, recorded, now; bit for bit."""
+    metrics = [column.name for column in dataset.columns if column.role == "metric"]
+    found = []
+    for name in (*metrics, *_COMPARED):
+        one, other = recorded[name], now[name]
+        if type(one) is type(other) and repr(one) == repr(other):
+            continue
+        if name == "reason" and _both_hang(one, other):
+            continue
+        found.append((name, one, other))
+    return found
+
+
+def _both_hang(*reasons: str | None) -> bool:
+    return all((reason or "").startswith(HANGS) for reason in reasons)
+
+
+def kept_count(kept: KeptLogs, members: int) -> int | None:
+    """Return of how many of the members the logs are kept; None: that shows later."""
+    match kept.which:
+        case "none":
+            return 0
+        case "failed":
+            return None
+        case "all":
+            return members
+        case "numbers":
+            return sum(number < members for number in kept.numbers)
+    return min(kept.count, members)

@@ -1,0 +1,312 @@
+"""Run a member of a study: the one way, for workers, clusters, kept logs and verification."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import Final, Self, final
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Block
+from cosim.core.passing_recorders import PassingRecorder, TwoRecorders
+from cosim.core.recorded.signals import DistinctWarnings, RunMessage, warning_texts
+from cosim.core.recorders import EndOfRun, end_of_run, error_text
+from cosim.core.recording import MessageLevel, Recorder
+from cosim.digests import FileDigests, digest_of
+from cosim.errors import ChangedFileError, Interrupted, UsageError
+from cosim.fmi.unpacked import UnpackedFmus
+from cosim.log import Log
+from cosim.log.editing.joining import open_joined
+from cosim.log.foreign.topics import is_foreign
+from cosim.report.summary import summarize
+from cosim.report.sweep import results_of
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.recording import Target, record, run_rows
+from cosim.scenario.running.replay import replays_of
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    MemberOutcome,
+    MemberStatus,
+    MetricValue,
+    StudyMember,
+    StudySubject,
+)
+from cosim.studies.document.scenario_of_study import load_scenario
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.temporary import without_folders
+
+CODE: Final = "code of "  # before the name of a class of users
+_OPEN_LOGS: Final = 4  # whose rows may be in memory
+_BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
+_SHOWN: Final = 12  # characters of a SHA-256
+
+
+def run_member(
+    subject: StudySubject, member: StudyMember, out: Path | None = None
+) -> MemberOutcome:
+    """Run a member of a study, and return what it came to; what it raises is its outcome.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    member : StudyMember
+    out : Path, optional
+        Its log, too; one that is there is replaced.
+
+    Raises
+    ------
+    UsageError
+        If no member of the study can be run.
+    ChangedFileError
+        If a file is not the one that the study began with.
+    """
+    return opened(subject).run(member, out)
+
+
+@dataclass(frozen=True)
+class MemberSources:
+    """What a member is made of: SHA-256 of files and modules by path, of code by class.
+
+    ``refused`` says why it cannot be built, or why a metric has no signal; empty: it can.
+    """
+
+    refused: str = ""
+    files: Mapping[str, str] = field(default_factory=dict)
+    modules: Mapping[str, str] = field(default_factory=dict)
+    codes: Mapping[str, str] = field(default_factory=dict)
+
+
+def inspect_member(subject: StudySubject, member: StudyMember) -> MemberSources:
+    """Build a member without running it; FMUs are loaded for that, and classes imported."""
+    return opened(subject).inspect(member)
+
+
+@final
+class OpenedSubject:
+    """What the members of a study are built from in this process, opened once; a context manager.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    """
+
+    def __init__(self, subject: StudySubject) -> None:
+        self.subject = subject
+        self._metrics = parse_metrics(subject.metrics)
+        self._recorder = MetricRecorder(self._metrics)
+        self._digests = FileDigests()
+        self._expected = dict(subject.digests)
+        self._check([subject.scenario] if subject.scenario in self._expected else [])
+        self._scenario = load_scenario(subject.scenario)
+        self._fmus = UnpackedFmus(self._digests)
+        self._logs: dict[str, Log] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close logs, unload FMUs."""
+        self._logs.clear()
+        self._fmus.close()
+
+    def run(
+        self, member: StudyMember, out: Path | None = None, sink: Recorder | None = None
+    ) -> MemberOutcome:
+        """Run a member; ``sink`` takes its rows instead of what keeps the metrics."""
+        measured = _Measured(self._recorder if sink is None else sink)
+        began = perf_counter()
+        status: MemberStatus = COMPLETE
+        try:
+            values = self._run(member, out, measured)
+            reason = measured.end.reason
+        except (Interrupted, ChangedFileError):
+            raise
+        except Exception as error:  # of a user's code, too: it costs this member, and no other
+            self._check(self._expected)  # unless a file that was changed is the cause
+            status = FAILED
+            reason = without_folders(error_text(error), "fmu")
+            values = dict.fromkeys(self.subject.metrics)
+        return MemberOutcome(
+            member.number,
+            status,
+            reason=reason,
+            steps=measured.steps,
+            metrics=values,
+            wall_time=perf_counter() - began,
+            worker=f"{platform.node()}:{os.getpid()}",
+            warnings=measured.warnings,
+        )
+
+    def _run(
+        self, member: StudyMember, out: Path | None, measured: _Measured
+    ) -> Mapping[str, MetricValue]:
+        with_results = self.subject.with_results
+        results: Mapping[str, MetricValue] = {}
+        with ExitStack() as resources:
+            experiment = self._experiment(member, resources)
+            read = self._read(experiment)
+            self._check(read)
+            if out is None and not with_results:  # verdicts are of a log
+                run_rows(measured, _in_short_blocks(experiment))
+            else:
+                target = Target(out, force=out is not None)
+                recording = record(
+                    experiment, target, progress=None, beside=lambda r: TwoRecorders(r, measured)
+                )
+                results = results_of(summarize(recording)) if with_results else {}
+            self._check(read)  # it may have read a file that changed meanwhile
+        own = self._recorder.values() if measured.sink is self._recorder else {}
+        return {**results, **own}
+
+    def inspect(self, member: StudyMember) -> MemberSources:
+        """Build a member; return what it is made of."""
+        try:
+            with ExitStack() as resources:
+                experiment = self._experiment(member, resources)
+                self._metrics.check({c.name: c for c in experiment.graph.layout.channels})
+                of = self._digests.of
+                files = {str(path): of(str(path)) for path in sorted(experiment.files)}
+                modules = {str(path): of(str(path)) for path in sorted(experiment.modules)}
+                return MemberSources("", files, modules, _codes(experiment))
+        except UsageError as error:
+            return MemberSources(str(error))
+
+    def _experiment(self, member: StudyMember, resources: ExitStack) -> Experiment:
+        subject = self.subject
+        swaps = {**subject.swap, **member.swap}
+        values = {**subject.set, **member.set}
+        if member.recording is None:
+            scenario = self._scenario.edit(swap=swaps, map=subject.map, set=values)
+            return build_experiment(scenario, resources, None, unpacked=self._fmus)
+        log = self._log(member.recording)
+        replays = replays_of(
+            log,
+            swap=swaps,
+            map=subject.map,
+            allow_code=subject.allow_code,
+            scenario=None if isinstance(log, Log) else self._scenario,
+        )
+        return replays.experiment(values, resources, self._fmus)
+
+    def _log(self, path: str) -> Log | str:
+        if is_foreign(Path(path)):
+            return path
+        if path not in self._logs:
+            while len(self._logs) >= _OPEN_LOGS:
+                del self._logs[next(iter(self._logs))]
+            self._logs[path] = open_joined(path)
+        return self._logs[path]
+
+    def _read(self, experiment: Experiment) -> list[str]:
+        """Return the files that an experiment reads; what was not known is expected from now on."""
+        if not self._expected:
+            return []
+        for name, digest in _codes(experiment).items():
+            if self._expected.setdefault(name, digest) != digest:
+                raise ChangedFileError(f"the {name} has changed since this study began")
+        read = sorted(map(str, experiment.files | experiment.modules))
+        for path in read:
+            if path not in self._expected:
+                self._expected[path] = self._digests.of(path)
+        return read
+
+    def _check(self, paths: Iterable[str]) -> None:
+        for path in paths:
+            if path.startswith(CODE):
+                continue
+            expected = self._expected[path]
+            try:
+                found = self._digests.of(path)
+            except OSError as error:
+                raise ChangedFileError(
+                    f"{path} has changed since this study began: it cannot be read "
+                    f"({error.strerror or error})"
+                ) from error
+            if found != expected:
+                raise ChangedFileError(
+                    f"{path} has changed since this study began: expected the SHA-256 "
+                    f"{expected[:_SHOWN]}..., got {found[:_SHOWN]}..."
+                )
+
+
+@final
+class _Measured(PassingRecorder):
+    """Passes a run on, and knows how far it came, how it ended and what it warned of."""
+
+    def __init__(self, sink: Recorder) -> None:
+        super().__init__(sink)
+        self.sink = sink
+        self.steps = 0
+        self.end = EndOfRun()
+        self._warnings = DistinctWarnings()
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.end = end_of_run(error)
+        super().__exit__(error_type, error, trace)
+
+    @property
+    def warnings(self) -> list[str]:
+        return sorted(without_folders(text, "fmu") for text in warning_texts(self._warnings))
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        self._warnings.add(RunMessage(time_ns, level, source, text))
+        super().message(time_ns, level, source, text)
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        self.steps = block.index + block.steps
+        super().write(block, signals)
+
+
+_opened: OpenedSubject | None = None
+
+
+def opened(subject: StudySubject) -> OpenedSubject:
+    """Return a subject as it is opened in this process, which keeps the last one."""
+    global _opened
+    if _opened is None or (_opened.subject is not subject and _opened.subject != subject):
+        close()
+        _opened = OpenedSubject(subject)
+    return _opened
+
+
+def close() -> None:
+    """Close the subject that this process has open."""
+    global _opened
+    if _opened is not None:
+        _opened.close()
+    _opened = None
+
+
+def _codes(experiment: Experiment) -> dict[str, str]:
+    """Return the SHA-256 of the classes of users, by name."""
+    tables = [table["code"] for table in experiment.metadata.values() if "code" in table]
+    return {f"{CODE}{code['class']}": digest_of(code) for code in tables}
+
+
+def _in_short_blocks(experiment: Experiment) -> Experiment:
+    if experiment.until is not None:  # how far a run looks ahead for its end is its own affair
+        return experiment
+    steps = max(1, _BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
+    return replace(experiment, clock=replace(experiment.clock, block=steps))

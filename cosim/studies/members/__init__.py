@@ -1,1 +1,0 @@
-"""Members of a study, run one after the other in this process."""

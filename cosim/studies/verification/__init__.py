@@ -1,1 +1,0 @@
-"""Run members of a study again, each alone, and compare bit for bit."""
