@@ -139,13 +139,13 @@ def chosen_members(kept: KeptLogs, dataset: StudyDataset) -> NDArray[np.int64]:
     members: NDArray[np.int64] = table["member"].to_numpy()
     match kept.which:
         case "failed":
-            return members[np.array(table["status"].to_pylist(), object) == FAILED]
+            members = members[np.array(table["status"].to_pylist(), object) == FAILED]
         case "numbers":
-            return members[np.isin(members, kept.numbers)]
+            members = members[np.isin(members, kept.numbers)]
         case "worst" | "best":
             values = table[kept.metric].to_numpy()  # NaN: there is none
             order = np.lexsort((members, -values if kept.which == "worst" else values))
-            return np.sort(members[order[~np.isnan(values[order])][: kept.count]])
+            members = np.sort(members[order[~np.isnan(values[order])][: kept.count]])
     return members
 
 

@@ -132,9 +132,11 @@ timeout, keep, results : optional
     with ExitStack() as resources:
         executor: MemberExecutor = LocalExecutor(plan.subject, count, timeout=limit)
         if scheduler is not None:  # before the dataset that is there is removed
-            from cosim.studies.cluster import cluster_executor
+            from cosim.studies.cluster import ClusterExecutor
 
-            executor = cluster_executor(scheduler, plan.subject, plan.files, limit, notice)
+            executor = ClusterExecutor(
+                scheduler, plan.subject, plan.trial, plan.files, timeout=limit, notice=notice
+            )
         resources.enter_context(executor)
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
         _complete(plan, dataset, executor, progress)

@@ -1,0 +1,514 @@
+"""Members on the workers of dask.distributed, each in a process beside its worker.
+
+A worker is admitted when it computes with what this machine does and builds a member. Files that it
+misses are sent to it, in one archive. A task is some seconds of members; two for each thread are on
+their way, so that the scheduler holds as much for a million members as for a thousand.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import secrets
+import threading
+import zipfile
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from time import monotonic
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self, final
+
+from cosim.digests import digest_of, sha256_of, source_digest
+from cosim.errors import CosimError, RunError, UsageError, listing, option, quoted, shortened
+from cosim.filters import ignored_warnings
+from cosim.fmi import platforms
+from cosim.interrupts import uninterrupted
+from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
+from cosim.studies.members import CODE, inspect_member
+from cosim.studies.workers import LocalExecutor
+from cosim.temporary import TemporaryFolder
+from cosim.version import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+PATIENCE: Final = 60.0  # [s] without any worker
+MOST: Final = 1000  # members of a task
+_SECONDS: Final = 10.0  # of members in a task
+_PER_THREAD: Final = 2  # tasks: the one that runs, and the next
+_CONNECTING: Final = 5.0  # [s]
+_ADMITTING: Final = 300.0  # [s]; models may be compiled
+_FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
+_LOOK: Final = 1.0  # [s] between looks at the workers
+
+
+@dataclass(frozen=True)
+class ClusterStudy:
+    """What a worker has to know of a study.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    trial : StudyMember
+        One that can be built.
+    files : mapping of absolute path to SHA-256
+        That members read.
+    timeout : float or None
+        Wall time that a member may take [s].
+    environment : mapping of str to str
+        Where it was planned.
+    archive : str
+        The name of the file that has the files.
+    name : str
+    """
+
+    subject: StudySubject
+    trial: StudyMember
+    files: Mapping[str, str]
+    timeout: float | None
+    environment: Mapping[str, str]
+    archive: str
+    name: str = field(default_factory=lambda: secrets.token_hex(6))
+
+
+@final
+class ClusterExecutor:
+    """Runs members of one study on a cluster; a context manager that ends what it began there.
+
+    Parameters
+    ----------
+    scheduler : str or distributed.Client
+    subject : StudySubject
+    trial : StudyMember
+        One that can be built.
+    files : mapping of absolute path to SHA-256
+    timeout : float or None
+        Wall time that a member may take [s].
+    notice : callable
+        Takes a sentence for each worker that is not used.
+    """
+
+    def __init__(
+        self,
+        scheduler: str | Client,
+        subject: StudySubject,
+        trial: StudyMember,
+        files: Mapping[str, str],
+        *,
+        timeout: float | None,
+        notice: Callable[[str], None],
+    ) -> None:
+        self._scheduler = scheduler
+        codes = {name: digest for name, digest in subject.digests.items() if CODE in name}
+        archive = f"cosim-{digest_of(dict(files))[:16]}.zip"
+        own = replace(subject, digests={**files, **codes})
+        self._study = ClusterStudy(own, trial, files, timeout, environment(), archive)
+        self._notice = notice
+        self._resources = ExitStack()
+        self._threads: dict[str, int] = {}  # of the workers that are used
+        self._excluded: dict[str, str] = {}  # why others are not
+        self._waits_since: float | None = None
+        self._next_look = 0.0
+        self._seconds = 0.0  # of a member
+        self._is_sent = not files
+
+    def __enter__(self) -> Self:
+        self._client = self._resources.enter_context(connected(self._scheduler))
+        try:
+            _check_scheduler(self._client, self._study.environment)
+        except BaseException:
+            self._resources.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with uninterrupted(), self._resources, suppress(OSError, RuntimeError):
+            workers = list(self._threads)
+            if workers:
+                name = self._study.name
+                self._client.run(_close, name, workers=workers, on_error="ignore")
+
+    def run(self, members: Iterable[StudyMember]) -> Iterator[tuple[StudyMember, MemberOutcome]]:
+        """Yield members with their outcomes, as they come.
+
+        Raises
+        ------
+        UsageError
+            If no worker can run them.
+        RunError
+            If workers or the scheduler are lost, or dask gives tasks up.
+        """
+        waiting = iter(members)
+        again: deque[list[StudyMember]] = deque()
+        running: dict[Future, tuple[list[StudyMember], set[str]]] = {}
+        done: SimpleQueue[Future] = SimpleQueue()
+        given_up: list[StudyMember] = []
+        try:
+            while True:
+                self._look(wait=not running)
+                while len(running) < _PER_THREAD * sum(self._threads.values()):
+                    part = again.popleft() if again else list(islice(waiting, self._size))
+                    if not part:
+                        break
+                    future = self._submit(_run_part, self._study, part, workers=[*self._threads])
+                    running[future] = part, set(self._threads)
+                    future.add_done_callback(done.put)
+                if not running and self._threads:
+                    break
+                try:
+                    future = done.get(timeout=_LOOK)
+                    part, _ = running.pop(future)
+                except (Empty, KeyError):
+                    again += self._stranded(running)
+                    continue
+                outcomes = self._outcomes(future, part)
+                if outcomes:
+                    yield from zip(part, outcomes, strict=True)
+                elif future.status == "error":
+                    given_up += part
+                else:  # its worker died with the result
+                    again.append(part)
+        finally:
+            if running:
+                with uninterrupted(), suppress(OSError, RuntimeError):
+                    self._client.cancel(list(running), force=True)
+        if given_up:
+            numbers = listing([str(member.number) for member in given_up], 10)
+            raise RunError(
+                f"dask gave up members {numbers}: every worker that ran them died; run the same "
+                "study again to continue from its dataset"
+            )
+
+    def _outcomes(self, future: Future, part: Sequence[StudyMember]) -> list[MemberOutcome]:
+        """Return the outcomes of a task; none: its workers died."""
+        library = distributed()
+        outcomes: list[MemberOutcome] = []
+        try:
+            seconds, outcomes = future.result(timeout=_FETCHING)
+            self._seconds = max(seconds / len(part), 1e-6)
+        except (library.CancelledError, TimeoutError, OSError) as error:
+            if self._client.status != "running":
+                raise self._lost() from error
+        except library.KilledWorker:
+            pass
+        except CosimError:
+            raise
+        except Exception as error:
+            numbers = f"{part[0].number} to {part[-1].number}"
+            raise RunError(f"members {numbers}: {type(error).__name__}: {error}") from error
+        return outcomes
+
+    @property
+    def _size(self) -> int:
+        """How many members the next task has: the first ones tell how long they take."""
+        return min(MOST, max(1, int(_SECONDS / self._seconds))) if self._seconds else 1
+
+    def _submit(self, function: Callable[..., Any], *values: Any, workers: list[str]) -> Future:
+        try:
+            return self._client.submit(function, *values, workers=workers, pure=False)
+        except (OSError, RuntimeError) as error:
+            raise self._lost() from error
+
+    def _stranded(
+        self, running: dict[Future, tuple[list[StudyMember], set[str]]]
+    ) -> Iterator[list[StudyMember]]:
+        """Yield the members of tasks that no worker is left for."""
+        for future, (part, workers) in list(running.items()):
+            if not workers & self._threads.keys() and future.status != "error":
+                del running[future]
+                self._client.cancel([future], force=True)
+                yield part
+
+    def _look(self, *, wait: bool) -> None:
+        """Take notice of workers that came and went; wait for one if none is left."""
+        while monotonic() >= self._next_look or (wait and not self._threads):
+            try:
+                present: dict[str, int] = dict(self._client.nthreads())
+            except (OSError, RuntimeError) as error:
+                raise self._lost() from error
+            for address in sorted(self._threads.keys() - present.keys()):
+                del self._threads[address]
+                self._notice(f"worker {address} is gone; {len(self._threads)} left")
+            self._excluded = {a: why for a, why in self._excluded.items() if a in present}
+            new = present.keys() - self._threads.keys() - self._excluded.keys()
+            for address, problem in self._admitted(sorted(new)).items():
+                if problem:
+                    self._excluded[address] = problem
+                    self._notice(f"worker {address} is not used: {problem}")
+                else:
+                    self._threads[address] = present[address]
+            self._next_look = monotonic() + _LOOK
+            if self._threads:
+                self._waits_since = None
+                return
+            self._be_patient()
+            threading.Event().wait(0.1)
+
+    def _be_patient(self) -> None:
+        reasons = [f"{address}: {reason}" for address, reason in self._excluded.items()]
+        lack = "the scheduler has no workers"
+        if reasons:
+            lack = f"no worker can run the study: {listing(reasons, 3)}"
+        if self._waits_since is None:
+            self._waits_since = monotonic()
+            self._notice(f"{lack}; waiting {PATIENCE:g} s for a suitable worker")
+        if monotonic() >= self._waits_since + PATIENCE:
+            kind = UsageError if reasons else RunError
+            raise kind(
+                f"{lack}; none joined within {PATIENCE:g} s: start some ('dask worker ADDRESS') "
+                "and run the study again"
+            )
+
+    def _admitted(self, addresses: Sequence[str]) -> dict[str, str]:
+        """Return why workers cannot be used; empty: they can."""
+        found = self._asked(_admit, addresses)
+        lacking = [address for address, answer in found.items() if answer == _LACKS_FILES]
+        if lacking:
+            self._send()
+            found |= self._asked(_admit, lacking)
+        return found
+
+    def _asked(self, function: Callable[..., str], addresses: Sequence[str]) -> dict[str, str]:
+        asked = {a: self._submit(function, self._study, workers=[a]) for a in addresses}
+        found = {}
+        for address, future in asked.items():
+            try:
+                found[address] = str(future.result(timeout=_ADMITTING))
+            except Exception as error:  # whatever a worker of another version raises
+                found[address] = f"{type(error).__name__}: {error}"
+        return found
+
+    def _send(self) -> None:
+        """Send the files to all workers, and to those that join later."""
+        if self._is_sent:
+            return
+        from distributed.diagnostics.plugin import UploadFile
+
+        with TemporaryFolder("cluster") as folder:
+            path = folder / self._study.archive
+            with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+                for file in self._study.files:
+                    archive.write(file, _inside(file))
+            self._client.register_plugin(UploadFile(str(path), load=False))
+        self._is_sent = True
+
+    def _lost(self) -> RunError:
+        return RunError(
+            "the connection to the scheduler of dask was lost; run the same study again to "
+            "continue from its dataset"
+        )
+
+
+# --- the connection ---
+
+
+def distributed() -> Any:
+    """Return the library; UsageError: it is not installed."""
+    try:
+        return import_module("distributed")
+    except ImportError as error:
+        raise UsageError(
+            "studies on a cluster need dask.distributed, which is not installed: pip install "
+            "distributed, or, in a clone of cosim, pip install -e '.[dask]'"
+        ) from error
+
+
+@contextmanager
+def connected(scheduler: str | Client) -> Iterator[Client]:
+    """Connect to a scheduler; a client that is given is not closed.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    library = distributed()
+    if isinstance(scheduler, library.Client):
+        if scheduler.asynchronous or scheduler.status != "running":
+            kind = "asynchronous" if scheduler.asynchronous else scheduler.status
+            raise UsageError(
+                f"{option('scheduler')}: expected a connected synchronous client, such as "
+                f"distributed.Client(address), got one that is {kind}"
+            )
+        yield scheduler
+        return
+    try:
+        with ignored_warnings(r"\s*Mismatched versions"):
+            client = library.Client(scheduler, timeout=_CONNECTING, set_as_default=False)
+    except (OSError, TypeError, ValueError) as error:  # TypeError: of TLS without certificates
+        cause = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
+        raise UsageError(
+            f"{option('scheduler')}: cannot connect to a dask scheduler at {quoted(scheduler)} "
+            f"({cause}); expected the address printed by 'dask scheduler', such as tcp://host:8786"
+        ) from error
+    try:
+        yield client
+    finally:
+        with uninterrupted(), suppress(Exception):  # what is not there cannot be closed
+            client.close(timeout=2.0)
+
+
+def environment() -> dict[str, str]:
+    """Return what a process computes with."""
+    from numpy import __version__ as numpy_version
+    from scipy import __version__ as scipy_version
+
+    return {
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        "cosim": f"{__version__} {source_digest()}",
+        "numpy": numpy_version,
+        "scipy": scipy_version,
+        "system": f"{platforms.SYSTEM} {platforms.ARCHITECTURE}",
+    }
+
+
+def _differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
+    names = [name for name in expected if expected[name] != found[name]]
+    return "; ".join(f"expected {n} {expected[n]}, got {found[n]}" for n in names)
+
+
+def _check_scheduler(client: Client, own: Mapping[str, str]) -> None:
+    """Check that a scheduler can read the tasks of a study."""
+    names = ("Python", "cosim")
+    try:
+        found = client.run_on_scheduler(environment)
+        problem = _differences({name: own[name] for name in names}, found)
+    except Exception as error:  # whatever its Python raises, such as an ImportError
+        problem = f"{type(error).__name__}: {error}"
+    if problem:
+        raise UsageError(
+            f"the scheduler cannot read the tasks of a study: {problem}; start it with Python "
+            f"{own['Python']} and cosim {own['cosim']}"
+        )
+
+
+# --- in a worker of dask ---
+
+_LACKS_FILES: Final = "files are missing"
+_executors: dict[tuple[str, int], tuple[LocalExecutor, str]] = {}  # by study and thread
+
+
+def _admit(study: ClusterStudy) -> str:
+    """Return why this worker cannot run a study; empty: it can."""
+    problem = _differences(study.environment, environment())
+    if problem:
+        return problem
+    try:
+        executor, root = _executor(study)
+    except FileNotFoundError:
+        return _LACKS_FILES
+    ((_, found),) = executor.run([_moved_member(study, study.trial, root)], inspect_member)
+    problem = found.reason if isinstance(found, MemberOutcome) else found.refused
+    return problem.replace(root, "") if root else problem
+
+
+def _run_part(
+    study: ClusterStudy, members: Sequence[StudyMember]
+) -> tuple[float, list[MemberOutcome]]:
+    """Run members; return the wall time that they took together [s], and their outcomes."""
+    executor, root = _executor(study)
+    began = monotonic()
+    moved = (_moved_member(study, member, root) for member in members)
+    outcomes: dict[int, MemberOutcome] = {m.number: outcome for m, outcome in executor.run(moved)}
+    if root:
+        for number, outcome in outcomes.items():
+            warnings = [text.replace(root, "") for text in outcome.warnings]
+            reason = outcome.reason.replace(root, "")
+            outcomes[number] = replace(outcome, reason=reason, warnings=warnings)
+    return monotonic() - began, [outcomes[member.number] for member in members]
+
+
+def _close(name: str) -> None:
+    """End the children of a study."""
+    for key in [key for key in _executors if key[0] == name]:
+        executor, _ = _executors.pop(key)
+        threading.Thread(target=executor.__exit__, args=(None, None, None)).start()
+
+
+def _executor(study: ClusterStudy) -> tuple[LocalExecutor, str]:
+    """Return what runs members beside this thread, and where their files are; empty: as planned.
+
+    Raises
+    ------
+    FileNotFoundError
+        If they are nowhere.
+    """
+    key = study.name, threading.get_ident()
+    if key not in _executors:
+        root = _root(study)
+        subject = study.subject
+        if root:
+            subject = StudySubject(**_moved(asdict(subject), study.files, root))
+            scenario = Path(subject.scenario)
+            if subject.scenario in subject.digests:
+                _name_copies(scenario, study.files, root)
+                digests = {**subject.digests, subject.scenario: sha256_of(scenario)}
+                subject = replace(subject, digests=digests)
+        executor = LocalExecutor(subject, 1, timeout=study.timeout)
+        _executors[key] = executor.__enter__(), root
+    return _executors[key]
+
+
+def _root(study: ClusterStudy) -> str:
+    """Return the folder with copies of the files; empty: they are where they were planned."""
+    if all(_has(path, digest) for path, digest in study.files.items()):
+        return ""
+    folder = Path(distributed().get_worker().local_directory)
+    root = folder / f"cosim-{study.name}-{threading.get_ident()}"
+    with zipfile.ZipFile(folder / study.archive) as archive:
+        archive.extractall(root)
+    return str(root)
+
+
+def _has(path: str, digest: str) -> bool:
+    try:
+        return sha256_of(path) == digest
+    except OSError:
+        return False
+
+
+def _inside(path: str) -> str:
+    """Return the name of a file in the archive."""
+    return path.replace(":", "").lstrip("/\\")
+
+
+def _moved_member(study: ClusterStudy, member: StudyMember, root: str) -> StudyMember:
+    if not root:
+        return member
+    return StudyMember(**_moved(asdict(member), study.files, root))
+
+
+def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
+    """Return a value with the paths of copies instead of those of the files."""
+    match value:
+        case str():
+            path, mark, rest = value.partition("#")
+            return os.path.join(root, _inside(path)) + mark + rest if path in files else value
+        case Mapping():
+            return {
+                _moved(key, files, root): _moved(item, files, root) for key, item in value.items()
+            }
+        case list() | tuple():
+            return [_moved(item, files, root) for item in value]
+    return value
+
+
+def _name_copies(scenario: Path, files: Mapping[str, str], root: str) -> None:
+    """Let the copy of a scenario name the copies of files that it names by absolute paths."""
+    text = scenario.read_text(encoding="utf-8")
+    for path in files:
+        copy = os.path.join(root, _inside(path)).replace("\\", r"\\")
+        text = re.sub(f"(?<=[\"']){re.escape(path)}(?=[\"'#])", copy, text)
+    scenario.write_text(text, encoding="utf-8")
