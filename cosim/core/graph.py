@@ -44,7 +44,6 @@ from cosim.core.structure.ports import Ports, layout_of
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, nearest
 from cosim.instants import StepNs, step_seconds
-from cosim.native.numerics.program_cache import ProgramCaches
 from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
 
@@ -110,8 +109,6 @@ class Graph:
         How often the components were initialized.
     watched : frozenset of component names
         Whose loops end a run where they run away (:mod:`cosim.core.stages.runaway`); to be set.
-    program_caches : ProgramCaches or None
-        What expressions in t of the compiled steps were in the last run, for the next; to be set.
 
     Raises
     ------
@@ -139,7 +136,6 @@ class Graph:
         self.threads = threads
         self.native = native
         self.watched: frozenset[str] = frozenset()
-        self.program_caches: ProgramCaches | None = None
         self.components = checked_components(components)
         check_choice("coupling", coupling, COUPLINGS)
         interpolation = "linear" if input_interpolation is None else input_interpolation

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.common_designs import CommonDesigns, with_settings
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
@@ -23,7 +22,6 @@ def build_experiment(
     block: int | None,
     *,
     unpacked: UnpackedFmus | None = None,
-    common: CommonDesigns | None = None,
 ) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
 
@@ -36,16 +34,20 @@ def build_experiment(
         Fixed number of communication steps in a block.
     unpacked : UnpackedFmus, optional
         Where FMUs are unpacked and loaded for all builds of a process.
-    common : CommonDesigns, optional
-        Designs to take instead of computing them.
 
     Raises
     ------
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
-    experiment = with_settings(_built(scenario, resources, block, unpacked, common))
-    return experiment if common is None else common.with_settings(experiment)
+    experiment = _built(scenario, resources, block, unpacked)
+    if not experiment.settings:
+        return experiment
+    from cosim.scenario.actions.settings import prepare_settings  # rarely needed
+
+    step_ns = experiment.clock.step_ns
+    designs = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+    return replace(experiment, setting_designs=designs)
 
 
 def _built(
@@ -53,13 +55,9 @@ def _built(
     resources: ExitStack,
     block: int | None,
     unpacked: UnpackedFmus | None,
-    common: CommonDesigns | None,
 ) -> Experiment:
-    def prepared(experiment: Experiment) -> Experiment:
-        return experiment if common is None else common.prepared(experiment)
-
     def build() -> Experiment:
-        return prepared(Builder(scenario, resources, block=block, unpacked=unpacked).experiment())
+        return Builder(scenario, resources, block=block, unpacked=unpacked).experiment()
 
     def rebuild() -> Experiment:
         resources.close()
@@ -70,7 +68,7 @@ def _built(
     from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
 
     experiment, reports = build_swapped(scenario, resources, block, unpacked)
-    compared = with_reports(prepared(experiment), reports)
+    compared = with_reports(experiment, reports)
     return with_loop_gains(compared, lambda: with_reports(rebuild(), reports))
 
 

@@ -125,8 +125,6 @@ def _native_steps(members: Iterable[Member], graph: Graph) -> dict[str, NativeSt
         is_silent = step is not None and step.left_outputs is None and member.returns_left_limits
         if step is not None and not is_silent:
             steps[member.name] = step
-            if graph.program_caches is not None:
-                graph.program_caches.connect(member.name, step)
     return steps
 
 

@@ -14,29 +14,12 @@ from cosim.native.numerics.expression import Program
 from cosim.native.step import DOUBLE, NativeStep
 
 
-class ProgramCacheStruct(ctypes.Structure):
-    """cosim_program_cache.
-
-    Attributes
-    ----------
-    arrays : tuple of Vector
-        To which it points.
-    """
-
-    _fields_ = (
-        *((name, c_int64) for name in ("room", "count", "next", "misses")),
-        *((name, c_void_p) for name in ("t", "values")),
-    )
-    arrays: tuple[Vector, ...] = ()
-
-
 class ProgramStruct(ctypes.Structure):
     """cosim_program."""
 
     _fields_ = (
         ("length", c_int32),
-        *((name, c_void_p) for name in ("code", "constants")),
-        ("cache", POINTER(ProgramCacheStruct)),
+        *((name, c_void_p) for name in ("code", "constants", "cache")),
     )
 
 

@@ -156,26 +156,6 @@ class ScenarioBuildContext:
         self._sources_beside: dict[str, Component] = {}
         self.identified: dict[str, IdentifiedPlant] = {}
 
-    def keep_from(self, built: ScenarioBuildContext, tables: Collection[str]) -> None:
-        """Take what was made in another build, but for what rests on tables that are other ones.
-
-        Parameters
-        ----------
-        built : ScenarioBuildContext
-            Of a scenario with the same settings, connections and maps.
-        tables : collection of str
-            Such as ``components.plant``, ``models.academic``.
-        """
-        self.clock = built.clock
-        self.step_ns = built.step_ns
-        self.models.keep_from(built.models)
-        for name, design in built._designs.items():
-            if design.names.isdisjoint(tables) and f"components.{name}" not in tables:
-                self._designs[name] = design
-        for name, data in built._field_data.items():
-            if data.names.isdisjoint(tables) and f"components.{name}" not in tables:
-                self._field_data[name] = data
-
     # --- what a kind may ask for ---
 
     @cached_property

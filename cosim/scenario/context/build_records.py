@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, final
 
@@ -27,11 +27,6 @@ class KeptAnswer(Generic[Made]):
     made: Made
     reads: frozenset[str]
     looked_up: frozenset[str]
-
-    @property
-    def names(self) -> frozenset[str]:
-        """The names of all these tables."""
-        return self.reads | {f"components.{name}" for name in self.looked_up}
 
 
 class LookedUpKinds(Mapping[str, Kind]):
@@ -102,24 +97,6 @@ class BuildRecords:
     def look_up(self, *components: str) -> None:
         """Record that tables of components are looked up."""
         self.looked_up[self.current].update(components)
-
-    def rests_on(self, tables: Collection[str]) -> set[str]:
-        """Return the components that were made of some tables, their own among them.
-
-        What is made of a component is made of all that this one is made of.
-        """
-        names = set()
-        for name, looked_up in self.looked_up.items():
-            own = {f"components.{other}" for other in (name, *looked_up)}
-            if name and not (own | self.reads[name]).isdisjoint(tables):
-                names.add(name)
-        count = -1
-        while len(names) > count:
-            count = len(names)
-            for name, looked_up in self.looked_up.items():
-                if name and not names.isdisjoint(looked_up):
-                    names.add(name)
-        return names
 
     def made_by(self, make: Callable[[], Made]) -> KeptAnswer[Made]:
         """Make something; return it with the tables that were read and looked up for it."""

@@ -41,12 +41,6 @@ class ScenarioModels:
         self._systems: dict[str, DescriptorSystem] = {}
         self.records: dict[str, dict[str, Any]] = {}
 
-    def keep_from(self, built: ScenarioModels) -> None:
-        """Take the models that another build has made of the same tables."""
-        for name, system in built._systems.items():
-            if self._tables.get(name) == built._tables[name]:
-                self._systems[name] = system
-
     def check_known(self, name: str) -> None:
         """Check that there is a model.
 
