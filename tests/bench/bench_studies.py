@@ -1,194 +1,135 @@
-"""Members of a study, beside the plainest loops over the same pieces, in one process.
+"""Studies beside loops: ``python tests/bench/bench_studies.py [SECTION ...]``.
 
-Run with ``python tests/bench/bench_studies.py``. CPU time of this process a member, medians of
-rounds in turn.
+``members`` runs members of ``academic`` of 0.2 s and of 10 s simulated as a study, with one worker
+and with two, beside a loop of ``cosim.run`` and ``cosim.metrics`` in this process: ratios of wall times, the
+start of workers included. ``--members N`` of 10 s (default 60; five times as many of 0.2 s).
 
-* ``academic`` (40 s at 1 ms, without and with its identifier), another theta and another initial
-  state each, five metrics: beside one call of ``cosim.core.ensemble.run_members`` with the same
-  members, already built, which adds up their rows.
-* A co-simulation FMU over 1 000 steps, driven by a source with other parameters each, or with
-  other parameters of its own: beside a loop that loads it, builds its graph, runs and computes the
-  metrics.
+``plan`` prints by how much the memory of a process grows that plans 100 000 members and begins to
+run them, against 100 members.
 
-The metrics of both are compared, where both compute them.
+``cluster`` does the same for 1 000 000 members on a LocalCluster, and prints how many tasks its
+scheduler has had at most.
 """
 
-import statistics
+from __future__ import annotations
+
+import argparse
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+import cosim
 
-from cosim.blocks.source import sine
-from cosim.core.clock import Clock
-from cosim.core.ensemble import run_members
-from cosim.core.graph import Graph
-from cosim.core.master import run
-from cosim.fmi.component import load as load_fmu
-from cosim.fmi.options import FmuOptions
-from cosim.fmi.unpacked import UnpackedFmus
-from cosim.scenario.document.document import find
-from cosim.scenario.preparing import build_experiment
-from cosim.scenario.running.execution import load
-from cosim.studies.contracts import MetricValue, StudyMember, StudySubject
-from cosim.studies.members.runner import open_runner
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
-from tests.fmi.small import able, compiled
-
-ROUNDS = 5
-METRICS = {
-    "rms": "rms(observer.delta - delta.y)",
-    "last": "last(observer.delta)",
-    "first": "first(t, abs(observer.delta - delta.y) < 1e-3)",
-    "largest": "max(abs(plant.y))",
-    "settling": "settling(plant.y)",
-}
-OF_FMU = {"rms": "rms(plant.y - u.y)", "last": "last(plant.y)", "largest": "max(abs(plant.x))"}
-SCENARIO = """
-scenario = { name = "fmu", stop = 1.0, step = 1e-3 }
-[components]
-u = { kind = "sine", amplitude = 1.0, rate = 3.0 }
-plant = { kind = "fmu", path = "plant.fmu", start = { A = -1.0, B = 1.0, C = 1.0, x = 0.5 } }
-[connections]
-"plant.u" = "u.y"
+METRICS = {"error": "rms(observer.delta - delta.y)"}
+KEY = "observer.filter_rate"
+MEMORY = """
+import resource, sys
+import cosim
+count, scheduler, out = int(sys.argv[1]), sys.argv[2] or None, sys.argv[3]
+def stop(done, *_):
+    if done == 50:
+        raise KeyboardInterrupt
+try:
+    cosim.study("academic", vary={"observer.filter_rate": {"uniform": [100.0, 200.0]}},
+        samples=count, set={"scenario.stop": 0.01}, metrics={"error": "rms(delta.y)"}, out=out,
+        workers=1, scheduler=scheduler, progress=stop)
+except KeyboardInterrupt:
+    pass
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
 """
-Edits = Mapping[str, Any]
 
 
-def seconds(members: int, work: Callable[[], object]) -> float:
-    """Return the CPU time of some work, a member [ms]."""
-    began = time.process_time()
-    work()
-    return (time.process_time() - began) / members * 1e3
+def study_seconds(stop: float, members: int, workers: int) -> float:
+    """Return the wall time of a study."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        cosim.study(
+            "academic",
+            vary={KEY: {"linear": [100.0, 200.0], "points": members}},
+            metrics=METRICS,
+            set={"scenario.stop": stop},
+            out=folder,
+            workers=workers,
+        )
+        return time.perf_counter() - began
 
 
-def compare(title: str, members: int, *works: Callable[[], object]) -> None:
-    """Print the medians of two works, done in turn, and their ratio."""
-    times: list[list[float]] = [[], []]
-    for _ in range(ROUNDS):
-        for samples, work in zip(times, works, strict=True):
-            samples.append(seconds(members, work))
-    own, plain = map(statistics.median, times)
-    print(
-        f"{title:42s} {own:8.3f} ms a member, beside {plain:8.3f} ms: ratio {own / plain:.3f}, "
-        f"beyond 1.1 x {own - 1.1 * plain:+.3f} ms"
-    )
+def loop_seconds(stop: float, members: int) -> float:
+    """Return the wall time of the same members, one after the other."""
+    began = time.perf_counter()
+    for number in range(members):
+        rate = 100.0 + 100.0 * number / members
+        log = cosim.run("academic", set={"scenario.stop": stop, KEY: rate})
+        cosim.metrics(log, METRICS)
+    return time.perf_counter() - began
 
 
-def academic(folder: Path, *, identifies: bool) -> str:
-    """Write ``academic``, without its identifier or with it; return the path."""
-    text = find("academic").text
-    if not identifies:
-        begin = text.index("[components.identifier]")
-        text = text[:begin] + text[text.index("[connections]") :]
-        lines = [line for line in text.splitlines() if not line.startswith('"identifier.')]
-        text = "\n".join(lines)
-    path = folder / f"academic-{identifies}.toml"
-    path.write_text(text)
-    return str(path)
+def compare_members(count: int) -> None:
+    """Print how studies compare with loops."""
+    cosim.run("academic", set={"scenario.stop": 0.2})
+    for stop, members in ((0.2, 5 * count), (10.0, count)):
+        loop = loop_seconds(stop, members)
+        one, two = (study_seconds(stop, members, workers) for workers in (1, 2))
+        print(
+            f"{members} members of {stop:g} s: one worker {one / loop:.2f} of the loop "
+            f"({1e3 * one / members:.1f} ms a member); two workers {loop / two / 2:.2f} of two "
+            "loops"
+        )
 
 
-def academic_edits(number: int) -> Edits:
-    """Return another theta and another initial state."""
-    theta = -0.1 - 1e-4 * number
-    return {"delta.terms[0].theta": theta, "plant.x_a0": [1.0 + 1e-3 * number, -1.0]}
+def memory(count: int, scheduler: str = "") -> float:
+    """Return the largest memory of a process that begins a study [MB]."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", MEMORY, str(count), scheduler, folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[-1])
 
 
-def compare_academic(folder: Path, members: int, *, identifies: bool) -> None:
-    """Compare members of ``academic`` with one call that has them built already."""
-    path = academic(folder, identifies=identifies)
-    edits = [academic_edits(number) for number in range(members)]
-    scenario = load(path)
-    with ExitStack() as resources:
-        runner = resources.enter_context(open_runner(StudySubject(path, metrics=METRICS)))
-        whole = build_experiment(scenario, resources, None)
-        built = []
-        for changes in edits:
-            graph = build_experiment(scenario.set(changes), resources, None).graph
-            built.append({name: graph.components[name] for name in ("plant", "delta")})
-
-        def study() -> None:
-            for number, changes in enumerate(edits):
-                outcome = runner.run(StudyMember(number, changes))
-                assert outcome.status == "complete", outcome.reason
-
-        def ensemble() -> None:
-            run_members(whole.graph, whole.clock, built)
-
-        study()
-        title = f"academic {'with' if identifies else 'without'} identifier, {members}"
-        compare(title, members, study, ensemble)
+def compare_plans() -> None:
+    """Print what many members cost in memory."""
+    few, many = memory(100), memory(100_000)
+    print(f"100 000 members planned: {many - few:.0f} MB more than 100")
 
 
-def source_edits(number: int) -> Edits:
-    """Return other parameters of the source."""
-    return {"u.amplitude": 1.0 + 1e-3 * number, "u.rate": 3.0 + 1e-3 * number}
+def compare_clusters() -> None:
+    """Print what a million members cost on a cluster."""
+    from distributed import LocalCluster
 
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        most = 0
+        tasks = cluster.scheduler.tasks
 
-def fmu_edits(number: int) -> Edits:
-    """Return other parameters of the FMU."""
-    return {"plant.start.x": 0.5 + 1e-3 * number, "plant.start.A": -1.0 - 1e-3 * number}
+        def watch() -> None:
+            nonlocal most
+            most = max(most, len(tasks))
+            cluster.loop.call_later(0.05, watch)
 
-
-def plain_member(
-    fmu: Path, fmus: UnpackedFmus, recorder: MetricRecorder, edits: Edits
-) -> Mapping[str, MetricValue]:
-    """Load an FMU, run it behind its source, and return the metrics."""
-    start = {"A": -1.0, "B": 1.0, "C": 1.0, "x": 0.5}
-    for name in start:
-        start[name] = edits.get(f"plant.start.{name}", start[name])
-    amplitude = edits.get("u.amplitude", 1.0)
-    rate = edits.get("u.rate", 3.0)
-    with load_fmu(fmu, FmuOptions(start=start), unpacked=fmus) as opened:
-        components = {"u": sine(amplitude=amplitude, rate=rate), "plant": opened.component}
-        graph = Graph(components, {"plant.u": "u.y"})
-        run(graph, Clock(1.0, 1e-3), recorder)
-    return recorder.values()
-
-
-def compare_fmu(folder: Path, members: int, edits_of: Callable[[int], Edits]) -> None:
-    """Compare members with an FMU with the plainest loop."""
-    fmu = folder / "plant.fmu"
-    path = folder / "fmu.toml"
-    path.write_text(SCENARIO)
-    edits = [edits_of(number) for number in range(members)]
-    recorder = MetricRecorder(parse_metrics(OF_FMU))
-    with (
-        closing(UnpackedFmus()) as fmus,
-        open_runner(StudySubject(str(path), metrics=OF_FMU)) as runner,
-    ):
-        for number, changes in enumerate(edits):
-            outcome = runner.run(StudyMember(number, changes))
-            assert outcome.metrics == plain_member(fmu, fmus, recorder, changes)
-
-        def study() -> None:
-            for number, changes in enumerate(edits):
-                runner.run(StudyMember(number, changes))
-
-        def loop() -> None:
-            for changes in edits:
-                plain_member(fmu, fmus, recorder, changes)
-
-        compare(f"FMU, {edits_of.__name__}, {members}", members, study, loop)
+        cluster.loop.add_callback(watch)
+        few = memory(100, cluster.scheduler_address)
+        many = memory(1_000_000, cluster.scheduler_address)
+        print(
+            f"1 000 000 members planned on a cluster: {many - few:.0f} MB more than 100; at most "
+            f"{most} tasks in the scheduler"
+        )
 
 
 def main() -> None:
-    """Print all of it; an argument gives how many members an FMU has, a fifth of it the others."""
-    members = int(sys.argv[1]) if len(sys.argv) > 1 else 500
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        compare_academic(folder, max(2, members // 5), identifies=False)
-        compare_academic(folder, max(2, members // 50), identifies=True)
-        able(compiled(folder), folder / "plant.fmu", "state", "slopes", D=0.0)
-        for edits_of in (source_edits, fmu_edits):
-            compare_fmu(folder, members, edits_of)
+    """Compare what is asked for."""
+    sections = {"plan": compare_plans, "cluster": compare_clusters}
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sections", nargs="*", help="members, plan, cluster; all by default")
+    parser.add_argument("--members", type=int, default=60)
+    options = parser.parse_args()
+    chosen = options.sections or ["members", *sections]
+    if "members" in chosen:
+        compare_members(options.members)
+    for name, compare in sections.items():
+        if name in chosen:
+            compare()
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parents[2]))
     main()
