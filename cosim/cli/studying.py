@@ -40,7 +40,7 @@ from cosim.report.printable import printable
 from cosim.terminal import show_members
 
 if TYPE_CHECKING:
-    from cosim.studies.tables.show import ShownParts
+    from cosim.studies.show import ShownParts
 
 
 class StudyCommands(TyperGroup):
@@ -204,7 +204,7 @@ def run(
     from cosim.studies.document.reading import read_study
     from cosim.studies.running.studying import default_place
     from cosim.studies.running.studying import study as run_study
-    from cosim.studies.tables.show import ShownParts
+    from cosim.studies.show import ShownParts
 
     check_out(out)
     failures = read_fail_on(fail_on)
@@ -297,7 +297,7 @@ def _dry_run(file: Any, workers: int | None, place: str | None, *, as_json: bool
     from cosim.studies.running.estimate import estimate_study
     from cosim.studies.running.plan import plan_study
     from cosim.studies.running.studying import check_place, worker_count
-    from cosim.studies.tables.estimate import print_estimate
+    from cosim.studies.show import print_estimate
 
     with prints_to_stderr():
         plan = plan_study(file)
@@ -351,7 +351,7 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Show the results of a study, also while it runs."""
-    from cosim.studies.tables.show import ShownParts
+    from cosim.studies.show import ShownParts
 
     parts = ShownParts(
         member,
@@ -369,7 +369,7 @@ def _show(place: str, parts: ShownParts) -> tuple[str, ...]:
     """Show parts of a study; return what was not known of it when it was planned."""
     from cosim.studies.dataset.study import open_study
     from cosim.studies.running.recorded_study import RecordedStudy
-    from cosim.studies.tables.show import show_study
+    from cosim.studies.show import show_study
 
     opened = open_study(place)
     recorded = RecordedStudy.read(opened.text)
@@ -409,7 +409,7 @@ def verify(
     or the steps of a member differ.
     """
     from cosim.studies.running.studying import worker_count
-    from cosim.studies.tables.verification import print_verification
+    from cosim.studies.show import print_verification
     from cosim.studies.verification.verifying import verify_study
 
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
@@ -453,8 +453,8 @@ def plot(
 ) -> None:
     """Plot the results of a study."""
     from cosim.report.plots import PictureOptions
-    from cosim.studies.analysis.results import results_of_study
     from cosim.studies.dataset.study import open_study
+    from cosim.studies.layout import results_of_study
     from cosim.studies.plots.study_plot import plot_study
     from cosim.studies.running.recorded_study import RecordedStudy
 

@@ -13,10 +13,10 @@ from cosim.digests import source_digest
 from cosim.errors import UsageError
 from cosim.log.contents.environment import environment
 from cosim.log.contents.metadata import read_json
-from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.dataset.study import Study
 from cosim.studies.design.commands import run_command
 from cosim.studies.document.study_file import StudyFile, study_of
+from cosim.studies.layout import StudyLayout
 from cosim.version import __version__
 
 

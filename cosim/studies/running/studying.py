@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import UsageError, option, warn
-from cosim.studies.analysis.failures import grouped, warning_lines
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.contracts import COMPLETE, MetricValue
@@ -21,6 +20,7 @@ from cosim.studies.running.keeping import keep_logs
 from cosim.studies.running.kept_members import check_kept_metric
 from cosim.studies.running.local import MembersDone, default_workers, run_locally
 from cosim.studies.running.plan import RUNNER, StudyPlan, plan_study
+from cosim.studies.statistics import grouped, warning_lines
 from cosim.studies.workers.pool import WorkerPool
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ import numpy as np
 import pyarrow
 from scipy import stats
 
-from cosim.studies.analysis.independence import StudyLayout
-from cosim.studies.analysis.results import results_of_study
+from cosim.studies.layout import StudyLayout
+from cosim.studies.layout import results_of_study
 
 
 class MadeStudy:
