@@ -49,47 +49,38 @@ class SobolIndices:
     @property
     def remark(self) -> str:
         """What shows that there are too few base points: sums that no function has."""
-        cause = "too few base points"
-        if len(self.omitted):
-            cause += ", or those that were left out"
+        left_out = ", or those that were left out" if len(self.omitted) else ""
         total = float(self.total_order.sum())
-        if total < 0.9:
-            return f"{cause}: total orders sum to {total:.2f}, below 1"
         first = float(self.first_order.sum())
+        if total < 0.9:
+            return f"too few base points{left_out}: total orders sum to {total:.2f}, below 1"
         if first > 1.1:
-            return f"{cause}: first orders sum to {first:.2f}, above 1"
+            return f"too few base points{left_out}: first orders sum to {first:.2f}, above 1"
         return ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
+        firsts = zip(self.first_order.tolist(), self.first_intervals, strict=True)
+        totals = zip(self.total_order.tolist(), self.total_intervals, strict=True)
         rows = {}
-        for index, parameter in enumerate(self.parameters):
-            rows[parameter] = {
-                "first_order": float(self.first_order[index]),
-                "first_interval": self.first_intervals[index],
-                "total_order": float(self.total_order[index]),
-                "total_interval": self.total_intervals[index],
-            }
-        return {
-            "parameters": rows,
-            "base_points": self.base_points,
-            "omitted_base_points": self.omitted.tolist(),
-            "remark": self.remark,
-        }
+        for parameter, (first, ends), (total, of_total) in zip(
+            self.parameters, firsts, totals, strict=True
+        ):
+            alone = {"first_order": first, "first_interval": ends}
+            rows[parameter] = {**alone, "total_order": total, "total_interval": of_total}
+        points = {"base_points": self.base_points, "omitted_base_points": self.omitted.tolist()}
+        return {"parameters": rows, **points, "remark": self.remark}
 
 
 def check_has_indices(layout: StudyLayout) -> None:
     """Raise a UsageError if a study has no design that Sobol indices can be found from."""
     if layout.kind != "saltelli":
-        raise UsageError(
-            "Sobol indices: expected the design 'saltelli' ([study] sampling = \"saltelli\"), got "
-            f"{layout.kind!r}"
-        )
-    if layout.seeds * layout.grid > 1:
-        raise UsageError(
-            "Sobol indices: expected one member per sample (no seeds and no lists of values "
-            f"besides the samples), got {layout.seeds * layout.grid}"
-        )
+        wanted = "the design 'saltelli' ([study] sampling = \"saltelli\")"
+        raise UsageError(f"Sobol indices: expected {wanted}, got {layout.kind!r}")
+    together = layout.seeds * layout.grid
+    if together > 1:
+        wanted = "one member per sample (no seeds, no lists of values besides the samples)"
+        raise UsageError(f"Sobol indices: expected {wanted}, got {together}")
 
 
 def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> SobolIndices:
@@ -102,17 +93,15 @@ def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> S
     complete = np.isfinite(matrices).all(axis=0)
     found = int(complete.sum())
     if found < 8:  # of fewer the indices are chance
-        raise UsageError(
-            f"Sobol indices of {metric!r}: expected at least 8 base points whose members all have "
-            f"a value, got {found} of {layout.base_points}"
-        )
+        wanted = "at least 8 base points whose members all have a value"
+        got = f"{found} of {layout.base_points}"
+        raise UsageError(f"Sobol indices of {metric!r}: expected {wanted}, got {got}")
     kept = matrices[:, complete]
     first, total = indices_of(kept, np.ones((1, found)))
     if is_constant(kept.ravel()) or not np.isfinite(first).all():
-        raise UsageError(
-            f"Sobol indices of {metric!r}: expected a metric that depends on the parameters, got "
-            "the same value in all members"
-        )
+        wanted = "a metric that depends on the parameters"
+        got = "the same value in all members"
+        raise UsageError(f"Sobol indices of {metric!r}: expected {wanted}, got {got}")
     intervals = [(NO_INTERVAL,) * len(layout.parameters)] * 2
     if found >= 64:  # of fewer as few as 70 % of the intervals hold
         intervals = [_percentiles(resampled) for resampled in bootstrap(kept)]
