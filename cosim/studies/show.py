@@ -125,6 +125,7 @@ def _show_all(results: StudyResults, command_of: CommandOf, parts: ShownParts) -
     ended_early = statistics.reasons_of(columns, failed=False)
     if parts.as_json:
         with_values = [name for name, one in of_metrics.items() if one["count"]]
+        worst = {name: [*statistics.extremes(columns, name, parts.worst)] for name in with_values}
         times = results.wall_times[~columns.failed]
         content = {
             "design": asdict(layout),
@@ -134,7 +135,7 @@ def _show_all(results: StudyResults, command_of: CommandOf, parts: ShownParts) -
             "passed": shares,
             "correlations": correlations,
             "ended_early": ended_early,
-            "worst": {name: [*_extremes(results, name, parts.worst)] for name in with_values},
+            "worst": worst,
         }
         print_json({**_outcome(results, command_of), **content})
         return
@@ -281,22 +282,13 @@ def _print_command(number: int, command_of: CommandOf) -> None:
     print_line(f"member {number} alone: {command_of(number)}")
 
 
-def _extremes(
-    results: StudyResults, metric: str, count: int, *, largest: bool = True
-) -> dict[int, float]:
-    """Return the largest or smallest values of a metric by member, in order."""
-    columns = results.columns
-    numbers = statistics.extreme_members(columns, metric, count, largest=largest)
-    values = columns.numeric(metric)[columns.rows_of(numbers)]
-    return dict(zip(numbers.tolist(), values.tolist(), strict=True))
-
-
 def _print_extremes(results: StudyResults, command_of: CommandOf, count: int) -> None:
     rows = []
     first = []
     for name, column in results.columns.metrics.items():
         if len(column.values) + len(column.infinite):
-            ends = [_extremes(results, name, 1, largest=False), _extremes(results, name, count)]
+            smallest = statistics.extremes(results.columns, name, 1, largest=False)
+            ends = [smallest, statistics.extremes(results.columns, name, count)]
             cells = [", ".join(f"{k}: {value:.6g}" for k, value in end.items()) for end in ends]
             rows.append((results.with_unit(name), *cells))
             first.append(next(iter(ends[1])))
@@ -317,8 +309,8 @@ def _show_metrics(results: StudyResults, parts: ShownParts) -> None:
         content[name] = {
             **of_metrics[name],
             "correlations": statistics.strongest(correlations, name),
-            "largest": [*_extremes(results, name, 20)],
-            "smallest": [*_extremes(results, name, 20, largest=False)],
+            "largest": [*statistics.extremes(columns, name, 20)],
+            "smallest": [*statistics.extremes(columns, name, 20, largest=False)],
         }
     if parts.as_json:
         print_json(content)
@@ -349,7 +341,7 @@ def _print_metric(results: StudyResults, name: str, one: Figures) -> None:
     for words, value, interval in figures:
         rows.append((words, _number_text(value), interval_text(interval)))
     for words in ("smallest", "largest"):
-        ends = _extremes(results, name, 5, largest=words == "largest")
+        ends = statistics.extremes(results.columns, name, 5, largest=words == "largest")
         members = f"members {_members_text([*ends])}" if ends else ""
         rows.append((words, _number_text(next(iter(ends.values()), None)), members))
     for pair in one["correlations"]:
@@ -473,13 +465,11 @@ def _show_search(
 ) -> None:
     """Print the best members of a search."""
     columns = results.columns
-    best = _extremes(results, search.metric, parts.worst, largest=search.maximize)
+    best = statistics.extremes(columns, search.metric, parts.worst, largest=search.maximize)
     shown = []
     for number, objective in best.items():
         (row,) = columns.rows_of(np.array([number])).tolist()
-        values = {
-            key: column[row : row + 1].tolist()[0] for key, column in columns.parameters.items()
-        }
+        values = {key: column.tolist()[row] for key, column in columns.parameters.items()}
         found: Figures = {"member": number, "objective": objective, "values": values}
         shown.append({**found, "command": command_of(number)})
     if parts.as_json:

@@ -439,15 +439,16 @@ def spearman(first: Vector, other: Vector) -> float | None:
     return _Ranks(first).correlation(_Ranks(other))
 
 
-def extreme_members(
-    columns: MemberColumns, metric: str, count: int, *, largest: bool
-) -> NumberColumn:
-    """Return the members with the largest or smallest values, infinite ones too, in order."""
+def extremes(
+    columns: MemberColumns, metric: str, count: int, *, largest: bool = True
+) -> dict[int, float]:
+    """Return the largest or smallest values by member, infinite ones too, in order."""
     columns.metric(metric)
     values = columns.numeric(metric)
     rows = np.flatnonzero(~np.isnan(values))
     order = np.argsort(-values[rows] if largest else values[rows], kind="stable")
-    return columns.numbers[rows[order[:count]]]
+    found = rows[order[:count]]
+    return dict(zip(columns.numbers[found].tolist(), values[found].tolist(), strict=True))
 
 
 def reasons_of(columns: MemberColumns, *, failed: bool) -> list[Figures]:

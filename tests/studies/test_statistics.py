@@ -11,13 +11,13 @@ import cosim
 from cosim.errors import UsageError
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
-from cosim.studies.layout import StudyLayout, drawn_members, independence_of, numbers_of
+from cosim.studies.layout import StudyLayout, drawn_members, independence_of
 from cosim.studies.sensitivity import bootstrap, indices_of, sobol_indices
 from cosim.studies.statistics import (
     NO_INTERVAL,
     deviation_interval,
     effective_count,
-    extreme_members,
+    extremes,
     grouped,
     is_rough,
     mean_interval,
@@ -364,12 +364,12 @@ def test_the_running_mean_is_that_of_the_first_members():
         running_mean(column, independence_of(StudyLayout("grid", grid=4)))
 
 
-def test_the_extreme_members_have_the_largest_or_smallest_values():
+def test_the_extremes_are_the_largest_or_smallest_values():
     """Infinity first; the smaller number first of equal ones; no failed member."""
     columns = columns_of({"a": [3.0, 9.0, None, 9.0, np.inf, 50.0, -1.0]}, failed=[5])
-    assert extreme_members(columns, "a", 3, largest=True).tolist() == [4, 1, 3]
-    assert extreme_members(columns, "a", 2, largest=False).tolist() == [6, 0]
-    assert extreme_members(columns, "a", 99, largest=True).tolist() == [4, 1, 3, 0, 6]
+    found = extremes(columns, "a", 99)
+    assert list(found.items()) == [(4, np.inf), (1, 9.0), (3, 9.0), (0, 3.0), (6, -1.0)]
+    assert list(extremes(columns, "a", 2, largest=False)) == [6, 0]
 
 
 def test_texts_that_differ_in_numbers_only_are_one():
