@@ -13,7 +13,6 @@ from cosim.errors import UsageError, shell_language
 from cosim.studies.layout import StudyLayout
 from cosim.studies.show import (
     ShownParts,
-    interval_text,
     show_study,
     text_with_half_width,
     tuning_lines,
@@ -186,13 +185,12 @@ def test_a_metric_is_printed_with_all_intervals(shown):
     assert content["smallest"][0] == np.nanargmin(values)
 
 
-@pytest.mark.parametrize("kind", ["saltelli", "random"])
-def test_the_extremes_of_a_metric_are_those_of_the_members_beside_them(kind, shown):
+def test_the_extremes_of_a_metric_are_those_of_the_members_beside_them(shown):
     """Of all members: also of those that no statistics are of, and of infinite ones."""
     values = np.arange(64.0)
     values[[40, 50]] = -7.0, np.inf
     study = MadeStudy({"y": values}, (), ("y",))
-    lines = shown(study, StudyLayout(kind, samples=64, parameters=("p", "q")), metrics=("y",))
+    lines = shown(study, StudyLayout("saltelli", samples=64, parameters=("p", "q")), metrics=("y",))
     assert ["smallest", "-7", "members 40, 0, 1, 2, 3"] in lines
     assert ["largest", "inf", "members 50, 63, 62, 61, 60"] in lines
 
@@ -306,14 +304,6 @@ def test_a_number_has_as_many_digits_as_are_known(value, half_width, text):
     """As far as the second digit of its half-width."""
     interval = ConfidenceInterval(value - half_width, value + half_width)
     assert text_with_half_width(value, interval) == text
-
-
-def test_an_interval_names_the_end_that_it_does_not_have():
-    """Of few members a quantile has one end, or none."""
-    assert interval_text(ConfidenceInterval(None, None)) == ""
-    assert interval_text(ConfidenceInterval(0.5, 1.0)) == "0.5 to 1"
-    assert interval_text(ConfidenceInterval(None, 1.0)).startswith("to 1; too few")
-    assert interval_text(ConfidenceInterval(0.5, None)).startswith("from 0.5; too few")
 
 
 def test_a_tuned_value_has_the_digits_that_its_error_leaves():
