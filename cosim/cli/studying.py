@@ -40,7 +40,7 @@ from cosim.report.printable import printable
 from cosim.terminal import show_members
 
 if TYPE_CHECKING:
-    from cosim.studies.tables.show import ShownParts
+    from cosim.studies.show import ShownParts
 
 
 class StudyCommands(TyperGroup):
@@ -202,9 +202,9 @@ def run(
     failed. A metric of --assert that has no name is kept as one of the study.
     """
     from cosim.studies.document.reading import read_study
+    from cosim.studies.show import ShownParts
     from cosim.studies.studying import default_place
     from cosim.studies.studying import study as run_study
-    from cosim.studies.tables.show import ShownParts
 
     check_out(out)
     failures = read_fail_on(fail_on)
@@ -295,8 +295,8 @@ def _kept(text: str | None) -> str | list[int] | None:
 def _dry_run(file: Any, workers: int | None, place: str | None, *, as_json: bool) -> None:
     """Print what a study will take; ``place``: where it would go on."""
     from cosim.studies.running.plan import plan_study
+    from cosim.studies.show import print_estimate
     from cosim.studies.studying import check_place, estimate_study, worker_count
-    from cosim.studies.tables.estimate import print_estimate
 
     with prints_to_stderr():
         plan = plan_study(file)
@@ -350,7 +350,7 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Show the results of a study, also while it runs."""
-    from cosim.studies.tables.show import ShownParts
+    from cosim.studies.show import ShownParts
 
     parts = ShownParts(
         member,
@@ -367,8 +367,8 @@ def show(
 def _show(place: str, parts: ShownParts) -> tuple[str, ...]:
     """Show parts of a study; return what was not known of it when it was planned."""
     from cosim.studies.running.recorded_study import RecordedStudy
+    from cosim.studies.show import show_study
     from cosim.studies.study import open_study
-    from cosim.studies.tables.show import show_study
 
     opened = open_study(place)
     recorded = RecordedStudy.read(opened.text)
@@ -407,8 +407,8 @@ def verify(
     if the scenario, FMUs, tables or metrics have changed (SHA-256). Exit 1 if a metric, the status
     or the steps of a member differ.
     """
+    from cosim.studies.show import print_verification
     from cosim.studies.studying import worker_count
-    from cosim.studies.tables.verification import print_verification
     from cosim.studies.verifying import verify_study
 
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
@@ -452,7 +452,7 @@ def plot(
 ) -> None:
     """Plot the results of a study."""
     from cosim.report.plots import PictureOptions
-    from cosim.studies.analysis.results import results_of_study
+    from cosim.studies.layout import results_of_study
     from cosim.studies.plots.study_plot import plot_study
     from cosim.studies.running.recorded_study import RecordedStudy
     from cosim.studies.study import open_study

@@ -137,7 +137,7 @@ def tune(
     """
     import json
 
-    from cosim.studies.tables.tuning import tuning_lines
+    from cosim.studies.show import tuning_lines
     from cosim.studies.tuning.tuning import tune as run_tuning
 
     check_out(out)

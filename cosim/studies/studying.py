@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import UsageError, option, warn
-from cosim.studies.analysis.failures import grouped, warning_lines
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, MetricValue, StudyMember
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.document.reading import read_study
@@ -25,6 +24,7 @@ from cosim.studies.kept_logs import (
     log_member,
 )
 from cosim.studies.running.plan import StudyPlan, plan_study
+from cosim.studies.statistics import grouped, warning_lines
 from cosim.studies.study import Study, open_study
 from cosim.studies.workers import LocalExecutor
 from cosim.temporary import TemporaryFolder

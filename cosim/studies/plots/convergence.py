@@ -10,12 +10,10 @@ import numpy as np
 
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.convergence import RunningMean, running_mean
-from cosim.studies.analysis.independence import independence_of
-from cosim.studies.analysis.interval_quantiles import CONFIDENCE
-from cosim.studies.analysis.results import StudyResults
+from cosim.studies.layout import StudyResults, independence_of
 from cosim.studies.plots.panels import FAINT, MetricPanels
 from cosim.studies.plots.scales import check_drawable
+from cosim.studies.statistics import CONFIDENCE, RunningMean, running_mean
 
 _MOST_ROWS: Final = 2000  # of a curve
 _MARKED: Final = 10  # rows, of which a line alone would show little, or nothing

@@ -12,12 +12,10 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.independence import independence_of
-from cosim.studies.analysis.interval_quantiles import CONFIDENCE
-from cosim.studies.analysis.results import StudyResults
-from cosim.studies.analysis.statistics import PROBABILITIES
+from cosim.studies.layout import StudyResults, independence_of
 from cosim.studies.plots.panels import FAINT, MetricPanels, spread_rows
 from cosim.studies.plots.scales import check_drawable, is_logarithmic, reach_beside
+from cosim.studies.statistics import CONFIDENCE, PROBABILITIES
 
 _MOST_BINS: Final = 80
 _MOST_STEPS: Final = 2000  # of a curve: more would be on one dot of it

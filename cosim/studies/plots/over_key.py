@@ -11,8 +11,7 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.columns import NumberColumn
-from cosim.studies.analysis.results import StudyResults
+from cosim.studies.layout import NumberColumn, StudyResults
 from cosim.studies.plots.panels import (
     FAILED,
     FAILED_COLOR,

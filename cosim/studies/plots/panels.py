@@ -13,8 +13,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import shown_text
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
-from cosim.studies.analysis.columns import MetricColumn, NumberColumn, count_text
-from cosim.studies.analysis.results import StudyResults
+from cosim.studies.layout import MetricColumn, NumberColumn, StudyResults, count_text
 from cosim.studies.plots.scales import Scale
 
 MOST_PANELS: Final = 12

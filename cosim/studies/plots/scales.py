@@ -12,7 +12,7 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import LARGEST_DRAWN, shown_text
-from cosim.studies.analysis.columns import VariedValues, numbers_of
+from cosim.studies.layout import VariedValues, numbers_of
 
 _SPREAD: Final = 30.0  # of nine of ten values, from which on an axis is logarithmic
 _DECADE: Final = 5.0  # of nine of ten values of a key, from which on its axis may be logarithmic

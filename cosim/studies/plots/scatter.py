@@ -13,9 +13,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import COLORS, shown_text
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.columns import NumberColumn, count_text
-from cosim.studies.analysis.correlation import LEAST_MEMBERS, spearman
-from cosim.studies.analysis.results import StudyResults
+from cosim.studies.layout import NumberColumn, StudyResults, count_text
 from cosim.studies.plots.panels import (
     FAILED,
     FAILED_COLOR,
@@ -25,6 +23,7 @@ from cosim.studies.plots.panels import (
     spread_rows,
 )
 from cosim.studies.plots.scales import Scale, cell_edges, check_drawable, even_edges, is_logarithmic
+from cosim.studies.statistics import LEAST_MEMBERS, spearman
 
 _MOST: Final = 7  # rows and columns
 _PANEL: Final = 3.8  # cm

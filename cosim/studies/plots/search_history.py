@@ -10,8 +10,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.columns import MetricColumn, count_text
-from cosim.studies.analysis.results import StudyResults
+from cosim.studies.layout import MetricColumn, StudyResults, count_text
 from cosim.studies.plots.panels import FAILED, MetricPanels, mark_failed
 from cosim.studies.plots.scales import check_drawable, is_logarithmic, reach_beside, zero_width
 from cosim.studies.running.recorded_study import RecordedSearch

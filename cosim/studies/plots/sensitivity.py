@@ -13,12 +13,10 @@ from cosim.errors import UsageError
 from cosim.report.plots.curves import COLORS, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.columns import count_text
-from cosim.studies.analysis.confidence import NO_INTERVAL, ConfidenceInterval
-from cosim.studies.analysis.interval_quantiles import CONFIDENCE
-from cosim.studies.analysis.results import StudyResults
-from cosim.studies.analysis.sensitivity import SobolIndices, check_has_indices, sobol_indices
+from cosim.studies.layout import StudyResults, count_text
 from cosim.studies.plots.panels import MOST_PANELS, shown_metrics, sized_picture
+from cosim.studies.sensitivity import SobolIndices, check_has_indices, sobol_indices
+from cosim.studies.statistics import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
 
 _BAR: Final = 0.4  # of the room of a parameter
 _MOST_BARS: Final = 20  # parameters of a panel

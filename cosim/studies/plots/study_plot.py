@@ -11,8 +11,7 @@ import numpy as np
 
 from cosim.errors import UsageError, nearest, quoted
 from cosim.report.plots.picture import PictureOptions, need_plot
-from cosim.studies.analysis.independence import drawn_members
-from cosim.studies.analysis.results import StudyResults
+from cosim.studies.layout import StudyResults, drawn_members
 from cosim.studies.plots.convergence import plot_convergence
 from cosim.studies.plots.distributions import plot_distributions, plot_histograms
 from cosim.studies.plots.heat_map import plot_heat_maps

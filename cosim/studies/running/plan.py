@@ -12,8 +12,6 @@ from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.studies.analysis.columns import count_text
-from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import MetricValue, StudyMember, StudySubject
 from cosim.studies.dataset import (
     OF_METRICS,
@@ -30,6 +28,7 @@ from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import STUDY, StudyFile
+from cosim.studies.layout import StudyLayout, count_text
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.inspection import inspect_members, inspected_members
 from cosim.studies.running.recorded_study import RecordedStudy, own_environment

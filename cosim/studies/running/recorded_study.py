@@ -13,9 +13,9 @@ from cosim.digests import source_digest
 from cosim.errors import UsageError
 from cosim.log.contents.environment import environment
 from cosim.log.contents.metadata import read_json
-from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.design.commands import run_command
 from cosim.studies.document.study_file import StudyFile, study_of
+from cosim.studies.layout import StudyLayout
 from cosim.studies.study import Study
 from cosim.version import __version__
 

@@ -11,10 +11,8 @@ from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted
 from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.parsing import Scenario
-from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import RECORDING, SWAP, StudyMember
-from cosim.studies.dataset import metric_column, parameter_column
-from cosim.studies.dataset import OF_METRICS, StudyIdentity
+from cosim.studies.dataset import OF_METRICS, StudyIdentity, metric_column, parameter_column
 from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn
 from cosim.studies.design.commands import run_command
 from cosim.studies.design.own_values import own_value
@@ -23,6 +21,7 @@ from cosim.studies.design.recordings import find_recordings
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import StudyFile
+from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
 from cosim.studies.running.recorded_study import (

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any, Final, cast, final
 
 from cosim.studies.contracts import RECORDING, MemberOutcome, StudyMember
-from cosim.studies.dataset import StudyColumn, json_value, pyarrow
-from cosim.studies.dataset import StudyIdentity
-from cosim.studies.dataset import StudyDataset
+from cosim.studies.dataset import StudyColumn, StudyDataset, StudyIdentity, json_value, pyarrow
 from cosim.studies.tuning.points import point_name
 
 _OUTCOME: Final = ("member", "status", "reason", "warnings", "steps")

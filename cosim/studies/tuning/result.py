@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.errors import listing, option
-from cosim.studies.analysis.failures import grouped, warning_lines
+from cosim.studies.statistics import grouped, warning_lines
 from cosim.studies.tuning.local import SearchEnd
 from cosim.studies.tuning.space import SearchSpace
 from cosim.studies.tuning.standard_errors import NoStandardErrors, StandardErrors, of_samples

@@ -247,7 +247,7 @@ def _intervals(
     NoStandardErrors
         If one has no end.
     """
-    from cosim.studies.analysis.interval_quantiles import student_quantile
+    from cosim.studies.statistics import student_quantile
 
     wide = student_quantile(float(freedom) + 1.0)
     intervals = {}

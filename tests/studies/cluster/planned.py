@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
-from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import StudyIdentity
+from cosim.studies.dataset import metric_column, parameter_column
+from cosim.studies.dataset import StudyIdentity
 from tests.studies.cluster.processes import LIMIT
 
 OPENER = "tests.studies.cluster.planned:open_counted"

@@ -13,7 +13,7 @@ from cosim.errors import RunError, UsageError
 from cosim.studies.cluster import cluster_run
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.workers.pool import WorkerPool
 from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, assert_same, identity
 from tests.studies.cluster.processes import LIMIT, cluster

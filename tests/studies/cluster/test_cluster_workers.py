@@ -18,7 +18,7 @@ from cosim.studies.cluster import (
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.study_plugin import StudyPlugin
 from cosim.studies.contracts import MemberOutcome
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
 
 pytestmark = pytest.mark.slow

@@ -13,9 +13,9 @@ from cosim.errors import UsageError
 from cosim.studies.cluster import cluster_workers
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.contracts import FAILED, StudyMember, StudySubject
-from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import StudyIdentity
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import metric_column, parameter_column
+from cosim.studies.dataset import StudyIdentity
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.workers.pool import WorkerPool
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS

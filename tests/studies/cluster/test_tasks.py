@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.studies.cluster.tasks import MOST_MEMBERS, RemainingTasks
-from cosim.studies.dataset.layout import PartLayout
+from cosim.studies.dataset import PartLayout
 
 
 def tasks_of(missing, parts, *, seconds=None, threads=2):

@@ -7,7 +7,7 @@ import os
 import random
 import signal
 
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.outcomes import design, identity, member, outcome
 
 processes = multiprocessing.get_context("forkserver")

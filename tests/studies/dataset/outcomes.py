@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cosim.studies.contracts import MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import StudyIdentity
+from cosim.studies.dataset import metric_column, parameter_column
+from cosim.studies.dataset import StudyIdentity
 
 DIGESTS = {"key scenario.stop": "ab" * 32, "FMU plant.fmu": "cd" * 32, "the metrics": "ef" * 32}
 

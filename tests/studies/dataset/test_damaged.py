@@ -13,7 +13,7 @@ from pyarrow import parquet
 from cosim.digests import digest_of
 from cosim.errors import DatasetError, DatasetWriteError, UsageError
 from cosim.studies.dataset import local_storage
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.killed import complete, opened, processes
 from tests.studies.dataset.outcomes import add, identity, member, outcome, parts
 

@@ -8,7 +8,7 @@ import pytest
 from cosim.errors import DatasetError
 from cosim.studies.dataset import file_locks
 from cosim.studies.dataset.file_locks import EXCLUSIVE, FolderLock
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, identity
 
 

@@ -5,9 +5,9 @@ import pytest
 import cosim
 from cosim.errors import DatasetError
 from cosim.studies.contracts import MemberOutcome
-from cosim.studies.dataset.columns import parameter_column
-from cosim.studies.dataset.identity import StudyIdentity
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import parameter_column
+from cosim.studies.dataset import StudyIdentity
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
 

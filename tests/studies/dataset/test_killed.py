@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.killed import begin_anew, complete, killed, opened, processes, write
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals to kill with")

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.studies.dataset.layout import PartLayout, part_members, part_name
+from cosim.studies.dataset import PartLayout, part_members, part_name
 
 
 @st.composite

@@ -8,7 +8,7 @@ from cosim.errors import DatasetError, DatasetWriteError
 from cosim.studies.dataset import local_storage
 from cosim.studies.dataset.file_locks import LockState, lock_file
 from cosim.studies.dataset.local_storage import LocalStorage
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, identity
 
 

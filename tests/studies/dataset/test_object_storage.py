@@ -11,7 +11,7 @@ import cosim
 from cosim.errors import DatasetError, DatasetWriteError
 from cosim.studies.dataset.log_files import LogRecord
 from cosim.studies.dataset.object_storage import PutJournal
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, design, identity, member, outcome
 
 

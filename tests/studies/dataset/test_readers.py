@@ -11,7 +11,7 @@ from pyarrow import parquet
 import cosim
 from cosim.digests import digest_of
 from cosim.errors import DatasetError, UsageError
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, identity, outcome, parts, rates
 
 COUNT = 30

@@ -8,9 +8,9 @@ import pytest
 
 from cosim.errors import DatasetError
 from cosim.studies.contracts import MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import metric_column, parameter_column, result_columns
-from cosim.studies.dataset.identity import differences, scenario_digests
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import metric_column, parameter_column, result_columns
+from cosim.studies.dataset import differences, scenario_digests
+from cosim.studies.dataset import StudyDataset
 from tests.studies.dataset.outcomes import (
     DIGESTS,
     Planned,

@@ -11,8 +11,7 @@ from scipy import stats
 
 from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.independence import StudyLayout
-from cosim.studies.analysis.results import results_of_study
+from cosim.studies.layout import StudyLayout, results_of_study
 from cosim.studies.plots import KINDS, plot_study
 from cosim.studies.plots.heat_map import cell_means
 from cosim.studies.plots.scales import (
@@ -25,7 +24,7 @@ from cosim.studies.plots.scales import (
 )
 from cosim.studies.plots.search_history import best_so_far
 from cosim.studies.running.recorded_study import RecordedSearch
-from tests.studies.tables.made import MadeStudy, saltelli_study, tolerances
+from tests.studies.made import MadeStudy, saltelli_study, tolerances
 
 DRAWN = ["histogram", "distribution", "convergence", "line", "map", "scatter"]
 

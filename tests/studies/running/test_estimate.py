@@ -6,7 +6,7 @@ import cosim
 from cosim.errors import UsageError
 from cosim.studies.document.keep import read_keep
 from cosim.studies.document.reading import read_study
-from cosim.studies.running.estimate import estimate_study
+from cosim.studies.studying import estimate_study
 from cosim.studies.running.kept_members import kept_count
 from cosim.studies.running.plan import plan_study
 

@@ -14,7 +14,7 @@ from cosim.studies.members.inspector import MemberInspector
 from cosim.studies.members.runner import open_runner
 from cosim.studies.running.keeping import keep_logs
 from cosim.studies.running.plan import plan_study
-from cosim.studies.running.studying import open_dataset
+from cosim.studies.studying import open_dataset
 
 STUDY = """
 [scenario]

@@ -12,12 +12,12 @@ import pytest
 
 import cosim
 from cosim.errors import DatasetError, UsageError
-from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
 from cosim.studies.document.study_file import study_of
+from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.running.estimate import estimate_study
+from cosim.studies.studying import estimate_study
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write

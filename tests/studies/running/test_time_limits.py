@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.running.time_limits import limit_again, limits_with_log
 from cosim.studies.workers.member_times import UNTIL_TIMED
 from tests.studies.dataset.outcomes import add, identity, member, outcome

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import metric_column
-from cosim.studies.dataset.identity import StudyIdentity
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import metric_column
+from cosim.studies.dataset import StudyIdentity
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.tuning.members import TrialMembers, in_pool
 from cosim.studies.tuning.recorded import TuningDataset
 from cosim.studies.tuning.searching import METHODS

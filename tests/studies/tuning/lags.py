@@ -1,6 +1,6 @@
 """A scenario of one lag, and the rows of a dataset that do not depend on the machine."""
 
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 
 VARYING = ("wall_time", "worker", "log")  # columns that differ from run to run
 LAG = """

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.studies.dataset.columns import parameter_column
+from cosim.studies.dataset import parameter_column
 from cosim.studies.tuning.points import value_name
 from cosim.studies.tuning.searching import TuningSearch, search_best
 from cosim.studies.tuning.space import BoundedKey, SearchSpace

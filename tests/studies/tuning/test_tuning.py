@@ -13,7 +13,7 @@ from scipy.optimize import curve_fit
 import cosim
 from cosim.cli.app import main
 from cosim.errors import CosimError, UsageError
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.tuning.searching import TuningSearch
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.studies.tuning.task import TuningTask, is_rms
@@ -33,7 +33,7 @@ from tests.studies.tuning.lags import LAG, rows_of
 KILLED = """
 import os, signal, sys
 from cosim.cli.app import main
-from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.dataset import StudyDataset
 
 add = StudyDataset.add
 left = int(sys.argv[1])

@@ -8,8 +8,8 @@ from pyarrow import parquet
 
 import cosim
 from cosim.errors import DatasetError
-from cosim.studies.tables.verification import print_verification
-from cosim.studies.verification.verifying import verify_study
+from cosim.studies.show import print_verification
+from cosim.studies.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
 

@@ -13,9 +13,9 @@ from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.running.comparing import difference
 from cosim.studies.running.recorded_study import own_environment
-from cosim.studies.tables.verification import print_verification
+from cosim.studies.show import print_verification
 from cosim.studies.verification import verifying
-from cosim.studies.verification.verifying import verify_study
+from cosim.studies.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
 

@@ -4,8 +4,7 @@ import numpy as np
 import pyarrow
 from scipy import stats
 
-from cosim.studies.analysis.independence import StudyLayout
-from cosim.studies.analysis.results import results_of_study
+from cosim.studies.layout import MemberColumns, StudyLayout, results_of_study
 
 
 class MadeStudy:
@@ -15,8 +14,8 @@ class MadeStudy:
         count = len(next(iter(columns.values())))
         outcome = {
             "member": np.arange(count),
-            "status": ["complete"] * count,
-            "reason": [""] * count,
+            "status": pyarrow.array(["complete"] * count, "string"),
+            "reason": pyarrow.array([""] * count, "string"),
             "warnings": pyarrow.nulls(count, "string"),
             "steps": [1000] * count,
             "wall_time": np.full(count, 0.25),
@@ -30,11 +29,26 @@ class MadeStudy:
         self.metrics = tuple(metrics)
         self.units = units or {}
 
-    def table(self, columns=None):
-        return self._table if columns is None else self._table.select(list(columns))
+    def table(self, columns=None, members=None):
+        table = self._table if members is None else self._table.take(list(members))
+        return table if columns is None else table.select(list(columns))
 
     def row(self, number):
         return self._table.slice(number, 1).to_pylist()[0]
+
+
+def columns_of(metrics, *, parameters=None, failed=(), numbers=None):
+    """Return the columns of members with the metrics given: arrays, or texts and None."""
+    arrays = {}
+    for name, values in metrics.items():
+        is_text = any(isinstance(value, str) for value in values)
+        arrays[name] = np.array(values, object if is_text else np.float64)
+    count = len(next(iter(arrays.values())))
+    members = np.arange(count) if numbers is None else np.array(numbers)
+    lost = np.isin(members, list(failed))
+    reasons = np.array(["crashed" if one else "" for one in lost], object)
+    varied = {key: np.array(values) for key, values in (parameters or {}).items()}
+    return MemberColumns(members, lost, reasons, varied, arrays, np.full(count, "", object))
 
 
 def command_of(number):
@@ -82,8 +96,8 @@ def tolerances(count=200):
     return study, results_of_study(study, layout)
 
 
-def saltelli_study():
-    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 has a failure."""
+def saltelli():
+    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 failed, and its layout."""
     rng = np.random.default_rng(0)
     points = stats.qmc.Sobol(4, rng=rng).random(256)
     of_a, of_b = points[:, :2], points[:, 2:]
@@ -93,5 +107,9 @@ def saltelli_study():
     status[256 + 4] = "failed"
     columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
     study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
-    layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
-    return results_of_study(study, layout)
+    return study, StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
+
+
+def saltelli_study():
+    """Return the results of that study."""
+    return results_of_study(*saltelli())
