@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from cosim.scenario.identifying import identify
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.replay import replay
-    from cosim.studies.study import open_study
     from cosim.studies.metrics.recorded import metrics
+    from cosim.studies.study import open_study
     from cosim.studies.studying import study
     from cosim.studies.tuning.tuning import tune
 

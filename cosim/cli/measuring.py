@@ -68,10 +68,10 @@ def metrics(
 
 def _metrics_of(place: str, log: str) -> dict[str, str]:
     """Return the metrics of a study by its dataset; notice a log that is none of its scenario."""
-    from cosim.studies.design.recorded_base import check_is_of_scenario
-    from cosim.studies.document.scenario_of_study import load_scenario
-    from cosim.studies.running.recorded_study import RecordedStudy
+    from cosim.studies.checking import check_is_of_scenario
+    from cosim.studies.plan import RecordedStudy
     from cosim.studies.study import open_study
+    from cosim.studies.study_file import load_scenario
 
     study = RecordedStudy.read(open_study(place).text).study
     texts = dict(study.metrics)

@@ -201,8 +201,8 @@ def run(
     resumes a stopped study and runs new members of one that was extended. Exit 1 if a member
     failed. A metric of --assert that has no name is kept as one of the study.
     """
-    from cosim.studies.document.reading import read_study
     from cosim.studies.show import ShownParts
+    from cosim.studies.study_file import read_study
     from cosim.studies.studying import default_place
     from cosim.studies.studying import study as run_study
 
@@ -269,7 +269,7 @@ def run(
 
 def _variations(texts: list[str] | None) -> dict[str, Any]:
     """Return what is varied, by key."""
-    from cosim.studies.document.vary_option import read_vary_option
+    from cosim.studies.variations import read_vary_option
 
     variations = {}
     for key, text in read_unique_pairs(texts, "vary").items():
@@ -294,7 +294,7 @@ def _kept(text: str | None) -> str | list[int] | None:
 
 def _dry_run(file: Any, workers: int | None, place: str | None, *, as_json: bool) -> None:
     """Print what a study will take; ``place``: where it would go on."""
-    from cosim.studies.running.plan import plan_study
+    from cosim.studies.plan import plan_study
     from cosim.studies.show import print_estimate
     from cosim.studies.studying import check_place, estimate_study, worker_count
 
@@ -366,7 +366,7 @@ def show(
 
 def _show(place: str, parts: ShownParts) -> tuple[str, ...]:
     """Show parts of a study; return what was not known of it when it was planned."""
-    from cosim.studies.running.recorded_study import RecordedStudy
+    from cosim.studies.plan import RecordedStudy
     from cosim.studies.show import show_study
     from cosim.studies.study import open_study
 
@@ -453,8 +453,8 @@ def plot(
     """Plot the results of a study."""
     from cosim.report.plots import PictureOptions
     from cosim.studies.layout import results_of_study
+    from cosim.studies.plan import RecordedStudy
     from cosim.studies.plots.study_plot import plot_study
-    from cosim.studies.running.recorded_study import RecordedStudy
     from cosim.studies.study import open_study
 
     opened = open_study(place)

@@ -188,7 +188,7 @@ def _variations(texts: list[str]) -> dict[str, Any]:
 
 
 def _variation(key: str, text: str) -> Any:
-    from cosim.studies.document.vary_option import read_vary_option
+    from cosim.studies.variations import read_vary_option
 
     parts = [part.strip() for part in text.split(":")]
     form = parts.pop(0) if parts[0] in ("log", "linear") else "linear"

@@ -23,8 +23,8 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.dataset import LOGS, StudyColumn, StudyDataset
-from cosim.studies.document.keep import KeptLogs
 from cosim.studies.members import run_member
+from cosim.studies.study_file import KeptLogs
 from cosim.studies.workers import FACTOR, LEAST, UNTIL_TIMED, LocalExecutor
 from cosim.temporary import TemporaryFolder
 

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError, nearest
 from cosim.studies.contracts import FAILED
-from cosim.studies.design.columns import MemberNumbering, NoiseSeedColumn
-from cosim.studies.design.study_design import SampleKind, StudyDesign
+from cosim.studies.design import MemberNumbering, NoiseSeedColumn, SampleKind, StudyDesign
 from cosim.units import with_unit
 
 if TYPE_CHECKING:

@@ -39,9 +39,9 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
-from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.study_file import load_scenario
 from cosim.temporary import without_folders
 
 CODE: Final = "code of "  # before the name of a class of users

@@ -24,7 +24,7 @@ from cosim.studies.layout import (
 from cosim.studies.statistics import ConfidenceInterval, Figures
 
 if TYPE_CHECKING:
-    from cosim.studies.running.recorded_study import RecordedSearch
+    from cosim.studies.plan import RecordedSearch
     from cosim.studies.study import Study
     from cosim.studies.studying import StudyEstimate
     from cosim.studies.tuning.result import TuningResult

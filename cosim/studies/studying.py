@@ -14,8 +14,6 @@ from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import UsageError, option, warn
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, MetricValue, StudyMember
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.document.reading import read_study
-from cosim.studies.document.study_file import StudyFile
 from cosim.studies.kept_logs import (
     MembersDone,
     check_kept_metric,
@@ -23,9 +21,10 @@ from cosim.studies.kept_logs import (
     kept_count,
     log_member,
 )
-from cosim.studies.running.plan import StudyPlan, plan_study
+from cosim.studies.plan import StudyPlan, plan_study
 from cosim.studies.statistics import grouped, warning_lines
 from cosim.studies.study import Study, open_study
+from cosim.studies.study_file import StudyFile, read_study
 from cosim.studies.workers import LocalExecutor
 from cosim.temporary import TemporaryFolder
 
@@ -75,7 +74,7 @@ def study(
     vary, metrics, set, swap, map, replay, allow_code, cases, sampling, samples, seed, seeds, \
 timeout, keep, results : optional
         In addition to what the file says; see
-        :meth:`cosim.studies.document.study_file.StudyFile.with_options`.
+        :meth:`cosim.studies.study_file.StudyFile.with_options`.
     workers : int, optional
         Processes at a time; left out: one a processor.
     scheduler : str or distributed.Client, optional

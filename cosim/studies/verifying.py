@@ -13,8 +13,7 @@ import numpy as np
 from cosim.errors import DatasetError, UsageError, option
 from cosim.studies.dataset import StudyDataset, differences
 from cosim.studies.kept_logs import different, limit_again
-from cosim.studies.running.plan import plan_study
-from cosim.studies.running.recorded_study import RecordedStudy, own_environment
+from cosim.studies.plan import RecordedStudy, own_environment, plan_study
 from cosim.studies.study import Study
 from cosim.studies.workers import LocalExecutor
 

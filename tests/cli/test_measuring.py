@@ -8,7 +8,7 @@ import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.plan import RecordedStudy
 from tests.studies.tuning.fitted_fmu import write_fit
 
 METRICS = {

@@ -14,7 +14,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.cli.studying import run
-from cosim.studies.document.study_file import StudyFile
+from cosim.studies.study_file import StudyFile
 
 STUDY = """
 [study]

@@ -9,8 +9,8 @@ from scipy import stats
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.design.planning import plan_design
-from cosim.studies.document.reading import read_study
+from cosim.studies.design import plan_design
+from cosim.studies.study_file import read_study
 from cosim.studies.layout import StudyLayout, drawn_members, independence_of
 from cosim.studies.sensitivity import bootstrap, indices_of, sobol_indices
 from cosim.studies.statistics import (

@@ -11,9 +11,9 @@ from cosim.arrays import Vector
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.layout import MetricColumn, StudyResults, count_text
+from cosim.studies.plan import RecordedSearch
 from cosim.studies.plots.panels import FAILED, MetricPanels, mark_failed
 from cosim.studies.plots.scales import check_drawable, is_logarithmic, reach_beside, zero_width
-from cosim.studies.running.recorded_study import RecordedSearch
 
 _BEST: Final = COLORS[0]
 _TOLD_APART: Final = 1e-5  # of a value: numbers at an axis have six digits

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.errors import UsageError, nearest, quoted
 from cosim.report.plots.picture import PictureOptions, need_plot
 from cosim.studies.layout import StudyResults, drawn_members
+from cosim.studies.plan import RecordedSearch
 from cosim.studies.plots.convergence import plot_convergence
 from cosim.studies.plots.distributions import plot_distributions, plot_histograms
 from cosim.studies.plots.heat_map import plot_heat_maps
@@ -19,7 +20,6 @@ from cosim.studies.plots.over_key import plot_over_key
 from cosim.studies.plots.scatter import plot_scatter
 from cosim.studies.plots.search_history import plot_search
 from cosim.studies.plots.sensitivity import plot_sobol
-from cosim.studies.running.recorded_study import RecordedSearch
 
 KINDS: Final = {
     "histogram": "how the values of metrics are distributed, with mean and quantiles",

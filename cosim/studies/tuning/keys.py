@@ -10,8 +10,7 @@ from cosim.arguments import mapping_argument
 from cosim.errors import UsageError, option, quoted
 from cosim.scenario.document.edits import plain
 from cosim.studies.contracts import SWAP
-from cosim.studies.document.nested import varied_key
-from cosim.studies.document.paths import absolute
+from cosim.studies.study_file import absolute, varied_key
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 
 _BOUNDS: Final = ("linear", "log")

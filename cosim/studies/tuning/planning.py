@@ -13,23 +13,27 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.parsing import Scenario
 from cosim.studies.contracts import RECORDING, SWAP, StudyMember
 from cosim.studies.dataset import OF_METRICS, StudyIdentity, metric_column, parameter_column
-from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn
-from cosim.studies.design.commands import run_command
-from cosim.studies.design.own_values import own_value
-from cosim.studies.design.planning import edited_scenario
-from cosim.studies.design.recordings import find_recordings
-from cosim.studies.design.study_design import StudyDesign
-from cosim.studies.document.scenario_of_study import load_scenario
-from cosim.studies.document.study_file import StudyFile
+from cosim.studies.design import (
+    DesignColumn,
+    MemberLayout,
+    SampleColumn,
+    StudyDesign,
+    edited_scenario,
+    find_recordings,
+    own_value,
+)
 from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.running.plan import StudyPlan, plan_members
-from cosim.studies.running.recorded_study import (
+from cosim.studies.plan import (
     RecordedSearch,
     RecordedStudy,
+    StudyPlan,
     own_environment,
+    plan_members,
+    run_command,
+    scenario_digest,
 )
-from cosim.studies.running.sources import scenario_digest
+from cosim.studies.study_file import StudyFile, load_scenario
 from cosim.studies.tuning.searching import TuningMethod, TuningSearch, check_search
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace, key_of
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms

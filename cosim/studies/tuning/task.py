@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cosim.scenario.document.document import find
-from cosim.studies.document.reading import read_study
-from cosim.studies.document.scenario_of_study import is_log
-from cosim.studies.document.study_file import STUDY, StudyFile, study_of
+from cosim.studies.study_file import STUDY, StudyFile, is_log, read_study, study_of
 from cosim.studies.tuning.searching import TuningSearch
 from cosim.studies.tuning.trials import SAMPLES
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 from cosim.arguments import path_argument, truth_argument, whole_argument
 from cosim.errors import UsageError, option, quoted, warn
+from cosim.studies.plan import RUNNER
 from cosim.studies.running.local import MembersDone
-from cosim.studies.running.plan import RUNNER
 from cosim.studies.studying import worker_count
 from cosim.studies.tuning.cluster_trials import check_batches, cluster_trials
 from cosim.studies.tuning.keys import read_space

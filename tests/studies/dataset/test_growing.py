@@ -8,8 +8,8 @@ from cosim.studies.contracts import MemberOutcome
 from cosim.studies.dataset import parameter_column
 from cosim.studies.dataset import StudyIdentity
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.design.planning import plan_design
-from cosim.studies.document.reading import read_study
+from cosim.studies.design import plan_design
+from cosim.studies.study_file import read_study
 
 GRID = """
 [study]

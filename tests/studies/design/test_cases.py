@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from cosim.errors import UsageError
-from cosim.studies.design.cases import read_cases
-from cosim.studies.design.columns import plain_values
+from cosim.studies.cases import read_cases
+from cosim.studies.design import plain_values
 
 
 @pytest.fixture

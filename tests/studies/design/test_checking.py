@@ -8,11 +8,11 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.design.checking import check_design
-from cosim.studies.design.member_check import is_own_code
-from cosim.studies.design.planning import plan_design
-from cosim.studies.document.reading import read_study
-from cosim.studies.document.scenario_of_study import load_scenario
+from cosim.studies.checking import check_design
+from cosim.studies.checking import is_own_code
+from cosim.studies.design import plan_design
+from cosim.studies.study_file import read_study
+from cosim.studies.study_file import load_scenario
 
 EMPTY = read_study("academic-noisy")
 SCENARIO = cosim.load("academic-noisy")

@@ -12,10 +12,10 @@ from cosim.cli.options import read_edits, read_unique_pairs
 from cosim.scenario.document.edits import parse_value
 from cosim.scenario.document.swap import port_names
 from cosim.studies.contracts import StudyMember
-from cosim.studies.design.checking import check_design
-from cosim.studies.design.commands import run_command, toml_text
-from cosim.studies.design.planning import plan_design
-from cosim.studies.document.reading import read_study
+from cosim.studies.checking import check_design
+from cosim.studies.plan import run_command, toml_text
+from cosim.studies.design import plan_design
+from cosim.studies.study_file import read_study
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 
 EMPTY = read_study("academic-noisy")

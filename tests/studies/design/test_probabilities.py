@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from cosim.errors import UsageError, shell_language
-from cosim.studies.design.probabilities import unit_points
+from cosim.studies.design import unit_points
 
 KEYS = ("a.x", "b.y[0]", "c.z")
 METHODS = ("random", "latin-hypercube", "sobol", "saltelli")

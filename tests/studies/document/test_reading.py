@@ -12,11 +12,11 @@ import cosim
 from cosim.errors import UsageError, shell_language
 from cosim.scenario.document.document import find
 from cosim.studies.contracts import StudySubject
-from cosim.studies.design.recordings import find_recordings
-from cosim.studies.document.keep import KeptLogs
-from cosim.studies.document.reading import read_study
-from cosim.studies.document.schema import StudyTables
-from cosim.studies.document.variations import GridVariation, SampledVariation
+from cosim.studies.design import find_recordings
+from cosim.studies.study_file import KeptLogs
+from cosim.studies.study_file import read_study
+from cosim.studies.study_file import StudyTables
+from cosim.studies.variations import GridVariation, SampledVariation
 
 STUDY = """\
 [study]

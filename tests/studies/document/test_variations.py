@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.scenario.document.problems import TableProblems
-from cosim.studies.document.variations import GridVariation, SampledVariation, read_variation
+from cosim.studies.variations import GridVariation, SampledVariation, read_variation
 
 INF = math.inf
 

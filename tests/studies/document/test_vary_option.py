@@ -3,8 +3,8 @@
 import pytest
 
 from cosim.errors import UsageError
-from cosim.studies.document.variations import read_variation
-from cosim.studies.document.vary_option import read_vary_option
+from cosim.studies.variations import read_variation
+from cosim.studies.variations import read_vary_option
 
 
 @pytest.mark.parametrize(

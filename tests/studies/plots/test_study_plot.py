@@ -23,7 +23,7 @@ from cosim.studies.plots.scales import (
     zero_width,
 )
 from cosim.studies.plots.search_history import best_so_far
-from cosim.studies.running.recorded_study import RecordedSearch
+from cosim.studies.plan import RecordedSearch
 from tests.studies.made import MadeStudy, saltelli_study, tolerances
 
 DRAWN = ["histogram", "distribution", "convergence", "line", "map", "scatter"]

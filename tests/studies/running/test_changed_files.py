@@ -6,11 +6,11 @@ import cosim
 from cosim.cli.app import main
 from cosim.errors import ChangedFileError, DatasetError, RunError
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
-from cosim.studies.document.reading import read_study
+from cosim.studies.study_file import read_study
 from cosim.studies.members.inspector import FILE
-from cosim.studies.running.plan import plan_study
-from cosim.studies.running.recorded_study import RecordedStudy
-from cosim.studies.running.sources import found_sources
+from cosim.studies.plan import plan_study
+from cosim.studies.plan import RecordedStudy
+from cosim.studies.plan import found_sources
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 
 TABLE = """
@@ -91,7 +91,7 @@ def test_every_log_belongs_to_the_study(scenario, tmp_path, monkeypatch):
     logs = [tmp_path / f"{number}.mcap" for number in range(3)]
     for log in logs:
         cosim.run(scenario, out=log)
-    monkeypatch.setattr("cosim.studies.running.inspection.MOST_INSPECTED", 1)
+    monkeypatch.setattr("cosim.studies.checking.MOST_INSPECTED", 1)
     given = {"replay": list(map(str, logs)), "metrics": METRICS}
     names = plan_study(read_study(scenario).with_options(**given)).identity({}).digests
     assert {f"log {log.name}" for log in logs} <= names.keys()

@@ -4,11 +4,11 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.document.keep import read_keep
-from cosim.studies.document.reading import read_study
+from cosim.studies.study_file import read_keep
+from cosim.studies.study_file import read_study
 from cosim.studies.studying import estimate_study
 from cosim.studies.running.kept_members import kept_count
-from cosim.studies.running.plan import plan_study
+from cosim.studies.plan import plan_study
 
 SCENARIO = """
 scenario = { name = "x", stop = 10.0, step = 0.001 }

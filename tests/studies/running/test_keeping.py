@@ -12,12 +12,12 @@ from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, MemberOutcome
 from cosim.studies.dataset.log_files import LogRecord
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.document.keep import read_keep
+from cosim.studies.study_file import read_keep
 from cosim.studies.members.left_log import readable_log
 from cosim.studies.running.keeping import LogKeeper, keep_logs
 from cosim.studies.running.kept_members import chosen_members
-from cosim.studies.running.plan import plan_study
-from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.plan import plan_study
+from cosim.studies.plan import RecordedStudy
 from cosim.studies.studying import open_dataset
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS

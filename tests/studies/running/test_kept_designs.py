@@ -8,12 +8,12 @@ import numpy as np
 import cosim
 from cosim.log import Log
 from cosim.studies.contracts import StudyMember
-from cosim.studies.document.reading import read_study
+from cosim.studies.study_file import read_study
 from cosim.studies.members.designs import decode_designs, encode_designs
 from cosim.studies.members.inspector import MemberInspector
 from cosim.studies.members.runner import open_runner
 from cosim.studies.running.keeping import keep_logs
-from cosim.studies.running.plan import plan_study
+from cosim.studies.plan import plan_study
 from cosim.studies.studying import open_dataset
 
 STUDY = """

@@ -12,14 +12,14 @@ import pytest
 
 import cosim
 from cosim.errors import DatasetError, UsageError
-from cosim.studies.design.planning import plan_design
-from cosim.studies.document.reading import read_study
-from cosim.studies.document.study_file import study_of
+from cosim.studies.design import plan_design
+from cosim.studies.study_file import read_study
+from cosim.studies.study_file import study_of
 from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.studying import estimate_study
-from cosim.studies.running.plan import plan_study
-from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.plan import plan_study
+from cosim.studies.plan import RecordedStudy
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 from tests.studies.tuning.fitted_fmu import write_fit
 

@@ -4,8 +4,8 @@ import pytest
 
 import cosim
 from cosim.errors import ChangedFileError, DatasetError
-from cosim.studies.document.reading import read_study
-from cosim.studies.running.plan import plan_study
+from cosim.studies.study_file import read_study
+from cosim.studies.plan import plan_study
 from cosim.studies.tuning.keys import read_space
 from cosim.studies.tuning.planning import plan_tuning
 from cosim.studies.tuning.searching import TuningSearch

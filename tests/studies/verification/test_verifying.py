@@ -12,7 +12,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.running.comparing import difference
-from cosim.studies.running.recorded_study import own_environment
+from cosim.studies.plan import own_environment
 from cosim.studies.show import print_verification
 from cosim.studies.verification import verifying
 from cosim.studies.verifying import verify_study

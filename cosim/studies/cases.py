@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -23,10 +23,9 @@ from cosim.scenario.data_files.tables import read_texts
 from cosim.scenario.data_files.text_table import is_unit
 from cosim.scenario.document.edits import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
-from cosim.studies.design.columns import ColumnValues, packed
-from cosim.studies.document.nested import varied_key
-from cosim.studies.document.paths import absolute
+from cosim.studies.study_file import absolute, varied_key
 
+ColumnValues: TypeAlias = np.ndarray[Any, Any] | list[Any]
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
 NO_ROWS: Final = "has no rows; expected a header line of keys and one row per case"
@@ -157,3 +156,13 @@ def _read_column(column: Any, file: str, name: str) -> ColumnValues:
         return packed([None if value is None else plain(value) for value in values])
     except UsageError as error:
         raise UsageError(f"file {file}, column {name!r}: {error}") from error
+
+
+def packed(values: Sequence[Any]) -> ColumnValues:
+    """Return values as an array where all are numbers of one type that it holds."""
+    kinds = {type(value) for value in values}
+    if kinds == {float}:
+        return np.array(values, np.float64)
+    if kinds == {int} and all(-(2**63) <= value < 2**63 for value in values):
+        return np.array(values, np.int64)
+    return list(values)

@@ -1,1 +1,0 @@
-"""Designs: which members a study has, by number."""

@@ -1,1 +1,0 @@
-"""Run studies: plan them, run what is missing, keep logs."""
