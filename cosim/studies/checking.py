@@ -317,7 +317,9 @@ def check_draws(
     value = float(distinct[example])
     number = int(np.flatnonzero(values == distinct[example])[0]) * members_each
     if len(wrong) == len(probes):
-        tried = "the only draw is" if last == 0 else f"so are all {len(probes)} draws tried"
+        tried = (
+            "the only draw is" if last == 0 else f"so are all {len(probes)} draws that were tried"
+        )
         raise UsageError(
             f"{variation.key} = {quoted(value)}, drawn from {variation} for member {number}: "
             f"{reason(example)}; {tried}; choose another distribution"
