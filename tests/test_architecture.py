@@ -146,6 +146,7 @@ ROOMS = {
         "variations",
         "study_file",
         "cases",
+        "metric_language",
         "metrics",
         "members",
         "worker",

@@ -39,8 +39,8 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.metrics import parse_metrics
+from cosim.studies.metrics import MetricRecorder
 from cosim.studies.study_file import load_scenario
 from cosim.temporary import without_folders
 

@@ -35,7 +35,7 @@ from cosim.studies.dataset import (
 )
 from cosim.studies.design import SampleColumn, StudyDesign, plain_values, plan_design
 from cosim.studies.layout import StudyLayout, count_text
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 from cosim.studies.study import Study
 from cosim.studies.study_file import STUDY, StudyFile, load_scenario, study_of
 from cosim.version import __version__

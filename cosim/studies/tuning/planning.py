@@ -23,7 +23,7 @@ from cosim.studies.design import (
     own_value,
 )
 from cosim.studies.layout import StudyLayout
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 from cosim.studies.plan import (
     RecordedSearch,
     RecordedStudy,

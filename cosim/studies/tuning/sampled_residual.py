@@ -34,8 +34,8 @@ from cosim.native.numerics.programs import RowProgram
 from cosim.scenario.parsing import Scenario
 from cosim.studies.contracts import MemberRunner, MetricValue, StudySubject
 from cosim.studies.members.runner import open_runner
-from cosim.studies.metrics.binding import find_element
-from cosim.studies.metrics.language import Reduction, parse_metric_text
+from cosim.studies.metrics import find_element
+from cosim.studies.metric_language import Reduction, parse_metric_text
 from cosim.studies.study_file import load_scenario
 
 ROUNDING: Final = 1e-9  # of the largest sample

@@ -8,8 +8,8 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.metrics.kinds import KINDS
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metric_language import KINDS
+from cosim.studies.metrics import parse_metrics
 from tests.studies.metrics.rows import CHANNELS
 
 REFUSED = {

@@ -16,7 +16,7 @@ from cosim.studies.design import plan_design
 from cosim.studies.study_file import read_study
 from cosim.studies.study_file import study_of
 from cosim.studies.layout import StudyLayout
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 from cosim.studies.studying import estimate_study
 from cosim.studies.plan import plan_study
 from cosim.studies.plan import RecordedStudy
