@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cosim.studies.metrics import metrics
     from cosim.studies.study import open_study
     from cosim.studies.studying import study
-    from cosim.studies.tuning.tuning import tune
+    from cosim.studies.tuning import tune
 
 _HOMES = {
     "CosimWarning": "cosim.errors",
@@ -52,7 +52,7 @@ _HOMES = {
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
     "study": "cosim.studies.studying",
-    "tune": "cosim.studies.tuning.tuning",
+    "tune": "cosim.studies.tuning",
 }
 
 __all__ = [

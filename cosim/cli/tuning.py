@@ -138,7 +138,7 @@ def tune(
     import json
 
     from cosim.studies.show import tuning_lines
-    from cosim.studies.tuning.tuning import tune as run_tuning
+    from cosim.studies.tuning import tune as run_tuning
 
     check_out(out)
     if quiet and out is None and not as_json:

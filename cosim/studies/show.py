@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cosim.studies.plan import RecordedSearch
     from cosim.studies.study import Study
     from cosim.studies.studying import StudyEstimate
-    from cosim.studies.tuning.result import TuningResult
+    from cosim.studies.tuning_result import TuningResult
     from cosim.studies.verifying import StudyVerification
 
 CommandOf: TypeAlias = Callable[[int], str]

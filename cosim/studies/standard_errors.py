@@ -1,0 +1,381 @@
+r"""Standard errors of fitted values, from the curvature of the sum of squares.
+
+Of an objective f that is the rms of one residual with N samples, S = N f^2 is the sum of squares.
+Where the residual at the best values is white, with one deviation s, the covariance of the values
+is about :math:`2 s^2 H^{-1}` with the Hessian H of S and s^2 = S / (N - p) [1]_.
+
+Differences find H. A step along a key is such that S rises by s^2: that is one standard error of
+this key, the others held. So H is measured where the interval will be, its relative error by noise
+of the objective is about its relative noise times N, and a step is neither too short nor too long.
+Noise of the objective, as of a solver with step control, is estimated first, from differences of
+high order [2]_; where it would be seen, the steps are longer.
+
+Mixed second differences need two more members for a pair of keys. The same members give the
+gradient: a Newton step moves the center to the optimum where the search stopped short of it.
+
+References
+----------
+.. [1] G. A. F. Seber, C. J. Wild, "Nonlinear Regression", Wiley, 1989, sections 2.1 and 5.1.
+.. [2] J. J. Moré, S. M. Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (2011).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.studies.residual import ResidualCheck
+from cosim.studies.search import DIGITS, Point, SearchSpace, Trials
+from cosim.studies.statistics import student_quantile
+
+_FIRST_STEP: Final = 1e-3  # of the range between the bounds
+_SHORTEST_STEP: Final = 1e-9
+_ROUNDS: Final = 10  # to find the steps
+_MOVES: Final = 5  # of the center
+_NEAR: Final = 0.1  # standard errors from the optimum
+_NOISE_POINTS: Final = 6
+_NOISE_STEP: Final = 1e-8
+_LONGEST: Final = 25.0  # rise of S in s^2: five standard errors
+_LEAST_RISE: Final = 0.05  # of the wanted one
+_LEAST_EIGENVALUE: Final = 1e-7  # of the Hessian scaled to a diagonal of ones
+_SKEWED: Final = 0.3
+_INVOLVED: Final = 0.5  # correlation of what is not determined together
+
+Squares: TypeAlias = Callable[[Iterable[Vector]], Vector]  # sums of squares at coordinates
+
+
+class NoStandardErrors(Exception):
+    """Standard errors would mean nothing; its text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandardErrors:
+    """Standard errors of the best values.
+
+    Parameters
+    ----------
+    errors : mapping of key to float
+    intervals : mapping of key to (float, float)
+        With 95 %.
+    correlation : tuple of tuples
+        Of the values, in the order of the keys.
+    deviation : float
+        Standard deviation of the residual.
+    samples : int
+        Independent ones of the residual.
+    skewed : tuple of str
+        Keys along which S rises unevenly.
+    values : mapping of key to float
+        Where S is least, by the parabola.
+    """
+
+    errors: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    correlation: tuple[tuple[float, ...], ...]
+    deviation: float
+    samples: int
+    skewed: tuple[str, ...]
+    values: Mapping[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        found = asdict(self)
+        del found["values"]
+        return found
+
+
+def members_of_errors(keys: int) -> int:
+    """Return about how many members standard errors take."""
+    return _NOISE_POINTS + 8 * keys + 3 * (1 + keys * (keys + 1))
+
+
+def standard_errors(
+    space: SearchSpace, trials: Trials, best: Point, samples: int
+) -> StandardErrors:
+    """Return the standard errors of the best values; more points are tried for it.
+
+    Raises
+    ------
+    NoStandardErrors
+    SearchEnded
+        If the members do not suffice.
+    """
+    free = _free(space, samples)
+
+    def squares(coordinates: Iterable[Vector]) -> Vector:
+        points = [space.point(each) for each in coordinates]
+        costs = trials.costs(points)
+        for point, cost in zip(points, costs, strict=True):
+            if not math.isfinite(cost):
+                problem = trials.trial(point).problem
+                raise NoStandardErrors(f"a member next to the best values fails: {problem}")
+        return samples * np.array(costs) ** 2
+
+    names = [key.key for key in space.bounded]
+    center = space.coordinates(best)
+    level = squares([center])[0]
+    if level <= 0.0:
+        raise NoStandardErrors("the residual is zero")
+    noise = _noise(squares, center)
+    wanted = max(1.0, 100.0 * noise * free)
+    if wanted > _LONGEST:
+        raise NoStandardErrors(
+            f"the objective is noisy (relative noise {noise / 2:.1g}), which hides its curvature"
+        )
+    steps = _steps(squares, center, wanted * level / free, names)
+    return _result(space, _centered(squares, center, steps, noise, samples, names), samples)
+
+
+def _free(space: SearchSpace, samples: int) -> int:
+    """Return the degrees of freedom that the values leave."""
+    values = len(space.keys)
+    if samples <= values:
+        raise NoStandardErrors(
+            f"expected more samples than values, got {values} values from {samples} samples"
+        )
+    return samples - values
+
+
+def _noise(squares: Squares, center: Vector) -> float:
+    """Return the relative noise, by differences of high order [More and Wild 2011, ECnoise]."""
+    inwards = np.where(center < 0.5, _NOISE_STEP, -_NOISE_STEP)
+    values = squares(center + k * inwards for k in range(_NOISE_POINTS + 1))
+    estimates = []
+    for order in range(4, _NOISE_POINTS + 1):
+        factor = math.factorial(order) ** 2 / math.factorial(2 * order)
+        estimates.append(math.sqrt(factor * float(np.mean(np.diff(values, order) ** 2))))
+    return float(np.median(estimates)) / float(values[0])
+
+
+def _steps(squares: Squares, center: Vector, wanted: float, names: list[str]) -> Vector:
+    """Return the steps over which S rises by about what is wanted."""
+    room = np.minimum(center, 1.0 - center)
+    steps = np.minimum(_FIRST_STEP, room)
+    for name, step in zip(names, steps, strict=True):
+        if step < 0.1 * _FIRST_STEP:
+            raise NoStandardErrors(
+                f"{name} is at its bound; they hold for values between the bounds"
+            )
+    level = squares([center])[0]
+    ratios = np.zeros(center.size)
+    open_ = list(range(center.size))
+    for _ in range(_ROUNDS):
+        ends = np.diag(steps)
+        values = squares([*(center + ends), *(center - ends)]).reshape(2, -1)
+        ratios[open_] = ((values.mean(axis=0) - level) / wanted)[open_]
+        open_ = []
+        for number, ratio in enumerate(ratios):
+            longer = min(max(1.0 / math.sqrt(ratio), 1e-3), 100.0) if ratio > 1e-4 else 100.0
+            step = min(max(steps[number] * longer, _SHORTEST_STEP), room[number])
+            if not 0.25 <= ratio <= 4.0 and step != steps[number]:
+                steps[number] = step
+                open_.append(number)
+        if not open_:
+            break
+    for number in np.flatnonzero(ratios < _LEAST_RISE).tolist():
+        if steps[number] < 0.2 * max(center[number], 1.0 - center[number]):
+            raise NoStandardErrors(f"{names[number]} is within a standard error of its bound")
+        raise NoStandardErrors(
+            f"{names[number]} hardly changes the objective between its bounds: the data do not "
+            "determine it there"
+        )
+    return steps
+
+
+@dataclass(frozen=True, slots=True)
+class _Curvature:
+    """A parabola about a center, in units of the steps."""
+
+    center: Vector
+    steps: Vector
+    level: float
+    gradient: Vector
+    hessian: Matrix
+
+
+def _centered(
+    squares: Squares, center: Vector, steps: Vector, noise: float, samples: int, names: list[str]
+) -> _Curvature:
+    """Return the parabola about its own minimum, or as near as S falls."""
+    for _ in range(_MOVES):
+        curvature = _curvature(squares, center, steps, names)
+        move = -np.linalg.solve(curvature.hessian, curvature.gradient)
+        if np.abs(move).max() <= _NEAR:
+            return curvature
+        most = math.sqrt(samples)
+        moved = center + np.clip(move, -most, most) * steps
+        if (np.minimum(moved, 1.0 - moved) < steps).any():
+            return curvature
+        level = squares([moved])[0]
+        if level <= 0.0:
+            raise NoStandardErrors("the residual is zero")
+        if level >= curvature.level * (1.0 - 2.0 * noise):
+            return curvature
+        center = moved
+        shorter = steps * math.sqrt(level / curvature.level)  # s is smaller there
+        steps = np.maximum(shorter, np.minimum(steps, _SHORTEST_STEP))
+    return curvature
+
+
+def _curvature(squares: Squares, center: Vector, steps: Vector, names: list[str]) -> _Curvature:
+    """Return the parabola through a point on either side for each key and each pair of keys."""
+    count = center.size
+    ends = np.diag(steps)
+    pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
+    corners = [center + sign * (ends[i] + ends[j]) for i, j in pairs for sign in (1.0, -1.0)]
+    values = squares([center, *(center + ends), *(center - ends), *corners])
+    level = float(values[0])
+    up, down = values[1 : 2 * count + 1].reshape(2, -1)
+    hessian = np.diag(up + down - 2.0 * level)
+    for (i, j), corner in zip(
+        pairs, values[2 * count + 1 :].reshape(-1, 2).sum(axis=1), strict=True
+    ):
+        mixed = corner - up[i] - down[i] - up[j] - down[j] + 2.0 * level
+        hessian[i, j] = hessian[j, i] = mixed / 2.0
+    scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    eigenvalues, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    if eigenvalues[0] <= _LEAST_EIGENVALUE:
+        weights = np.abs(vectors[:, 0])
+        involved = [names[k] for k in np.flatnonzero(weights > 0.1 * weights.max())]
+        one = len(involved) == 1
+        raise NoStandardErrors(
+            f"the objective does not rise along {'' if one else 'a combination of '}"
+            f"{', '.join(involved)}: the data do not determine "
+            f"{'it' if one else 'them together'}"
+        )
+    return _Curvature(center, steps, level, (up - down) / 2.0, hessian)
+
+
+def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> StandardErrors:
+    free = _free(space, samples)
+    variance = curvature.level / free
+    scaled = 2.0 * variance * np.linalg.inv(curvature.hessian)
+    deviations = np.sqrt(np.diag(scaled))
+    correlation = scaled / np.outer(deviations, deviations)
+    values = space.point(curvature.center)
+    errors = {}
+    for number, key in enumerate(space.bounded):
+        value = values[key.key]
+        error = float(key.slope(value) * curvature.steps[number] * deviations[number])
+        if error < abs(value) * 10.0 ** (1 - DIGITS):
+            raise NoStandardErrors(
+                f"that of {key.key} would be below the {DIGITS} digits of its value: the residual "
+                "is rounding noise"
+            )
+        errors[key.key] = error
+    skew = np.abs(curvature.gradient) / np.diag(curvature.hessian)
+    skewed = [key.key for key, each in zip(space.bounded, skew, strict=True) if each > _SKEWED]
+    return StandardErrors(
+        errors,
+        _intervals(space, values, errors, correlation, free),
+        _as_tuples(correlation),
+        math.sqrt(variance),
+        samples,
+        tuple(skewed),
+        values,
+    )
+
+
+def _intervals(
+    space: SearchSpace,
+    values: Mapping[str, float],
+    errors: Mapping[str, float],
+    correlation: Matrix,
+    freedom: float,
+) -> dict[str, tuple[float, float]]:
+    wide = student_quantile(float(freedom) + 1.0)
+    intervals = {}
+    for number, key in enumerate(space.bounded):
+        value = values[key.key]
+        half = wide * errors[key.key]
+        low, high = value - half, value + half
+        if key.logarithmic:
+            factor = math.exp(half / value) if half < 709.0 * value else math.inf
+            low, high = value / factor, value * factor
+        if not (math.isfinite(low) and math.isfinite(high) and (low > 0.0 or not key.logarithmic)):
+            names = [each.key for each in space.bounded]
+            involved = [names[k] for k in np.flatnonzero(np.abs(correlation[number]) > _INVOLVED)]
+            together = " together" if len(involved) > 1 else ""
+            raise NoStandardErrors(
+                f"the interval of {key.key} goes beyond all numbers: the data hardly determine "
+                f"{', '.join(involved)}{together}"
+            )
+        intervals[key.key] = low, high
+    return intervals
+
+
+def _as_tuples(matrix: Matrix) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+# --- with what is known of the residual ---
+
+
+def moved_points(
+    errors: StandardErrors, space: SearchSpace, best: Point
+) -> tuple[list[dict[str, float]], Vector]:
+    """Return points with one value each about a standard error away, and how many errors that is.
+
+    The error is that of the value while the others are held.
+    """
+    held = 1.0 / np.sqrt(np.diag(np.linalg.inv(np.array(errors.correlation))))
+    points = []
+    units = np.empty(len(held))
+    for number, key in enumerate(space.bounded):
+        value = best[key.key]
+        above, below = key.upper - value, value - key.lower
+        step = min(errors.errors[key.key] * float(held[number]), max(above, below))
+        moved = value + (step if above >= below else -step)
+        points.append({**best, key.key: moved})
+        units[number] = (moved - value) / errors.errors[key.key]
+    return points, units
+
+
+def of_samples(
+    errors: StandardErrors,
+    space: SearchSpace,
+    residual: ResidualCheck,
+    samples: int,
+    moves: Matrix | None,
+) -> StandardErrors:
+    """Return standard errors by the samples on which the rows rest.
+
+    Parameters
+    ----------
+    errors : StandardErrors
+        As if all rows were independent.
+    space : SearchSpace
+    residual : ResidualCheck
+    samples : int
+        Of these, how many are independent.
+    moves : Matrix or None, shape (n, p)
+        ``W'J``: how the weighed samples move with each value, by its standard error; None: the
+        samples are the rows.
+    """
+    free = _free(space, samples)
+    factor = residual.ratio * math.sqrt(_free(space, errors.samples) / free)
+    correlation = np.array(errors.correlation)
+    deviations = np.full(len(correlation), factor)
+    if moves is not None:
+        weighed = moves @ correlation
+        rows = residual.rows**2 / (errors.samples * residual.samples)
+        covariance = weighed.T @ weighed / (rows * errors.deviation**2)
+        own = np.sqrt(np.diag(covariance))
+        deviations *= own
+        correlation = covariance / np.outer(own, own)
+    pairs = zip(errors.errors.items(), deviations, strict=True)
+    found = {key: float(error * deviation) for (key, error), deviation in pairs}
+    freedom = residual.freedom if samples == residual.independent else math.inf
+    return replace(
+        errors,
+        errors=found,
+        intervals=_intervals(space, errors.values, found, correlation, min(free, freedom)),
+        correlation=_as_tuples(correlation),
+        deviation=residual.ratio * errors.deviation,
+        samples=samples,
+    )

@@ -1,0 +1,566 @@
+"""Tune a scenario: search the values of some keys by members of a study."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.arguments import mapping_argument, path_argument, truth_argument, whole_argument
+from cosim.digests import digest_of
+from cosim.errors import UsageError, listing, option, quoted, warn
+from cosim.log.foreign.topics import is_foreign
+from cosim.scenario.document.document import find
+from cosim.scenario.document.edits import plain
+from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember
+from cosim.studies.dataset import (
+    OF_METRICS,
+    StudyDataset,
+    StudyIdentity,
+    json_value,
+    metric_column,
+    parameter_column,
+)
+from cosim.studies.design.columns import MemberLayout, SampleColumn
+from cosim.studies.design.commands import run_command
+from cosim.studies.design.own_values import own_value
+from cosim.studies.design.planning import edited_scenario
+from cosim.studies.design.recordings import find_recordings
+from cosim.studies.design.study_design import StudyDesign
+from cosim.studies.document.nested import varied_key
+from cosim.studies.document.paths import absolute
+from cosim.studies.document.reading import read_study
+from cosim.studies.document.scenario_of_study import is_log, load_scenario
+from cosim.studies.document.study_file import STUDY, StudyFile, study_of
+from cosim.studies.kept_logs import MembersDone
+from cosim.studies.layout import StudyLayout
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.residual import check_residual, residual_at
+from cosim.studies.running.plan import StudyPlan, plan_members
+from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy, own_environment
+from cosim.studies.running.sources import scenario_digest
+from cosim.studies.search import (
+    BATCHES,
+    OBJECTIVE,
+    SAMPLES,
+    BoundedKey,
+    ChoiceKey,
+    Key,
+    Point,
+    RunPoints,
+    Search,
+    SearchEnd,
+    SearchEnded,
+    SearchSpace,
+    Trials,
+    search_points,
+)
+from cosim.studies.standard_errors import (
+    NoStandardErrors,
+    StandardErrors,
+    members_of_errors,
+    moved_points,
+)
+from cosim.studies.standard_errors import standard_errors as errors_at
+from cosim.studies.studying import MemberExecutor, worker_count
+from cosim.studies.tuning_result import TuningResult, converged_end, with_residual
+from cosim.studies.workers import LocalExecutor
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+def tune(
+    scenario: str | Path,
+    *,
+    minimize: str | None = None,
+    maximize: str | None = None,
+    vary: Mapping[str, Any] | None = None,
+    members: int = 200,
+    method: str = "cobyqa",
+    starts: int = 4,
+    seed: int = 1,
+    standard_errors: bool = False,
+    samples: int | None = None,
+    replay: str | Sequence[str] | None = None,
+    allow_code: bool = False,
+    out: str | Path | None = None,
+    new: bool = False,
+    workers: int | None = None,
+    scheduler: str | Client | None = None,
+    timeout: float | None = None,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, str | list[str]] | None = None,
+    progress: MembersDone | None = None,
+    notice: Callable[[str], None] | None = None,
+) -> TuningResult:
+    """Search the values of some keys with the best metric.
+
+    Parameters
+    ----------
+    scenario : str or Path
+        A scenario, the name of a shipped one, or a log, which every trial replays.
+    minimize, maximize : str, optional
+        The metric, such as ``"rms(observer.delta - delta.y)"``: one of these.
+    vary : mapping of dotted key to table or list
+        Bounds, ``{"log": [10.0, 1e4]}`` or ``{"linear": [0.0, 1.0]}``; with optuna also lists of
+        values, and of paths for the key of a component, which is swapped.
+    members : int
+        Runs at most.
+    method : {"cobyqa", "nelder-mead", "global", "optuna"}
+        The first two search locally from several starts, ``global`` by differential evolution,
+        ``optuna`` by models of what was good.
+    starts : int
+        Of a local search.
+    seed : int
+        Of starts and random points.
+    standard_errors : bool
+        Find those of values fitted by the rms of a residual, too.
+    samples : int, optional
+        Independent samples of the residual; left out: all that it has, fewer where their noise is
+        colored.
+    replay : str, optional
+        A log that every trial replays.
+    allow_code : bool
+        As of :func:`cosim.replay`.
+    out : str or Path, optional
+        Folder of the dataset of all runs, or a URL of fsspec; what it has is not run again. Left
+        out: nothing is kept.
+    new : bool
+        Begin the dataset that is there anew.
+    workers : int, optional
+        Processes at a time; left out: one a processor.
+    scheduler : str or distributed.Client, optional
+        Of a cluster of dask.distributed, such as ``"tcp://host:8786"``, for methods that try many
+        members at a time. The first member runs on this machine.
+    timeout : float, optional
+        Wall time that a run may take [s].
+    set, swap, map
+        What all members have, as of :func:`cosim.run`.
+    progress : callable, optional
+        Called with how many members are done, of how many, and how many of these failed.
+    notice : callable, optional
+        Called with what is noteworthy about the run.
+
+    Raises
+    ------
+    CosimError
+        UsageError before a trial runs, and if the first one fails; DatasetError if ``out`` holds
+        another dataset. What fails in a later trial is in the result.
+    """
+    goal = "minimize" if maximize is None else "maximize"
+    expression = minimize if maximize is None else maximize
+    if (minimize is None) == (maximize is None):
+        found = "neither" if minimize is None else "both"
+        names = f"{option('minimize')} and {option('maximize')}"
+        raise UsageError(f"expected one of {names}, got {found}")
+    if not isinstance(expression, str):
+        raise UsageError(
+            f"{option(goal)}: expected a metric, such as 'rms(observer.delta - delta.y)', got "
+            f"{quoted(expression)}"
+        )
+    search = Search(
+        read_space(vary),
+        expression,
+        maximize=maximize is not None,
+        method=method,
+        members=_whole("members", members),
+        starts=_whole("starts", starts),
+        seed=_whole("seed", seed),
+        is_rms=is_rms(expression),
+        with_errors=truth_argument("standard_errors", standard_errors),
+        samples=whole_argument("samples", samples),
+    )
+    new = truth_argument("new", new)
+    count = worker_count(workers)
+    if scheduler is not None and method not in BATCHES:
+        raise UsageError(
+            f"{option('scheduler')}: the method {method!r} runs one member at a time, so a "
+            f"cluster would not be faster; use {option('method')} {' or '.join(BATCHES)}, or no "
+            "scheduler"
+        )
+    search.check()
+    metrics = {OBJECTIVE: expression}
+    if search.is_rms:
+        metrics[SAMPLES] = f"count{expression.strip().removeprefix('rms')}"
+    try:
+        parse_metrics(metrics)
+    except UsageError as error:
+        raise UsageError(_of_objective(str(error), search)) from error
+    study = _base(str(path_argument("scenario", scenario))).with_options(
+        metrics=metrics,
+        set=set,
+        swap=swap,
+        map=map,
+        replay=replay,
+        allow_code=truth_argument("allow_code", allow_code) or None,
+        timeout=timeout,
+    )
+    plan = plan_tuning(study, search)
+    warnings = plan.study.sources.warnings
+    if notice is None:
+        warn(warnings)
+        notice = _ignore
+    for text in warnings:
+        notice(f"warning: {text}")
+    result = _searched(plan, out, count, scheduler, new=new, progress=progress, notice=notice)
+    warn(result.warnings)
+    return _completed(plan, result)
+
+
+def _searched(
+    plan: TuningPlan,
+    out: str | Path | None,
+    workers: int,
+    scheduler: str | Client | None,
+    *,
+    new: bool,
+    progress: MembersDone | None,
+    notice: Callable[[str], None],
+) -> TuningResult:
+    """Run the members that the search asks for, and return what it found."""
+    subject = plan.study.subject
+    timeout = plan.study.study.settings.timeout
+    dataset: StudyDataset | None = None
+    with ExitStack() as resources:
+        if out is not None and StudyDataset.is_at(out) and not new:
+            there = StudyDataset.open_or_create(out, plan.identity)
+            dataset = resources.enter_context(there)
+        local = LocalExecutor(subject, workers, timeout=timeout)
+        executor: MemberExecutor = local
+        if scheduler is not None:  # before the dataset that is there is removed
+            from cosim.studies.cluster import ClusterExecutor
+
+            trial, files = plan.study.trial, plan.study.files
+            executor = resources.enter_context(
+                ClusterExecutor(scheduler, subject, trial, files, timeout=timeout, notice=notice)
+            )
+        resources.enter_context(local)
+
+        def run(points: Mapping[int, Point]) -> Iterator[MemberOutcome]:
+            nonlocal dataset
+            members = [plan.member(number, point) for number, point in points.items()]
+            where = local if 0 in points else executor
+            for member, outcome in where.run(iter(members)):
+                if member.number == 0 and outcome.status != COMPLETE:
+                    raise UsageError(
+                        f"the first member fails, so nothing was tuned: {outcome.reason}\nexpected "
+                        "a metric of the run, and initial values with which it runs, for example "
+                        f"by {option('set')}"
+                    )
+                if dataset is None and out is not None:
+                    made = StudyDataset.open_or_create(out, plan.identity, new=new)
+                    dataset = resources.enter_context(made)
+                if dataset is not None:
+                    dataset.add(member, outcome)
+                yield outcome
+
+        recorded = () if dataset is None else _recorded(dataset)
+        return search_best(run, plan.search, recorded=recorded, progress=progress)
+
+
+def _recorded(dataset: StudyDataset) -> Iterator[tuple[Point, MemberOutcome]]:
+    """Yield the points that a dataset has, with their outcomes."""
+    metrics = [column.name for column in dataset.columns if column.role == "metric"]
+    columns = [column for column in dataset.columns if column.role == "parameter"]
+    keys = [column for column in columns if column.name != RECORDING]
+    outcome = ("member", "status", "reason", "steps", "warnings")
+    for row in dataset.read([*outcome, *metrics, *(key.name for key in keys)]).to_pylist():
+        point = {
+            key.name: json_value(row[key.name])
+            if key.type == "json" and row[key.name] is not None
+            else row[key.name]
+            for key in keys
+        }
+        yield (
+            point,
+            MemberOutcome(
+                row["member"],
+                row["status"],
+                row["reason"] or "",
+                row["steps"],
+                {name: row[name] for name in metrics},
+                warnings=(row["warnings"] or "").splitlines(),
+            ),
+        )
+
+
+def search_best(
+    run: RunPoints,
+    search: Search,
+    *,
+    recorded: Iterable[tuple[Point, MemberOutcome]] = (),
+    progress: MembersDone | None = None,
+) -> TuningResult:
+    """Search the best point, and its standard errors; see :class:`Trials` for the parameters."""
+    trials = Trials(
+        run, search.members, maximize=search.maximize, recorded=recorded, progress=progress
+    )
+    if search.with_errors:
+        trials.members -= min(members_of_errors(len(search.space.keys)), search.members // 2)
+    ends: list[SearchEnd] = []
+    finished = False
+    try:
+        stop_reason = search_points(search, trials, ends)
+        finished = True
+    except SearchEnded as ended:
+        stop_reason = str(ended)
+    best_end = converged_end(search.space, trials.best, ends)
+    trials.members = search.members
+    errors, problem = _errors(search, trials) if search.with_errors else (None, "")
+    return TuningResult(
+        search,
+        trials.all,
+        trials.best,
+        finished,
+        stop_reason,
+        tuple(ends),
+        best_end,
+        errors,
+        problem,
+    )
+
+
+def _errors(search: Search, trials: Trials) -> tuple[StandardErrors | None, str]:
+    """Return standard errors as if the rows were independent samples, or why there are none."""
+    best = trials.best
+    if best is None:
+        return None, "no member has an objective"
+    samples = best.samples if search.samples is None else search.samples
+    try:
+        return errors_at(search.space, trials, best.point, samples), ""
+    except (NoStandardErrors, SearchEnded) as problem:
+        return None, str(problem)
+
+
+def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
+    """Return a result with its command, and with standard errors by the residual."""
+    if result.best is None:
+        return result
+    point = result.best.point
+    study = plan.study.study
+    result = replace(result, command=run_command(plan.member(0, point), study))
+    if result.errors is None:
+        return result
+    points, units = moved_points(result.errors, plan.search.space, point)
+    members = [plan.member(number, each) for number, each in enumerate([point, *points])]
+    found = residual_at(plan.study.subject, members, timeout=study.settings.timeout)
+    if found is None:
+        return result
+    residual, differences = found
+    moves = None if differences is None else differences / units
+    return with_residual(result, check_residual(residual), moves)
+
+
+# --- planning ---
+
+
+@dataclass(frozen=True)
+class TuningPlan:
+    """A tuning that can run.
+
+    Parameters
+    ----------
+    study : StudyPlan
+        Its members are values of all keys that were checked, not those that will be tried.
+    search : Search
+    recording : str or None
+        The log that every trial replays.
+    """
+
+    study: StudyPlan
+    search: Search
+    recording: str | None
+
+    def member(self, number: int, point: Point) -> StudyMember:
+        """Return the member that tries a point."""
+        set_ = {key: value for key, value in point.items() if not key.startswith(SWAP)}
+        swap = {key.removeprefix(SWAP): str(v) for key, v in point.items() if key not in set_}
+        return StudyMember(number, set_, swap, self.recording)
+
+    @property
+    def identity(self) -> StudyIdentity:
+        """Whose dataset it is: that of the same search, however many members it may have."""
+        search = self.search
+        keys = search.space.keys
+        planned = self.study.identity({})
+        recorded = RecordedStudy(
+            self.study.study,
+            StudyLayout("cases", samples=search.members),
+            own_environment(),
+            RecordedSearch(
+                OBJECTIVE,
+                search.expression,
+                maximize=search.maximize,
+                method=search.method,
+                members=search.members,
+                starts=search.starts,
+                seed=search.seed,
+                keys=[asdict(key) for key in keys],
+            ),
+            self.study.sources.warnings,
+        )
+        chosen = {
+            "the objective": search.expression,
+            "whether it is minimized or maximized": search.maximize,
+            "the method": search.method,
+            "the starts": search.starts,
+            "the seed": search.seed,
+            "the order of the keys": [key.key for key in keys],
+            **{f"the range of {key.key}": asdict(key) for key in keys},
+        }
+        digests = {name: digest for name, digest in planned.digests.items() if name != OF_METRICS}
+        digests |= {name: digest_of(value) for name, value in chosen.items()}
+        columns = [] if self.recording is None else [parameter_column(RECORDING, [self.recording])]
+        for key in keys:
+            values = [key.lower] if isinstance(key, BoundedKey) else key.choices
+            columns.append(parameter_column(key.key, values))
+        columns += [metric_column(name, text) for name, text in self.study.study.metrics.items()]
+        name = f"tuning of {self.study.scenario.name}"
+        return StudyIdentity(name, recorded.to_text(), digests, tuple(columns), search.members)
+
+
+def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
+    """Plan a tuning; the first trial is built, as is one with each file that may be swapped.
+
+    Raises
+    ------
+    CosimError
+        If the scenario, a key, a log or a number is wrong.
+    """
+    logs = find_recordings(study.settings.replay)
+    if len(logs) > 1:
+        raise UsageError(
+            f"{option('replay')}: expected one log, which every trial replays, got {len(logs)} "
+            f"({listing(logs, 3)})"
+        )
+    recording = logs[0] if logs else None
+    files = scenario_digest(study.subject)
+    scenario = load_scenario(study.scenario)
+    if recording is None or is_foreign(Path(recording)):
+        own = edited_scenario(study, scenario, {})
+    else:
+        own = load_scenario(recording)
+    keys = search.space.keys
+    set_ = study.settings.set
+    values = {key.key: set_.get(key.key, own_value(own, key.key)) for key in keys}
+    search = replace(search, first={k: value for k, value in values.items() if value is not None})
+    for key in search.space.bounded:
+        for value in (key.lower, key.upper):
+            try:
+                edited_scenario(study, scenario, {}, {key.key: value})
+            except UsageError as error:
+                text = str(error).removeprefix(f"{option('set', key.key)}: ")
+                raise UsageError(f"{key.key} = {quoted(value)}: {text}") from error
+
+    def refused(member: StudyMember, reason: str) -> str:
+        swaps = [f"{SWAP}{key} = {quoted(path)}: " for key, path in member.swap.items()]
+        return f"{''.join(swaps)}{_of_objective(reason, search)}"
+
+    design = _checked_points(study, search, recording)
+    planned = plan_members(study, scenario, design, files=files, refused=refused)
+    return TuningPlan(planned, search, recording)
+
+
+def plan_recorded(study: StudyFile, recorded: RecordedSearch) -> TuningPlan:
+    """Plan a tuning that a dataset has again."""
+    keys: list[Key] = []
+    for key in recorded.keys:
+        is_list = "choices" in key
+        keys.append(ChoiceKey(key["key"], tuple(key["choices"])) if is_list else BoundedKey(**key))
+    search = Search(
+        SearchSpace(tuple(keys)),
+        recorded.expression,
+        maximize=recorded.maximize,
+        method=recorded.method,
+        members=recorded.members,
+        starts=recorded.starts,
+        seed=recorded.seed,
+    )
+    return plan_tuning(study, search)
+
+
+def _checked_points(study: StudyFile, search: Search, recording: str | None) -> StudyDesign:
+    """Return the points that are built before any is tried: the first, and one with each choice."""
+    lists: dict[str, list[Any]] = {} if recording is None else {RECORDING: [recording]}
+    for key in search.space.keys:
+        if isinstance(key, ChoiceKey):
+            lists[key.key] = list(key.choices)
+            continue
+        middle = key.value(0.5)
+        first = search.inside.get(key.key, middle)
+        lists[key.key] = [first] if recording is None else [first, middle]
+    count = max(map(len, lists.values()))
+    repeated = {name: [v[n % len(v)] for n in range(count)] for name, v in lists.items()}
+    columns = {name: SampleColumn(values) for name, values in repeated.items()}
+    return StudyDesign(study, "cases", MemberLayout(samples=count), columns)
+
+
+def _of_objective(text: str, search: Search) -> str:
+    """Return problems of the metrics as those of the objective, each once."""
+    name = option("maximize" if search.maximize else "minimize")
+    lines = []
+    for line in text.splitlines():
+        begin, _, rest = line.partition(": ")
+        lines.append(f"{name}: {rest}" if begin.startswith("metrics.") else line)
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _base(scenario: str) -> StudyFile:
+    """Return the study of a scenario, without what its file says of one, or of a log."""
+    if is_log(scenario):
+        return read_study(scenario)
+    source = find(scenario).source
+    path = str(Path(source).absolute()) if Path(source).is_file() else source
+    study, problems = study_of({STUDY: {"scenario": path}}, source, "tuning")
+    assert study is not None, problems
+    return study
+
+
+def is_rms(expression: str) -> bool:
+    """Return whether a metric is the rms of one residual, and nothing else."""
+    try:
+        node = ast.parse(expression.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return False
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "rms"
+
+
+def read_space(vary: object) -> SearchSpace:
+    """Read ``vary`` of Python and the command line."""
+    entries = mapping_argument("vary", vary)
+    return SearchSpace(tuple(_read_key(key, value) for key, value in entries.items()))
+
+
+def _read_key(key: str, value: Any) -> Key:
+    try:
+        value = plain(value)
+    except UsageError as error:
+        raise UsageError(f"{option('vary', key)}: {error}") from error
+    name = varied_key(key)
+    is_table = isinstance(value, Mapping) and len(value) == 1
+    match next(iter(value.items())) if is_table else ("values", value):
+        case ("linear" | "log") as form, [int() | float() as lower, int() | float() as upper]:
+            return BoundedKey(name, float(lower), float(upper), form == "log")
+        case "values" | "choice", list() as values:
+            paths = [absolute(path, Path.cwd()) for path in values]
+            return ChoiceKey(name, tuple(paths if name.startswith(SWAP) else values))
+    raise UsageError(
+        f"{option('vary', key)}: expected bounds, such as {{'linear': [0.0, 1.0]}} or {{'log': "
+        f"[10.0, 1e4]}}, or a list of values, got {quoted(value)}"
+    )
+
+
+def _whole(name: str, value: object) -> int:
+    number = whole_argument(name, value)
+    if number is None:
+        raise UsageError(f"{option(name)}: expected a whole number, got None")
+    return number
+
+
+def _ignore(_: str) -> None:
+    """Do nothing."""

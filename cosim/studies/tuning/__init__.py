@@ -1,1 +1,0 @@
-"""Search the values of some keys that minimize a metric; every trial is a member of a study."""

@@ -1,0 +1,285 @@
+"""The result of a tuning, and the sentences that say what it is worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Matrix
+from cosim.errors import listing, option
+from cosim.studies.residual import ResidualCheck
+from cosim.studies.search import OBJECTIVE, Point, Search, SearchEnd, SearchSpace, SearchTrial
+from cosim.studies.standard_errors import NoStandardErrors, StandardErrors, of_samples
+from cosim.studies.statistics import grouped, warning_lines
+
+_AT_BOUND: Final = 1e-4  # of the range between the bounds
+_CONVERGED: Final = 1e-3  # of the range between the bounds
+_SAME_PLACE: Final = 0.01  # of the range between the bounds
+_SAME_COST: Final = 1e-6  # relative
+_FLAT: Final = 1e-9  # relative; rounding alone differs by less
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class TuningResult:
+    """What a tuning found.
+
+    Parameters
+    ----------
+    search : Search
+    trials : tuple of SearchTrial
+        All members, in the order in which they were asked for.
+    best : SearchTrial or None
+        None: no member has an objective.
+    finished : bool
+        The search ended by itself, not because the members were used up.
+    stop_reason : str
+    ends : tuple of SearchEnd
+        Of local searches that ended by themselves.
+    best_end : SearchEnd or None
+        Of the search that converged at the best values; None: none did.
+    errors : StandardErrors or None
+    errors_problem : str
+        Why there are no standard errors; empty: they were not wanted, or are there.
+    residual : ResidualCheck or None
+        What noise the residual is at the best values; None: that is not known.
+    command : str
+        The line for a shell that runs the best member alone, bit for bit; empty: it is not known.
+    """
+
+    search: Search
+    trials: tuple[SearchTrial, ...]
+    best: SearchTrial | None
+    finished: bool
+    stop_reason: str
+    ends: tuple[SearchEnd, ...]
+    best_end: SearchEnd | None
+    errors: StandardErrors | None
+    errors_problem: str
+    residual: ResidualCheck | None = None
+    command: str = ""
+
+    def __repr__(self) -> str:
+        best = self.best
+        found = "none" if best is None else f"{best.objective:.6g} at {_values_text(best.point)}"
+        return f"<TuningResult {self.expression}: {found}>"
+
+    @property
+    def expression(self) -> str:
+        """The metric."""
+        return self.search.expression
+
+    @property
+    def estimate(self) -> dict[str, Any]:
+        """The best values by key; none: no member has an objective."""
+        return {} if self.best is None else dict(self.best.point)
+
+    @property
+    def standard_errors(self) -> dict[str, float] | None:
+        """The standard errors by key; None: there are none, ``errors_problem`` may say why."""
+        return None if self.errors is None else dict(self.errors.errors)
+
+    @property
+    def history(self) -> list[dict[str, Any]]:
+        """Member, values and objective of every trial, in the order in which they were tried."""
+        return [_trial_dict(trial) for trial in self.trials]
+
+    @property
+    def failed(self) -> tuple[SearchTrial, ...]:
+        """The trials without an objective."""
+        return tuple(trial for trial in self.trials if trial.objective is None)
+
+    @property
+    def warnings(self) -> list[str]:
+        """How many members warn of what, a line each."""
+        pairs = [(trial.number, line) for trial in self.trials for line in trial.warnings]
+        return warning_lines(grouped(pairs), len(self.trials))
+
+    @property
+    def at_bounds(self) -> dict[str, str]:
+        """Which bound a best value is at, ``lower`` or ``upper``; of keys where it is at one."""
+        found: dict[str, str] = {}
+        for key in self.search.space.bounded if self.best is not None else ():
+            coordinate = key.coordinate(self.estimate[key.key])
+            if coordinate <= _AT_BOUND or coordinate >= 1.0 - _AT_BOUND:
+                found[key.key] = "lower" if coordinate <= _AT_BOUND else "upper"
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "objective": OBJECTIVE,
+            "maximize": self.search.maximize,
+            "method": self.search.method,
+            "best": None if self.best is None else _trial_dict(self.best),
+            "members": len(self.trials),
+            "failed": [
+                {"member": trial.number, "values": dict(trial.point), "problem": trial.problem}
+                for trial in self.failed
+            ],
+            "finished": self.finished,
+            "converged": self.best_end is not None,
+            "stop_reason": self.stop_reason,
+            "at_bounds": self.at_bounds,
+            "statements": self.statements,
+            "warnings": self.warnings,
+            "standard_errors": None if self.errors is None else self.errors.to_dict(),
+            "residual": None if self.residual is None else asdict(self.residual),
+            "command": self.command,
+        }
+
+    @property
+    def statements(self) -> list[str]:
+        """What is to be said of the result: why it ended, and what it does not exclude."""
+        said = [self._ending]
+        if self.failed:
+            numbers = listing([str(trial.number) for trial in self.failed])
+            problems = listing([*dict.fromkeys(trial.problem for trial in self.failed)], 3)
+            have = "member has" if len(self.failed) == 1 else "members have"
+            said.append(f"{len(self.failed)} {have} no objective ({numbers}): {problems}")
+        said += self.warnings
+        if self.best is None:
+            return said
+        costs = [trial.cost for trial in self.trials if trial.objective is not None]
+        if len(costs) > 1 and max(costs) - min(costs) <= _FLAT * max(map(abs, costs)):
+            keys = "the varied keys have no effect on it here"
+            return [*said, f"all members have the same objective: {keys}"]
+        for key, side in self.at_bounds.items():
+            said.append(f"{key} is at its {side} bound: values beyond it may be better")
+        return [*said, self._elsewhere(self.best), *self._of_errors()]
+
+    @property
+    def _ending(self) -> str:
+        end = self.best_end
+        if end is not None:
+            return end.reason if self.finished else f"{end.reason}; then {self.stop_reason}"
+        if self.best is not None and not self.finished and self.search.method != "optuna":
+            return f"{self.stop_reason} before a search converged at these values"
+        return self.stop_reason
+
+    def _elsewhere(self, best: SearchTrial) -> str:
+        """Return what is known of other places than the best one."""
+        starts = self.search.starts
+        if self.search.method in ("global", "optuna"):
+            return "whether there are better values elsewhere is not known"
+        others = [end for end in self.ends if _distance(self.search.space, best, end) > _SAME_PLACE]
+        here = len(self.ends) - len(others)
+        if others:
+            other = min(others, key=lambda end: end.cost)
+            place = _values_text(other.point)
+            if math.isclose(other.cost, best.cost, rel_tol=_SAME_COST):
+                ended = f"another start ended at {place} with this objective"
+                return f"the values are not unique: {ended}"
+            objective = -other.cost if self.search.maximize else other.cost
+            return (
+                f"{len(others)} of {len(self.ends)} starts ended elsewhere, the best of them at "
+                f"{place} with {objective:.6g}: more starts, or the method 'global', may find "
+                "better values"
+            )
+        found = f"all {here} starts ended here"
+        if not here:
+            found = "no local search has finished"
+        elif starts == 1:
+            found = "searched from one start"
+        elif here < starts:
+            found = f"{here} of {starts} starts finished and ended here"
+        return f"{found}; better values elsewhere are not excluded"
+
+    def _of_errors(self) -> Iterator[str]:
+        if self.errors_problem:
+            yield f"no standard errors: {self.errors_problem}"
+        if self.errors is None or self.errors_problem:
+            return
+        yield f"the standard errors assume that {self._assumed(self.errors.samples)}"
+        for key in self.search.space.bounded:
+            low, high = self.errors.intervals[key.key]
+            if low < key.lower or high > key.upper:
+                interval = f"the interval of {key.key}"
+                yield f"{interval} extends beyond its bounds, where nothing was tried"
+        for name in self.errors.skewed:
+            rises = f"along {name} the objective rises unevenly within a standard error"
+            yield f"{rises}: its interval is rough"
+
+    def _assumed(self, samples: int) -> str:
+        """Return what standard errors assume of the residual, and what is known of that."""
+        residual = self.residual
+        white = (
+            f"the {samples} samples of the residual are white with a constant standard deviation"
+        )
+        if residual is None or not residual.samples:
+            return f"{white} (not checked{'' if residual is None else f': {residual.problem}'})"
+        found = f"the autocorrelation at lag 1 is {residual.neighbours:.2g}"
+        if residual.rows != residual.samples:
+            found += f", and the {residual.rows} rows are interpolated or held between them"
+        if samples == residual.samples and not residual.problem:
+            return f"{white}; whiteness is not rejected, {found}"
+        return (
+            f"{samples} of the {residual.samples} samples of the residual are independent with a "
+            "constant standard deviation; "
+            f"{residual.problem or f'by their color {residual.independent} are'}; {found}"
+        )
+
+
+def converged_end(
+    space: SearchSpace, best: SearchTrial | None, ends: Sequence[SearchEnd]
+) -> SearchEnd | None:
+    """Return the first search that converged at the best point; None: none did."""
+    for end in ends:
+        if best is not None and end.converged and _distance(space, best, end) <= _CONVERGED:
+            return end
+    return None
+
+
+def _distance(space: SearchSpace, best: SearchTrial, end: SearchEnd) -> float:
+    return float(np.abs(space.coordinates(end.point) - space.coordinates(best.point)).max())
+
+
+def _trial_dict(trial: SearchTrial) -> dict[str, Any]:
+    return {"member": trial.number, "values": dict(trial.point), "objective": trial.objective}
+
+
+def _values_text(point: Point) -> str:
+    return ", ".join(
+        f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"
+        for key, value in point.items()
+    )
+
+
+def with_residual(
+    result: TuningResult, residual: ResidualCheck | None, moves: Matrix | None = None
+) -> TuningResult:
+    """Return a result whose standard errors are those of the samples of the residual.
+
+    Parameters
+    ----------
+    result : TuningResult
+        Whose standard errors are as if all rows were samples.
+    residual : ResidualCheck or None
+        Of the best values; None: nothing is known of it.
+    moves : Matrix, shape (n, p), or None
+        How W' times the residual moves with each value, per standard error; None: W is 1.
+    """
+    result = replace(result, residual=residual)
+    samples = result.search.samples
+    if residual is None or result.errors is None:
+        return result
+    if residual.problem and samples is None:
+        way_out = f"or {option('samples')} says how many of them are independent"
+        if residual.samples:
+            way_out = (
+                f"where a wrong model is not the cause, {option('samples')} says how many of the "
+                f"{residual.samples} samples are independent"
+            )
+        return replace(result, errors=None, errors_problem=f"{residual.problem}; {way_out}")
+    independent = residual.independent if samples is None else samples
+    if not residual.samples or (moves is None and independent == result.errors.samples):
+        return result
+    space = result.search.space
+    try:
+        errors = of_samples(result.errors, space, residual, independent, moves)
+    except NoStandardErrors as problem:
+        return replace(result, errors=None, errors_problem=str(problem))
+    return replace(result, errors=errors)
