@@ -28,11 +28,9 @@ from typing import Final, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Block
+from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.recorded.signals import RecordedPort, find_signal
-from cosim.core.recorders import Nothing
-from cosim.core.recording import Plan
+from cosim.core.recorders import Memory
 from cosim.core.signals import SAMPLE_TIMES, samples_of
 from cosim.errors import RunError
 from cosim.native.numerics.expression import ConditionProgram, Program
@@ -126,21 +124,11 @@ class Lines:
 def residual_of(subject: StudySubject, member: StudyMember) -> SampledResidual | None:
     """Run a member; return the residual that the first metric is the rms of, or None: it fails."""
     reduction = _reduction(subject)
-    edits = {"swap": subject.swap, "map": subject.map if subject.swap else {}, "set": subject.set}
-    scenario = load_scenario(subject.scenario).edit(**edits)
-    kinds: dict[str, str] = {}  # of the components that its values come from at the same instant
-    names = [name.partition(".")[0] for name in _program(reduction.values).signals]
-    while names:
-        name = names.pop()
-        spec = scenario.specs.get(name)
-        if spec is not None and name not in kinds:
-            kinds[name] = spec.kind
-            names += scenario.sources_of(name) if spec.is_static else []
-    components = {name.partition(".")[0] for name in reduction.signals}
-    rows = _Rows(components | kinds.keys())
-    if opened(subject).run(member, sink=rows).status != COMPLETE:
+    kinds = _kinds(subject, _program(reduction.values).signals)
+    run = Memory()
+    if opened(subject).run(member, sink=run).status != COMPLETE:
         return None
-    return _Residual(rows, reduction).sampled(kinds)
+    return _Residual(run, reduction).sampled(kinds)
 
 
 def _reduction(subject: StudySubject) -> Reduction:
@@ -152,68 +140,59 @@ def _program(part: Program | ConditionProgram) -> Program:
     return part.program if isinstance(part, ConditionProgram) else part
 
 
-@final
-class _Rows(Nothing):
-    """Keeps the rows of some components; implements Recorder."""
+def _kinds(subject: StudySubject, signals: Iterable[str]) -> dict[str, str]:
+    """Return the kinds of the components that signals are of, or their values at the instant."""
+    map_ = subject.map if subject.swap else {}
+    scenario = load_scenario(subject.scenario).edit(swap=subject.swap, map=map_, set=subject.set)
+    kinds: dict[str, str] = {}
+    names = [name.partition(".")[0] for name in signals]
+    while names:
+        name = names.pop()
+        spec = scenario.specs.get(name)
+        if spec is not None and name not in kinds:
+            kinds[name] = spec.kind
+            names += scenario.sources_of(name) if spec.is_static else []
+    return kinds
 
-    def __init__(self, components: Iterable[str]) -> None:
-        self._components = frozenset(components)
-        self._parts: list[tuple[NDArray[np.intp], Vector, Matrix]] = []
 
-    def begin(self, plan: Plan) -> None:
-        channels = [each for each in plan.layout.channels if each.name in self._components]
-        self.channels = {channel.name: channel for channel in channels}
-        ranges = [np.arange(each.columns.start, each.columns.stop) for each in channels]
-        self._columns = np.concatenate(ranges)
+def _samples(run: Memory, port: RecordedPort) -> Matrix | None:
+    """Return the samples of an element, shape (n, 3); None: it has no other values.
 
-    def write(self, block: Block, signals: Matrix) -> None:
-        first = 1 if self._parts else 0
-        numbers = np.arange(block.index + first, block.index + block.steps + 1)
-        rows = signals[first : block.steps + 1, self._columns]
-        self._parts.append((numbers, block.time[first:].copy(), rows))
+    Of each the instant of its row, its own, and its value.
+    """
+    channel, signal = port.channel, port.signal
+    own = channel.by_name.get(samples_of(signal.name))
+    if own is None:
+        return None
+    most = own.size // signal.size
+    first = (channel.start + port.columns.start - channel.signal_columns[signal.name].start) * most
+    values = as_columns(run[f"{channel.name}.{own.name}"])[:, first : first + most]
+    rows = instants = np.repeat(_instants(run, channel.period)[:, np.newaxis], most, axis=1)
+    if SAMPLE_TIMES in channel.by_name:
+        instants = as_columns(run[f"{channel.name}.{SAMPLE_TIMES}"])
+    is_there = np.isfinite(values)
+    return np.stack([each[is_there] for each in (rows, instants, values)], axis=1)
 
-    def of(self, period: int, columns: Iterable[int]) -> tuple[Vector, Matrix]:
-        """Return the instants of the rows of a period, and these columns of them."""
-        numbers, t, rows = (np.concatenate(part) for part in zip(*self._parts, strict=True))
-        own = numbers % period == 0
-        return t[own], rows[own][:, np.searchsorted(self._columns, list(columns))]
 
-    def samples_of(self, port: RecordedPort) -> Matrix | None:
-        """Return the samples of an element, shape (n, 3); None: it has no other values.
-
-        Of each the instant of its row, its own, and its value.
-        """
-        channel = port.channel
-        columns = channel.signal_columns
-        samples = columns.get(samples_of(port.signal.name))
-        if samples is None:
-            return None
-        most = (samples.stop - samples.start) // port.signal.size
-        element = channel.start + port.columns.start - columns[port.signal.name].start
-        first = samples.start + element * most
-        t, values = self.of(channel.period, range(first, first + most))
-        instants = own = np.repeat(t[:, np.newaxis], most, axis=1)
-        if SAMPLE_TIMES in columns:
-            times = columns[SAMPLE_TIMES]
-            _, instants = self.of(channel.period, range(times.start, times.stop))
-        is_there = np.isfinite(values)
-        return np.stack([each[is_there] for each in (own, instants, values)], axis=1)
+def _instants(run: Memory, period: int) -> Vector:
+    return run.grid.time(np.arange(0, run.steps + 1, period))
 
 
 @final
 class _Residual:
-    """The residual of a reduction in the rows of a run."""
+    """The residual of a reduction in a run."""
 
-    def __init__(self, run: _Rows, reduction: Reduction) -> None:
+    def __init__(self, run: Memory, reduction: Reduction) -> None:
         self._run = run
         self._reduction = reduction
         names = reduction.signals
         ports = {name: find_element(run.channels, name, "the run") for name in names}
-        period = math.lcm(*(port.channel.period for port in ports.values()))
-        columns = [port.channel.start + port.columns.start for port in ports.values()]
-        self._t, self._rows = run.of(period, columns)
+        periods = {name: port.channel.period for name, port in ports.items()}
+        period = math.lcm(*periods.values())
+        self._t = _instants(run, period)
+        self._rows = np.stack([run[n][:: period // p] for n, p in periods.items()], axis=1)
         self._held = [port.signal.variability == "discrete" for port in ports.values()]
-        found = {name: run.samples_of(ports[name]) for name in _program(reduction.values).signals}
+        found = {name: _samples(run, ports[name]) for name in _program(reduction.values).signals}
         self._samples = {name: each for name, each in found.items() if each is not None}
 
     def sampled(self, kinds: dict[str, str]) -> SampledResidual:
@@ -255,10 +234,10 @@ class _Residual:
                     f"'{name}' is a table, whose samples are not in the run, so that errors of "
                     'rows between them are not known; of kind "field-data" they are'
                 )
-        channels = self._run.channels
-        of_kinds = [channels[name] for name in kinds if name in channels]
-        for name in sorted(f"{c.name}.{s.name}" for c in of_kinds for s in c.interface.outputs):
-            samples = self._run.samples_of(find_signal(channels, name, source="the run"))
+        run = self._run
+        channels = [run.channels[name] for name in kinds if name in run.channels]
+        for name in sorted(f"{c.name}.{s.name}" for c in channels for s in c.interface.outputs):
+            samples = _samples(run, find_signal(run.channels, name, source=run.label))
             if samples is not None and not np.isin(self._t, samples[:, 1]).all():
                 return (
                     f"the residual follows {name}, which has samples between the rows, through "
@@ -279,19 +258,18 @@ class _Residual:
             return f"{names} have no samples, or not at the same instants"
         for own, hold in product((0, 1), (False, True)):
             instants = first[:, own]
-            if (np.diff(instants) > 0.0).all() and self._are_on_lines(instants, hold=hold):
+            if (np.diff(instants) <= 0.0).any():
+                continue
+            lines = Lines.between(instants, self._t, hold=hold)
+            inside = (self._t >= instants[0]) & (self._t <= instants[-1])
+            for name, samples in self._samples.items():
+                rows = self._rows[:, self._reduction.signals.index(name)]
+                distance = np.abs(lines.of(samples[:, 2]) - rows)[inside].max(initial=0.0)
+                if distance > _ROUNDING * np.abs(samples[:, 2]).max():
+                    break
+            else:
                 return instants, hold
         return f"the values of {names} between their samples are neither on lines nor held"
-
-    def _are_on_lines(self, instants: Vector, *, hold: bool) -> bool:
-        lines = Lines.between(instants, self._t, hold=hold)
-        inside = (self._t >= instants[0]) & (self._t <= instants[-1])
-        for name, samples in self._samples.items():
-            rows = self._rows[:, self._reduction.signals.index(name)]
-            distance = np.abs(lines.of(samples[:, 2]) - rows)[inside].max(initial=0.0)
-            if not distance <= _ROUNDING * np.abs(samples[:, 2]).max():
-                return False
-        return True
 
     def _rows_at(self, instants: Vector) -> Matrix:
         """Return the values at the instants of samples: these, and all others between rows."""

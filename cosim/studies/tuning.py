@@ -228,7 +228,7 @@ def _searched(
     dataset: StudyDataset | None = None
     with ExitStack() as resources:
         if out is not None and StudyDataset.is_at(out) and not new:
-            there = StudyDataset.open_or_create(out, plan.identity)
+            there = StudyDataset.open_or_create(out, plan.identity())
             dataset = resources.enter_context(there)
         local = LocalExecutor(subject, workers, timeout=timeout)
         executor: MemberExecutor = local
@@ -253,7 +253,7 @@ def _searched(
                         f"by {option('set')}"
                     )
                 if dataset is None and out is not None:
-                    made = StudyDataset.open_or_create(out, plan.identity, new=new)
+                    made = StudyDataset.open_or_create(out, plan.identity(), new=new)
                     dataset = resources.enter_context(made)
                 if dataset is not None:
                     dataset.add(member, outcome)
@@ -382,9 +382,8 @@ class TuningPlan:
         swap = {key.removeprefix(SWAP): str(v) for key, v in point.items() if key not in set_}
         return StudyMember(number, set_, swap, self.recording)
 
-    @property
     def identity(self) -> StudyIdentity:
-        """Whose dataset it is: that of the same search, however many members it may have."""
+        """Return whose dataset it is: that of the same search, however many members it may have."""
         search = self.search
         keys = search.space.keys
         planned = self.study.identity({})
