@@ -43,9 +43,6 @@ from cosim.studies.metrics.language import Reduction, parse_metric_text
 from cosim.studies.workers import LocalExecutor
 
 LEAST_ROWS: Final = 10
-_ROUNDING: Final = 1e-9  # of the largest sample
-_SEEN: Final = 2.6  # deviations of the correlation at lag 1, which 1 of 100 white residuals has
-_TINY: Final = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +262,7 @@ class _Residual:
             for name, samples in self._samples.items():
                 rows = self._rows[:, self._reduction.signals.index(name)]
                 distance = np.abs(lines.of(samples[:, 2]) - rows)[inside].max(initial=0.0)
-                if distance > _ROUNDING * np.abs(samples[:, 2]).max():
+                if distance > 1e-9 * np.abs(samples[:, 2]).max():
                     break
             else:
                 return instants, hold
@@ -331,9 +328,11 @@ def check_residual(residual: SampledResidual) -> ResidualCheck | None:
         few = f"{samples} samples are too few to tell whether noise explains the residual"
         return ResidualCheck(rows, samples, 1.0, math.nan, few, samples, math.inf)
     problem, power, freedom = residual_noise(residual.t, scaled)
-    neighbours = float(scaled[1:] @ scaled[:-1]) / max(float(scaled @ scaled), _TINY)
+    neighbours = float(scaled[1:] @ scaled[:-1]) / max(float(scaled @ scaled), np.finfo(float).tiny)
     size = min(abs(neighbours), 1.0 - 1.0 / samples)
-    if size * math.sqrt(samples) > _SEEN:  # tests of many lags let it pass in few samples
+    if (
+        size * math.sqrt(samples) > 2.6
+    ):  # as 1 of 100 white ones has; tests of many lags let it pass
         power = max(power, (1.0 + size) / (1.0 - size))
     ratio = math.sqrt(float(np.mean(scaled**2))) / (residual.rms / largest)
     independent = max(1, round(samples / power))

@@ -26,12 +26,8 @@ SAMPLES: Final = "samples"  # the metric that counts those of a residual
 DIGITS: Final = 12  # of a value between bounds
 TOLERANCE: Final = 1e-5  # of the range between the bounds
 FIRST_RADIUS: Final = 0.1  # of the range between the bounds
-CLOSE: Final = 0.01  # of the range between the bounds: a population that has converged
 MOST_FAILING_STARTS: Final = 10  # tried for each start
-_MOST_REPEATED: Final = 1000  # points in a row, all of them known: the search goes round in circles
 _ENDLESS: Final = 10**6  # evaluations, generations; the trials end the search
-_BATCH: Final = 4  # points of optuna
-_LARGEST_EXACT: Final = 2**53  # every whole number up to it is a float
 
 Point: TypeAlias = Mapping[str, Any]  # a value for each key
 
@@ -92,10 +88,7 @@ class BoundedKey:
         if not -math.inf < self.lower < self.upper < math.inf:
             raise UsageError(f"{name}: expected two finite bounds, the lower one first, {found}")
         if self.logarithmic and self.lower <= 0.0:
-            raise UsageError(
-                f"{name}: expected positive bounds with 'log:', {found}; without 'log:' the scale "
-                "is linear"
-            )
+            raise UsageError(f"{name}: expected positive bounds with 'log:', {found}")
 
     @property
     def _logarithms(self) -> tuple[float, float]:
@@ -124,10 +117,8 @@ class ChoiceKey:
     def check(self) -> None:
         """Raise UsageError unless there are values, each once."""
         if len(set(map(value_name, self.choices))) < max(len(self.choices), 1):
-            raise UsageError(
-                f"{option('vary', self.key)}: expected one or more distinct values, got "
-                f"{quoted(list(self.choices))}"
-            )
+            found = f"got {quoted(list(self.choices))}"
+            raise UsageError(f"{option('vary', self.key)}: expected distinct values, {found}")
 
 
 Key: TypeAlias = BoundedKey | ChoiceKey
@@ -169,7 +160,7 @@ def _plain(value: Any) -> Any:
         case bool() | float():
             return value
         case int():
-            return float(value) if abs(value) <= _LARGEST_EXACT else value
+            return float(value) if abs(value) <= 2**53 else value
         case Mapping():
             return {str(key): _plain(item) for key, item in value.items()}
         case list() | tuple():
@@ -251,18 +242,15 @@ class Search:
         if self.method == "optuna":
             _optuna()
         elif self.space.choices:
-            raise UsageError(
-                f"{option('vary', self.space.choices[0].key)}: expected bounds for the method "
-                f"{self.method!r}, got a list of values; 'optuna' also takes lists"
-            )
+            bounds = f"expected bounds for the method {self.method!r}, got a list of values"
+            key = self.space.choices[0].key
+            raise UsageError(f"{option('vary', key)}: {bounds}; 'optuna' also takes lists")
         name = option("standard_errors")
         if self.with_errors and self.space.choices:
             raise UsageError(f"{name}: expected bounds for all keys, got a list of values")
         if self.with_errors and (self.maximize or not self.is_rms):
-            raise UsageError(
-                f"{name}: expected an objective that is the rms of one residual and is minimized, "
-                "such as 'rms(plant.y - measured.y)'"
-            )
+            such = "such as 'rms(plant.y - measured.y)'"
+            raise UsageError(f"{name}: expected to minimize the rms of one residual, {such}")
 
 
 # --- what was tried ---
@@ -312,9 +300,7 @@ class Trials:
     ----------
     run : callable
         Runs points, given by the numbers of their members, and yields outcomes as they come.
-    members : int
-        That can be tried.
-    maximize : bool
+    search : Search
     recorded : sequence of (point, MemberOutcome)
         Which are there already.
     progress : callable, optional
@@ -330,18 +316,16 @@ class Trials:
     def __init__(
         self,
         run: RunPoints,
-        members: int,
-        *,
-        maximize: bool = False,
+        search: Search,
         recorded: Iterable[tuple[Point, MemberOutcome]] = (),
         progress: Callable[[int, int, int], None] | None = None,
     ) -> None:
         self._run = run
-        self.members = self._places = members
-        self._sign = -1.0 if maximize else 1.0
+        self.members = self._places = search.members
+        self._sign = -1.0 if search.maximize else 1.0
         self._outcomes = {value_name(point): outcome for point, outcome in recorded}
         taken = {outcome.number for outcome in self._outcomes.values()}
-        self._free = (number for number in range(members) if number not in taken)
+        self._free = (number for number in range(search.members) if number not in taken)
         self._progress = progress
         self._failed: dict[int, bool] = {}  # by member
         self._trials: dict[str, SearchTrial] = {}
@@ -368,7 +352,7 @@ class Trials:
         named = {value_name(point): point for point in points}
         new = {name: point for name, point in named.items() if name not in self._trials}
         self._repeated = 0 if new else self._repeated + len(points)
-        if self._repeated > _MOST_REPEATED:
+        if self._repeated > 1000:  # it goes round in circles
             raise SearchEnded("the search asked for no new point any more")
         left = max(self.members - len(self._trials), 0)
         if new and left:
@@ -563,13 +547,14 @@ def _globally(search: Search, trials: Trials, first: Vector, ends: list[SearchEn
     from scipy.optimize import differential_evolution
 
     space = search.space
+    close = 0.01  # of the range between the bounds
     trials.costs([space.point(first)])
 
     def costs(population: Matrix) -> Vector:
         return np.array(trials.costs([space.point(column) for column in population.T]))
 
     def close_together(intermediate_result: Any) -> bool:
-        return bool((np.ptp(intermediate_result.population, axis=0) <= CLOSE).all())
+        return bool((np.ptp(intermediate_result.population, axis=0) <= close).all())
 
     with np.errstate(invalid="ignore"):  # differences of infinite costs
         found = differential_evolution(
@@ -586,7 +571,7 @@ def _globally(search: Search, trials: Trials, first: Vector, ends: list[SearchEn
             callback=close_together,
         )
     if np.isfinite(found.fun):
-        ends.append(_from_point(search, trials, np.clip(found.x, 0.0, 1.0), CLOSE))
+        ends.append(_from_point(search, trials, np.clip(found.x, 0.0, 1.0), close))
     return "the population converged, and the local search from its best member ended"
 
 
@@ -594,10 +579,8 @@ def _optuna() -> Any:
     try:
         import optuna  # it is optional
     except ImportError as error:
-        raise UsageError(
-            "the method 'optuna' needs optuna, which is not installed: pip install optuna, or, in "
-            "a clone of cosim, pip install -e '.[optuna]'"
-        ) from error
+        missing = "the method 'optuna' needs optuna, which is not installed"
+        raise UsageError(f"{missing}: pip install optuna") from error
     return optuna
 
 
@@ -618,7 +601,7 @@ def _with_optuna(search: Search, trials: Trials) -> str:
     lists = [len(key.choices) for key in search.space.choices]
     most = math.prod(lists) if len(lists) == len(keys) else math.inf
     while len(trials.all) < most:
-        asked = [study.ask(spaces) for _ in range(_BATCH)]
+        asked = [study.ask(spaces) for _ in range(4)]
         found = [each.params for each in asked]
         points = [{name: key.value(each[name]) for name, key in keys.items()} for each in found]
         for each, cost in zip(asked, trials.costs(points), strict=True):

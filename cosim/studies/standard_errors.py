@@ -35,18 +35,10 @@ from cosim.studies.statistics import student_quantile
 
 _FIRST_STEP: Final = 1e-3  # of the range between the bounds
 _SHORTEST_STEP: Final = 1e-9
-_ROUNDS: Final = 10  # to find the steps
-_MOVES: Final = 5  # of the center
-_NEAR: Final = 0.1  # standard errors from the optimum
 _NOISE_POINTS: Final = 6
-_NOISE_STEP: Final = 1e-8
-_LONGEST: Final = 25.0  # rise of S in s^2: five standard errors
-_LEAST_RISE: Final = 0.05  # of the wanted one
-_LEAST_EIGENVALUE: Final = 1e-7  # of the Hessian scaled to a diagonal of ones
-_SKEWED: Final = 0.3
-_INVOLVED: Final = 0.5  # correlation of what is not determined together
 
-Squares: TypeAlias = Callable[[Iterable[Vector]], Vector]  # sums of squares at coordinates
+Squares: TypeAlias = Callable[[Iterable[Vector]], Vector]  # S at coordinates
+Curvature: TypeAlias = tuple[float, Vector, Matrix]  # S = level + gradient z + z hessian z / 2
 
 
 class NoStandardErrors(Exception):
@@ -123,27 +115,44 @@ def standard_errors(
         raise NoStandardErrors("the residual is zero")
     noise = _noise(squares, center)
     wanted = max(1.0, 100.0 * noise * free)
-    if wanted > _LONGEST:
-        raise NoStandardErrors(
-            f"the objective is noisy (relative noise {noise / 2:.1g}), which hides its curvature"
-        )
+    if wanted > 25.0:  # a rise of S in s^2: five standard errors
+        noisy = f"the objective is noisy (relative noise {noise / 2:.1g})"
+        raise NoStandardErrors(f"{noisy}, which hides its curvature")
     steps = _steps(squares, center, wanted * level / free, names)
-    return _result(space, _centered(squares, center, steps, noise, samples, names), samples)
+    center, steps, curvature = _centered(squares, center, steps, noise, samples, names)
+    level, gradient, hessian = curvature
+    variance = level / free
+    scaled = 2.0 * variance * np.linalg.inv(hessian)
+    deviations = np.sqrt(np.diag(scaled))
+    correlation = scaled / np.outer(deviations, deviations)
+    values = space.point(center)
+    errors = {}
+    for number, key in enumerate(space.bounded):
+        value = values[key.key]
+        error = float(key.slope(value) * steps[number] * deviations[number])
+        if error < abs(value) * 10.0 ** (1 - DIGITS):
+            below = f"that of {key.key} would be below the {DIGITS} digits of its value"
+            raise NoStandardErrors(f"{below}: the residual is rounding noise")
+        errors[key.key] = error
+    is_skewed = np.abs(gradient) / np.diag(hessian) > 0.3
+    skewed = tuple(name for name, each in zip(names, is_skewed, strict=True) if each)
+    intervals = _intervals(space, values, errors, correlation, free)
+    matrix = _as_tuples(correlation)
+    return StandardErrors(errors, intervals, matrix, math.sqrt(variance), samples, skewed, values)
 
 
 def _free(space: SearchSpace, samples: int) -> int:
     """Return the degrees of freedom that the values leave."""
     values = len(space.keys)
     if samples <= values:
-        raise NoStandardErrors(
-            f"expected more samples than values, got {values} values from {samples} samples"
-        )
+        found = f"got {values} values from {samples} samples"
+        raise NoStandardErrors(f"expected more samples than values, {found}")
     return samples - values
 
 
 def _noise(squares: Squares, center: Vector) -> float:
     """Return the relative noise, by differences of high order [More and Wild 2011, ECnoise]."""
-    inwards = np.where(center < 0.5, _NOISE_STEP, -_NOISE_STEP)
+    inwards = np.where(center < 0.5, 1e-8, -1e-8)
     values = squares(center + k * inwards for k in range(_NOISE_POINTS + 1))
     estimates = []
     for order in range(4, _NOISE_POINTS + 1):
@@ -158,13 +167,12 @@ def _steps(squares: Squares, center: Vector, wanted: float, names: list[str]) ->
     steps = np.minimum(_FIRST_STEP, room)
     for name, step in zip(names, steps, strict=True):
         if step < 0.1 * _FIRST_STEP:
-            raise NoStandardErrors(
-                f"{name} is at its bound; they hold for values between the bounds"
-            )
+            between = "they hold for values between the bounds"
+            raise NoStandardErrors(f"{name} is at its bound; {between}")
     level = squares([center])[0]
     ratios = np.zeros(center.size)
     open_ = list(range(center.size))
-    for _ in range(_ROUNDS):
+    for _ in range(10):
         ends = np.diag(steps)
         values = squares([*(center + ends), *(center - ends)]).reshape(2, -1)
         ratios[open_] = ((values.mean(axis=0) - level) / wanted)[open_]
@@ -177,53 +185,41 @@ def _steps(squares: Squares, center: Vector, wanted: float, names: list[str]) ->
                 open_.append(number)
         if not open_:
             break
-    for number in np.flatnonzero(ratios < _LEAST_RISE).tolist():
+    for number in np.flatnonzero(ratios < 0.05).tolist():
         if steps[number] < 0.2 * max(center[number], 1.0 - center[number]):
             raise NoStandardErrors(f"{names[number]} is within a standard error of its bound")
-        raise NoStandardErrors(
-            f"{names[number]} hardly changes the objective between its bounds: the data do not "
-            "determine it there"
-        )
+        hardly = f"{names[number]} hardly changes the objective between its bounds"
+        raise NoStandardErrors(f"{hardly}: the data do not determine it there")
     return steps
-
-
-@dataclass(frozen=True, slots=True)
-class _Curvature:
-    """A parabola about a center, in units of the steps."""
-
-    center: Vector
-    steps: Vector
-    level: float
-    gradient: Vector
-    hessian: Matrix
 
 
 def _centered(
     squares: Squares, center: Vector, steps: Vector, noise: float, samples: int, names: list[str]
-) -> _Curvature:
-    """Return the parabola about its own minimum, or as near as S falls."""
-    for _ in range(_MOVES):
-        curvature = _curvature(squares, center, steps, names)
-        move = -np.linalg.solve(curvature.hessian, curvature.gradient)
-        if np.abs(move).max() <= _NEAR:
-            return curvature
+) -> tuple[Vector, Vector, Curvature]:
+    """Return center and steps of the parabola about the optimum, to which Newton steps go."""
+    for _ in range(5):
+        found = center, steps, _curvature(squares, center, steps, names)
+        reached, gradient, hessian = found[-1]
+        move = -np.linalg.solve(hessian, gradient)
+        if np.abs(move).max() <= 0.1:  # standard errors
+            break
         most = math.sqrt(samples)
         moved = center + np.clip(move, -most, most) * steps
         if (np.minimum(moved, 1.0 - moved) < steps).any():
-            return curvature
+            break
         level = squares([moved])[0]
         if level <= 0.0:
             raise NoStandardErrors("the residual is zero")
-        if level >= curvature.level * (1.0 - 2.0 * noise):
-            return curvature
+        if level >= reached * (1.0 - 2.0 * noise):
+            break
         center = moved
-        shorter = steps * math.sqrt(level / curvature.level)  # s is smaller there
+        shorter = steps * math.sqrt(level / reached)  # s is smaller there
         steps = np.maximum(shorter, np.minimum(steps, _SHORTEST_STEP))
-    return curvature
+    return found
 
 
-def _curvature(squares: Squares, center: Vector, steps: Vector, names: list[str]) -> _Curvature:
-    """Return the parabola through a point on either side for each key and each pair of keys."""
+def _curvature(squares: Squares, center: Vector, steps: Vector, names: list[str]) -> Curvature:
+    """Return S about a center, by points on both sides along each key, and each pair of keys."""
     count = center.size
     ends = np.diag(steps)
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
@@ -232,53 +228,21 @@ def _curvature(squares: Squares, center: Vector, steps: Vector, names: list[str]
     level = float(values[0])
     up, down = values[1 : 2 * count + 1].reshape(2, -1)
     hessian = np.diag(up + down - 2.0 * level)
-    for (i, j), corner in zip(
-        pairs, values[2 * count + 1 :].reshape(-1, 2).sum(axis=1), strict=True
-    ):
+    sums = values[2 * count + 1 :].reshape(-1, 2).sum(axis=1)
+    for (i, j), corner in zip(pairs, sums, strict=True):
         mixed = corner - up[i] - down[i] - up[j] - down[j] + 2.0 * level
         hessian[i, j] = hessian[j, i] = mixed / 2.0
     scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
-    if eigenvalues[0] <= _LEAST_EIGENVALUE:
+    if eigenvalues[0] <= 1e-7:
         weights = np.abs(vectors[:, 0])
         involved = [names[k] for k in np.flatnonzero(weights > 0.1 * weights.max())]
-        one = len(involved) == 1
-        raise NoStandardErrors(
-            f"the objective does not rise along {'' if one else 'a combination of '}"
-            f"{', '.join(involved)}: the data do not determine "
-            f"{'it' if one else 'them together'}"
-        )
-    return _Curvature(center, steps, level, (up - down) / 2.0, hessian)
-
-
-def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> StandardErrors:
-    free = _free(space, samples)
-    variance = curvature.level / free
-    scaled = 2.0 * variance * np.linalg.inv(curvature.hessian)
-    deviations = np.sqrt(np.diag(scaled))
-    correlation = scaled / np.outer(deviations, deviations)
-    values = space.point(curvature.center)
-    errors = {}
-    for number, key in enumerate(space.bounded):
-        value = values[key.key]
-        error = float(key.slope(value) * curvature.steps[number] * deviations[number])
-        if error < abs(value) * 10.0 ** (1 - DIGITS):
-            raise NoStandardErrors(
-                f"that of {key.key} would be below the {DIGITS} digits of its value: the residual "
-                "is rounding noise"
-            )
-        errors[key.key] = error
-    skew = np.abs(curvature.gradient) / np.diag(curvature.hessian)
-    skewed = [key.key for key, each in zip(space.bounded, skew, strict=True) if each > _SKEWED]
-    return StandardErrors(
-        errors,
-        _intervals(space, values, errors, correlation, free),
-        _as_tuples(correlation),
-        math.sqrt(variance),
-        samples,
-        tuple(skewed),
-        values,
-    )
+        along, them = ", ".join(involved), "it"
+        if len(involved) > 1:
+            along, them = f"a combination of {along}", "them together"
+        rise = f"the objective does not rise along {along}"
+        raise NoStandardErrors(f"{rise}: the data do not determine {them}")
+    return level, (up - down) / 2.0, hessian
 
 
 def _intervals(
@@ -299,12 +263,11 @@ def _intervals(
             low, high = value / factor, value * factor
         if not (math.isfinite(low) and math.isfinite(high) and (low > 0.0 or not key.logarithmic)):
             names = [each.key for each in space.bounded]
-            involved = [names[k] for k in np.flatnonzero(np.abs(correlation[number]) > _INVOLVED)]
+            involved = [names[k] for k in np.flatnonzero(np.abs(correlation[number]) > 0.5)]
+            hardly = f"the data hardly determine {', '.join(involved)}"
             together = " together" if len(involved) > 1 else ""
-            raise NoStandardErrors(
-                f"the interval of {key.key} goes beyond all numbers: the data hardly determine "
-                f"{', '.join(involved)}{together}"
-            )
+            beyond = f"the interval of {key.key} goes beyond all numbers"
+            raise NoStandardErrors(f"{beyond}: {hardly}{together}")
         intervals[key.key] = low, high
     return intervals
 

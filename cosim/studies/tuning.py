@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import mapping_argument, path_argument, truth_argument, whole_argument
 from cosim.digests import digest_of
@@ -71,6 +72,8 @@ from cosim.studies.workers import LocalExecutor
 
 if TYPE_CHECKING:
     from distributed import Client
+
+_RECORDED: Final = ("expression", "maximize", "method", "members", "starts", "seed")
 
 
 def tune(
@@ -152,25 +155,19 @@ def tune(
         UsageError before a trial runs, and if the first one fails; DatasetError if ``out`` holds
         another dataset. What fails in a later trial is in the result.
     """
-    goal = "minimize" if maximize is None else "maximize"
     expression = minimize if maximize is None else maximize
-    if (minimize is None) == (maximize is None):
-        found = "neither" if minimize is None else "both"
+    if (minimize is not None and maximize is not None) or not isinstance(expression, str):
         names = f"{option('minimize')} and {option('maximize')}"
-        raise UsageError(f"expected one of {names}, got {found}")
-    if not isinstance(expression, str):
-        raise UsageError(
-            f"{option(goal)}: expected a metric, such as 'rms(observer.delta - delta.y)', got "
-            f"{quoted(expression)}"
-        )
+        found = f"got {quoted(minimize)} and {quoted(maximize)}"
+        raise UsageError(f"{names}: expected a metric for one of them, {found}")
     search = Search(
         read_space(vary),
         expression,
         maximize=maximize is not None,
         method=method,
-        members=_whole("members", members),
-        starts=_whole("starts", starts),
-        seed=_whole("seed", seed),
+        members=whole_argument("members", members) or 0,
+        starts=whole_argument("starts", starts) or 0,
+        seed=whole_argument("seed", seed) or 0,
         is_rms=is_rms(expression),
         with_errors=truth_argument("standard_errors", standard_errors),
         samples=whole_argument("samples", samples),
@@ -178,11 +175,9 @@ def tune(
     new = truth_argument("new", new)
     count = worker_count(workers)
     if scheduler is not None and method not in BATCHES:
-        raise UsageError(
-            f"{option('scheduler')}: the method {method!r} runs one member at a time, so a "
-            f"cluster would not be faster; use {option('method')} {' or '.join(BATCHES)}, or no "
-            "scheduler"
-        )
+        one = f"the method {method!r} runs one member at a time"
+        available = f"available with a cluster: {', '.join(BATCHES)}"
+        raise UsageError(f"{option('scheduler')}: {one}; {available}")
     search.check()
     metrics = {OBJECTIVE: expression}
     if search.is_rms:
@@ -247,11 +242,9 @@ def _searched(
             where = local if 0 in points else executor
             for member, outcome in where.run(iter(members)):
                 if member.number == 0 and outcome.status != COMPLETE:
-                    raise UsageError(
-                        f"the first member fails, so nothing was tuned: {outcome.reason}\nexpected "
-                        "a metric of the run, and initial values with which it runs, for example "
-                        f"by {option('set')}"
-                    )
+                    fails = f"the first member fails, so nothing was tuned: {outcome.reason}"
+                    expected = f"initial values with which it runs, such as by {option('set')}"
+                    raise UsageError(f"{fails}\nexpected {expected}")
                 if dataset is None and out is not None:
                     made = StudyDataset.open_or_create(out, plan.identity(), new=new)
                     dataset = resources.enter_context(made)
@@ -270,23 +263,14 @@ def _recorded(dataset: StudyDataset) -> Iterator[tuple[Point, MemberOutcome]]:
     keys = [column for column in columns if column.name != RECORDING]
     outcome = ("member", "status", "reason", "steps", "warnings")
     for row in dataset.read([*outcome, *metrics, *(key.name for key in keys)]).to_pylist():
-        point = {
-            key.name: json_value(row[key.name])
-            if key.type == "json" and row[key.name] is not None
-            else row[key.name]
-            for key in keys
-        }
-        yield (
-            point,
-            MemberOutcome(
-                row["member"],
-                row["status"],
-                row["reason"] or "",
-                row["steps"],
-                {name: row[name] for name in metrics},
-                warnings=(row["warnings"] or "").splitlines(),
-            ),
-        )
+        point = {key.name: row[key.name] for key in keys}
+        for key in keys:
+            if key.type == "json" and row[key.name] is not None:
+                point[key.name] = json_value(row[key.name])
+        number, status, reason, steps, warnings = (row[name] for name in outcome)
+        values = {name: row[name] for name in metrics}
+        lines = (warnings or "").splitlines()
+        yield point, MemberOutcome(number, status, reason or "", steps, values, warnings=lines)
 
 
 def search_best(
@@ -297,9 +281,7 @@ def search_best(
     progress: MembersDone | None = None,
 ) -> TuningResult:
     """Search the best point, and its standard errors; see :class:`Trials` for the parameters."""
-    trials = Trials(
-        run, search.members, maximize=search.maximize, recorded=recorded, progress=progress
-    )
+    trials = Trials(run, search, recorded, progress)
     if search.with_errors:
         trials.members -= min(members_of_errors(len(search.space.keys)), search.members // 2)
     ends: list[SearchEnd] = []
@@ -307,22 +289,13 @@ def search_best(
     try:
         stop_reason = search_points(search, trials, ends)
         finished = True
-    except SearchEnded as ended:
-        stop_reason = str(ended)
+    except SearchEnded as error:
+        stop_reason = str(error)
     best_end = converged_end(search.space, trials.best, ends)
     trials.members = search.members
-    errors, problem = _errors(search, trials) if search.with_errors else (None, "")
-    return TuningResult(
-        search,
-        trials.all,
-        trials.best,
-        finished,
-        stop_reason,
-        tuple(ends),
-        best_end,
-        errors,
-        problem,
-    )
+    errors = _errors(search, trials) if search.with_errors else (None, "")
+    ended = (finished, stop_reason, tuple(ends), best_end)
+    return TuningResult(search, trials.all, trials.best, *ended, *errors)
 
 
 def _errors(search: Search, trials: Trials) -> tuple[StandardErrors | None, str]:
@@ -393,13 +366,8 @@ class TuningPlan:
             own_environment(),
             RecordedSearch(
                 OBJECTIVE,
-                search.expression,
-                maximize=search.maximize,
-                method=search.method,
-                members=search.members,
-                starts=search.starts,
-                seed=search.seed,
                 keys=[asdict(key) for key in keys],
+                **{name: getattr(search, name) for name in _RECORDED},
             ),
             self.study.sources.warnings,
         )
@@ -433,9 +401,9 @@ def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
     """
     logs = find_recordings(study.settings.replay)
     if len(logs) > 1:
+        found = f"got {len(logs)} ({listing(logs, 3)})"
         raise UsageError(
-            f"{option('replay')}: expected one log, which every trial replays, got {len(logs)} "
-            f"({listing(logs, 3)})"
+            f"{option('replay')}: expected one log, which every trial replays, {found}"
         )
     recording = logs[0] if logs else None
     files = scenario_digest(study.subject)
@@ -471,16 +439,8 @@ def plan_recorded(study: StudyFile, recorded: RecordedSearch) -> TuningPlan:
     for key in recorded.keys:
         is_list = "choices" in key
         keys.append(ChoiceKey(key["key"], tuple(key["choices"])) if is_list else BoundedKey(**key))
-    search = Search(
-        SearchSpace(tuple(keys)),
-        recorded.expression,
-        maximize=recorded.maximize,
-        method=recorded.method,
-        members=recorded.members,
-        starts=recorded.starts,
-        seed=recorded.seed,
-    )
-    return plan_tuning(study, search)
+    options = {name: getattr(recorded, name) for name in _RECORDED}
+    return plan_tuning(study, Search(SearchSpace(tuple(keys)), **options))
 
 
 def _checked_points(study: StudyFile, search: Search, recording: str | None) -> StudyDesign:
@@ -502,10 +462,7 @@ def _checked_points(study: StudyFile, search: Search, recording: str | None) -> 
 def _of_objective(text: str, search: Search) -> str:
     """Return problems of the metrics as those of the objective, each once."""
     name = option("maximize" if search.maximize else "minimize")
-    lines = []
-    for line in text.splitlines():
-        begin, _, rest = line.partition(": ")
-        lines.append(f"{name}: {rest}" if begin.startswith("metrics.") else line)
+    lines = [re.sub(r"^metrics\.\w+: ", f"{name}: ", line) for line in text.splitlines()]
     return "\n".join(dict.fromkeys(lines))
 
 
@@ -552,13 +509,6 @@ def _read_key(key: str, value: Any) -> Key:
         f"{option('vary', key)}: expected bounds, such as {{'linear': [0.0, 1.0]}} or {{'log': "
         f"[10.0, 1e4]}}, or a list of values, got {quoted(value)}"
     )
-
-
-def _whole(name: str, value: object) -> int:
-    number = whole_argument(name, value)
-    if number is None:
-        raise UsageError(f"{option(name)}: expected a whole number, got None")
-    return number
 
 
 def _ignore(_: str) -> None:
