@@ -36,10 +36,10 @@ from cosim.errors import RunError
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.programs import RowProgram
 from cosim.studies.contracts import COMPLETE, StudyMember, StudySubject
-from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.members import opened
-from cosim.studies.metrics.binding import find_element
-from cosim.studies.metrics.language import Reduction, parse_metric_text
+from cosim.studies.metric_language import Reduction, parse_metric_text
+from cosim.studies.metrics import find_element
+from cosim.studies.study_file import load_scenario
 from cosim.studies.workers import LocalExecutor
 
 LEAST_ROWS: Final = 10

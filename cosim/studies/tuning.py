@@ -25,24 +25,27 @@ from cosim.studies.dataset import (
     metric_column,
     parameter_column,
 )
-from cosim.studies.design.columns import MemberLayout, SampleColumn
-from cosim.studies.design.commands import run_command
-from cosim.studies.design.own_values import own_value
-from cosim.studies.design.planning import edited_scenario
-from cosim.studies.design.recordings import find_recordings
-from cosim.studies.design.study_design import StudyDesign
-from cosim.studies.document.nested import varied_key
-from cosim.studies.document.paths import absolute
-from cosim.studies.document.reading import read_study
-from cosim.studies.document.scenario_of_study import is_log, load_scenario
-from cosim.studies.document.study_file import STUDY, StudyFile, study_of
+from cosim.studies.design import (
+    MemberLayout,
+    SampleColumn,
+    StudyDesign,
+    edited_scenario,
+    find_recordings,
+    own_value,
+)
 from cosim.studies.kept_logs import MembersDone
 from cosim.studies.layout import StudyLayout
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
+from cosim.studies.plan import (
+    RecordedSearch,
+    RecordedStudy,
+    StudyPlan,
+    own_environment,
+    plan_members,
+    run_command,
+    scenario_digest,
+)
 from cosim.studies.residual import check_residual, residual_at
-from cosim.studies.running.plan import StudyPlan, plan_members
-from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy, own_environment
-from cosim.studies.running.sources import scenario_digest
 from cosim.studies.search import (
     BATCHES,
     OBJECTIVE,
@@ -66,6 +69,16 @@ from cosim.studies.standard_errors import (
     moved_points,
 )
 from cosim.studies.standard_errors import standard_errors as errors_at
+from cosim.studies.study_file import (
+    STUDY,
+    StudyFile,
+    absolute,
+    is_log,
+    load_scenario,
+    read_study,
+    study_of,
+    varied_key,
+)
 from cosim.studies.studying import MemberExecutor, worker_count
 from cosim.studies.tuning_result import TuningResult, converged_end, with_residual
 from cosim.studies.workers import LocalExecutor
