@@ -10,7 +10,6 @@ from scipy import stats
 import cosim
 from cosim.errors import UsageError
 from cosim.studies.design import plan_design
-from cosim.studies.study_file import read_study
 from cosim.studies.layout import StudyLayout, drawn_members, independence_of
 from cosim.studies.sensitivity import bootstrap, indices_of, sobol_indices
 from cosim.studies.statistics import (
@@ -30,6 +29,7 @@ from cosim.studies.statistics import (
     study_statistics,
     warning_lines,
 )
+from cosim.studies.study_file import read_study
 from tests.studies.made import columns_of, saltelli_study, tolerances
 
 RANDOM = StudyLayout("random", samples=1000)

@@ -7,8 +7,9 @@ import os
 import random
 import signal
 
+from cosim.studies import dataset as module
 from cosim.studies.dataset import StudyDataset
-from tests.studies.dataset.outcomes import design, identity, member, outcome
+from tests.studies.outcomes import design, identity, member, outcome
 
 processes = multiprocessing.get_context("forkserver")
 processes.set_forkserver_preload([__name__])
@@ -18,8 +19,9 @@ CALLS = ["open", "write", "ftruncate", "fsync", "replace", "unlink"]  # that cha
 
 
 def opened(folder, count, part_size, **options):
-    """Open the dataset of a study, or make it."""
-    planned = identity(count, part_size=part_size)
+    """Open the dataset of a study with parts of a size, or make it."""
+    module.PART_SIZE = part_size
+    planned = identity(count)
     return StudyDataset.open_or_create(folder, planned, design=design(count), **options)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from cosim.studies.contracts import MemberOutcome, StudyMember
-from cosim.studies.dataset import metric_column, parameter_column
-from cosim.studies.dataset import StudyIdentity
+from cosim.studies.dataset import StudyIdentity, metric_column, parameter_column
 
 DIGESTS = {"key scenario.stop": "ab" * 32, "FMU plant.fmu": "cd" * 32, "the metrics": "ef" * 32}
 
@@ -42,7 +41,7 @@ def columns():
     )
 
 
-def identity(members, *, part_size=10, digests=None, version="1.0", of=None):
+def identity(members, *, digests=None, version="1.0", of=None):
     """Return what the study is about."""
     return StudyIdentity(
         name="tolerances",
@@ -50,12 +49,11 @@ def identity(members, *, part_size=10, digests=None, version="1.0", of=None):
         digests=DIGESTS if digests is None else digests,
         columns=columns() if of is None else of,
         members=members,
-        part_size=part_size,
         version=version,
     )
 
 
-def member(number, count=10**7):
+def member(number):
     """Return a member."""
     values = {"observer.filter_rate": 10.0 * 1.1 ** (number % 97), "noise.seed": number % 5}
     return StudyMember(number, values)
@@ -66,15 +64,17 @@ def outcome(number, *, wall_time=0.25, worker="here"):
     if number % 7 == 3:
         return MemberOutcome(number, "failed", f"NaN at {number} s", number, {}, wall_time)
     metrics = {"error": 1.0 / (number + 1), "late": number / 3 if number % 4 else None}
-    return MemberOutcome(number, "complete", "", 1000, metrics, wall_time, "", worker)
+    return MemberOutcome(number, "complete", "", 1000, metrics, wall_time, worker)
 
 
-def add(dataset, numbers):
-    """Add the outcomes of members."""
+def add(dataset, numbers, report=lambda number: None):
+    """Add the outcomes of members, and report each that is added."""
     for number in numbers:
         dataset.add(member(number), outcome(number))
+        report(number)
 
 
 def parts(folder):
-    """Return the names of the files of the parts in a folder."""
-    return sorted(path.name for path in (folder / "parts").iterdir())
+    """Return the first and the last member of each part in a folder."""
+    names = sorted(path.name.split("-") for path in (folder / "parts").glob("part-*"))
+    return [(int(first), int(last)) for _, first, last, _ in names]
