@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.studies.plan import RecordedStudy
-from tests.studies.tuning.fitted_fmu import write_fit
+from tests.studies.fitted_fmu import write_fit
 
 METRICS = {
     "error": "rms(observer.delta - delta.y, t > 0.1)",

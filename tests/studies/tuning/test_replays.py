@@ -8,7 +8,7 @@ import cosim
 from cosim.cli.app import main
 from cosim.errors import CosimError, UsageError
 from cosim.studies.metrics import parse_metrics
-from tests.studies.tuning.fitted_fmu import EXPRESSION, write_fit
+from tests.studies.fitted_fmu import EXPRESSION, write_fit
 
 ERROR = "rms(observer.delta - delta.y, t > 0.2)"
 RATE = {"observer.filter_rate": {"log": [10.0, 1e4]}}

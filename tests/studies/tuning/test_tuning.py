@@ -18,7 +18,7 @@ from cosim.studies.tuning.searching import TuningSearch
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.studies.tuning.task import TuningTask, is_rms
 from cosim.studies.tuning.tuning import tune_task
-from tests.studies.tuning.fitted_fmu import (
+from tests.studies.fitted_fmu import (
     EXPRESSION,
     TIMES,
     A,

@@ -4,17 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.studies.tuning.searching import TuningSearch
-from cosim.studies.tuning.space import BoundedKey, SearchSpace
-from cosim.studies.tuning.task import TuningTask
 from tests.fmi.small import able, compiled
 
 A = -1.6
 B = 2.4
 EXPRESSION = "rms(plant.y - measured.y)"
-SPACE = SearchSpace(
-    (BoundedKey("plant.start.A", -10.0, -0.1), BoundedKey("plant.start.B", 0.1, 10.0, True))
-)
 SCENARIO = """
 scenario = { name = "fit", stop = 5.0, step = 0.01 }
 [components]
@@ -50,8 +44,3 @@ def write_fit(folder: Path) -> Path:
     scenario = folder / "fit.toml"
     scenario.write_text(SCENARIO)
     return scenario
-
-
-def task_of(scenario: Path, **options) -> TuningTask:
-    """Return the fit of A and B."""
-    return TuningTask(str(scenario), EXPRESSION, TuningSearch(SPACE, "", **options))

@@ -21,7 +21,7 @@ from cosim.studies.studying import estimate_study
 from cosim.studies.plan import plan_study
 from cosim.studies.plan import RecordedStudy
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
-from tests.studies.tuning.fitted_fmu import write_fit
+from tests.studies.fitted_fmu import write_fit
 
 SHORT = {"scenario.stop": 0.5}
 METRICS = {"error": "rms(observer.delta - delta.y)", "last": "last(plant.y)"}

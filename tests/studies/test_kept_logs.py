@@ -21,7 +21,7 @@ from cosim.studies.plan import RecordedStudy
 from cosim.studies.studying import open_dataset
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
-from tests.studies.dataset.outcomes import add, identity
+from tests.studies.outcomes import add, identity
 
 SINE = """
 scenario = { name = "x", stop = 1.0, step = 0.1 }
