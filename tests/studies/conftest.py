@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.studies.cluster.processes import cluster
-from tests.studies.in_process import run_members_in_this_process, run_members_in_workers
+from tests.studies.dask_processes import cluster
 
 S3_SERVER = """
 import sys
@@ -20,22 +19,6 @@ server.start()
 print(server.get_host_and_port()[1], flush=True)
 sys.stdin.read()
 """
-
-
-@pytest.fixture(scope="package", autouse=True)
-def members_in_this_process() -> Iterator[None]:
-    """Run members where the test runs, unless it asks for ``worker_processes``."""
-    with pytest.MonkeyPatch.context() as patch:
-        run_members_in_this_process(patch)
-        yield
-
-
-@pytest.fixture
-def worker_processes() -> Iterator[None]:
-    """Run members in workers, as users do: for tests of crashes, hangs and pools."""
-    with pytest.MonkeyPatch.context() as patch:
-        run_members_in_workers(patch)
-        yield
 
 
 @pytest.fixture(scope="session")

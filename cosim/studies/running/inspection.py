@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -86,7 +87,7 @@ def _inspect(
     """Build members, and yield what the inspector says of each."""
     edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
     if all(is_own_code(one) for one in edited):
-        with OpenedSubject(study.subject) as opened:
+        with closing(OpenedSubject(study.subject)) as opened:
             for member in members:
                 yield member.number, opened.inspect(member)
         return
