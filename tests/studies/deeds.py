@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from cosim.errors import ChangedFileError, FmuError, ScenarioError
+from cosim.errors import ChangedFileError, RunError, ScenarioError
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.workers import LocalExecutor
 
@@ -84,7 +84,7 @@ DEEDS = {
     "replaces files": lambda: to_all_files(lambda n: os.dup2(os.open(os.devnull, os.O_RDWR), n)),
     "writes into files": lambda: to_all_files(lambda n: os.write(n, b"hello\n")),
     "is refused": lambda: throw(ScenarioError("unknown kind 'plnat'")),
-    "is an error": lambda: throw(FmuError("'a.fmu' is none")),
+    "is an error": lambda: throw(RunError("'a.fmu' is none")),
     "finds a change": lambda: throw(ChangedFileError("a.csv has changed")),
     "object": lambda: (_ for _ in ()),
 }
