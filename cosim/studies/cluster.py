@@ -7,10 +7,12 @@ their way, so that the scheduler holds as much for a million members as for a th
 
 from __future__ import annotations
 
+import io
 import os
 import platform
 import re
 import secrets
+import shutil
 import threading
 import zipfile
 from collections import deque
@@ -22,10 +24,9 @@ from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
-from cosim.digests import digest_of, sha256_of, source_digest
+from cosim.digests import sha256_of, source_digest
 from cosim.errors import CosimError, RunError, UsageError, listing, option, quoted, shortened
 from cosim.filters import ignored_warnings
 from cosim.fmi import platforms
@@ -33,7 +34,6 @@ from cosim.interrupts import uninterrupted
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.members import CODE, inspect_member
 from cosim.studies.workers import LocalExecutor
-from cosim.temporary import TemporaryFolder
 from cosim.version import __version__
 
 if TYPE_CHECKING:
@@ -51,30 +51,13 @@ _LOOK: Final = 1.0  # [s] between looks at the workers
 
 @dataclass(frozen=True)
 class ClusterStudy:
-    """What a worker has to know of a study.
-
-    Parameters
-    ----------
-    subject : StudySubject
-    trial : StudyMember
-        One that can be built.
-    files : mapping of absolute path to SHA-256
-        That members read.
-    timeout : float or None
-        Wall time that a member may take [s].
-    environment : mapping of str to str
-        Where it was planned.
-    archive : str
-        The name of the file that has the files.
-    name : str
-    """
+    """What a worker has to know of a study: a member that can be built, files by SHA-256, ..."""
 
     subject: StudySubject
     trial: StudyMember
     files: Mapping[str, str]
     timeout: float | None
-    environment: Mapping[str, str]
-    archive: str
+    environment: Mapping[str, str]  # where it was planned
     name: str = field(default_factory=lambda: secrets.token_hex(6))
 
 
@@ -107,9 +90,8 @@ class ClusterExecutor:
     ) -> None:
         self._scheduler = scheduler
         codes = {name: digest for name, digest in subject.digests.items() if CODE in name}
-        archive = f"cosim-{digest_of(dict(files))[:16]}.zip"
         own = replace(subject, digests={**files, **codes})
-        self._study = ClusterStudy(own, trial, files, timeout, environment(), archive)
+        self._study = ClusterStudy(own, trial, files, timeout, environment())
         self._notice = notice
         self._resources = ExitStack()
         self._threads: dict[str, int] = {}  # of the workers that are used
@@ -117,7 +99,6 @@ class ClusterExecutor:
         self._waits_since: float | None = None
         self._next_look = 0.0
         self._seconds = 0.0  # of a member
-        self._is_sent = not files
 
     def __enter__(self) -> Self:
         self._client = self._resources.enter_context(connected(self._scheduler))
@@ -128,17 +109,11 @@ class ClusterExecutor:
             raise
         return self
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         with uninterrupted(), self._resources, suppress(OSError, RuntimeError):
-            workers = list(self._threads)
-            if workers:
-                name = self._study.name
-                self._client.run(_close, name, workers=workers, on_error="ignore")
+            if self._threads:
+                workers = list(self._threads)
+                self._client.run(_close, self._study.name, workers=workers, on_error="ignore")
 
     def run(self, members: Iterable[StudyMember]) -> Iterator[tuple[StudyMember, MemberOutcome]]:
         """Yield members with their outcomes, as they come.
@@ -273,15 +248,22 @@ class ClusterExecutor:
 
     def _admitted(self, addresses: Sequence[str]) -> dict[str, str]:
         """Return why workers cannot be used; empty: they can."""
-        found = self._asked(_admit, addresses)
+        found = self._asked(addresses, None)
         lacking = [address for address, answer in found.items() if answer == _LACKS_FILES]
         if lacking:
-            self._send()
-            found |= self._asked(_admit, lacking)
+            content = io.BytesIO()
+            with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+                for file in self._study.files:
+                    archive.write(file, _inside(file))
+            try:  # not as an argument: the scheduler would keep it with each task
+                sent = self._client.scatter(content.getvalue(), workers=lacking, broadcast=True)
+            except (OSError, RuntimeError) as error:
+                raise self._lost() from error
+            found |= self._asked(lacking, sent)
         return found
 
-    def _asked(self, function: Callable[..., str], addresses: Sequence[str]) -> dict[str, str]:
-        asked = {a: self._submit(function, self._study, workers=[a]) for a in addresses}
+    def _asked(self, addresses: Sequence[str], files: Future | None) -> dict[str, str]:
+        asked = {a: self._submit(_admit, self._study, files, workers=[a]) for a in addresses}
         found = {}
         for address, future in asked.items():
             try:
@@ -289,20 +271,6 @@ class ClusterExecutor:
             except Exception as error:  # whatever a worker of another version raises
                 found[address] = f"{type(error).__name__}: {error}"
         return found
-
-    def _send(self) -> None:
-        """Send the files to all workers, and to those that join later."""
-        if self._is_sent:
-            return
-        from distributed.diagnostics.plugin import UploadFile
-
-        with TemporaryFolder("cluster") as folder:
-            path = folder / self._study.archive
-            with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-                for file in self._study.files:
-                    archive.write(file, _inside(file))
-            self._client.register_plugin(UploadFile(str(path), load=False))
-        self._is_sent = True
 
     def _lost(self) -> RunError:
         return RunError(
@@ -397,19 +365,28 @@ def _check_scheduler(client: Client, own: Mapping[str, str]) -> None:
 # --- in a worker of dask ---
 
 _LACKS_FILES: Final = "files are missing"
-_executors: dict[tuple[str, int], tuple[LocalExecutor, str]] = {}  # by study and thread
+_roots: dict[str, str] = {}  # by study: where copies of its files are; empty: as planned
+_executors: dict[tuple[str, int], tuple[LocalExecutor, threading.Lock]] = {}  # by thread, too
 
 
-def _admit(study: ClusterStudy) -> str:
+def _admit(study: ClusterStudy, files: bytes | None) -> str:
     """Return why this worker cannot run a study; empty: it can."""
     problem = _differences(study.environment, environment())
     if problem:
         return problem
-    try:
-        executor, root = _executor(study)
-    except FileNotFoundError:
-        return _LACKS_FILES
-    ((_, found),) = executor.run([_moved_member(study, study.trial, root)], inspect_member)
+    root = ""
+    if not all(_has(path, digest) for path, digest in study.files.items()):
+        if files is None:
+            return _LACKS_FILES
+        folder = Path(distributed().get_worker().local_directory)
+        root = str(folder.absolute() / f"cosim-{study.name}")
+        with zipfile.ZipFile(io.BytesIO(files)) as archive:
+            archive.extractall(root)
+        _name_copies(study, root)
+    _roots[study.name] = root
+    with _executor(study) as executor:
+        trial = _moved_member(study, study.trial)
+        ((_, found),) = executor.run([trial], inspect_member)
     problem = found.reason if isinstance(found, MemberOutcome) else found.refused
     return problem.replace(root, "") if root else problem
 
@@ -418,10 +395,11 @@ def _run_part(
     study: ClusterStudy, members: Sequence[StudyMember]
 ) -> tuple[float, list[MemberOutcome]]:
     """Run members; return the wall time that they took together [s], and their outcomes."""
-    executor, root = _executor(study)
     began = monotonic()
-    moved = (_moved_member(study, member, root) for member in members)
-    outcomes: dict[int, MemberOutcome] = {m.number: outcome for m, outcome in executor.run(moved)}
+    with _executor(study) as executor:
+        moved = (_moved_member(study, member) for member in members)
+        outcomes: dict[int, MemberOutcome] = {m.number: o for m, o in executor.run(moved)}
+    root = _roots[study.name]
     if root:
         for number, outcome in outcomes.items():
             warnings = [text.replace(root, "") for text in outcome.warnings]
@@ -431,45 +409,38 @@ def _run_part(
 
 
 def _close(name: str) -> None:
-    """End the children of a study."""
-    for key in [key for key in _executors if key[0] == name]:
-        executor, _ = _executors.pop(key)
-        threading.Thread(target=executor.__exit__, args=(None, None, None)).start()
+    """End the children of a study, and remove the copies of its files."""
+    executors = [_executors.pop(key) for key in [*_executors] if key[0] == name]
+    root = _roots.pop(name, "")
+
+    def end() -> None:
+        for executor, lock in executors:
+            executor.stop()
+            with lock:
+                executor.__exit__(None)
+        if root:
+            shutil.rmtree(root, ignore_errors=True)
+
+    threading.Thread(target=end).start()  # as the worker answers its scheduler meanwhile
 
 
-def _executor(study: ClusterStudy) -> tuple[LocalExecutor, str]:
-    """Return what runs members beside this thread, and where their files are; empty: as planned.
-
-    Raises
-    ------
-    FileNotFoundError
-        If they are nowhere.
-    """
+@contextmanager
+def _executor(study: ClusterStudy) -> Iterator[LocalExecutor]:
+    """Have what runs the members of a study beside this thread, which nobody closes meanwhile."""
     key = study.name, threading.get_ident()
     if key not in _executors:
-        root = _root(study)
         subject = study.subject
+        root = _roots[study.name]
         if root:
             subject = StudySubject(**_moved(asdict(subject), study.files, root))
-            scenario = Path(subject.scenario)
             if subject.scenario in subject.digests:
-                _name_copies(scenario, study.files, root)
-                digests = {**subject.digests, subject.scenario: sha256_of(scenario)}
+                digests = {**subject.digests, subject.scenario: sha256_of(subject.scenario)}
                 subject = replace(subject, digests=digests)
         executor = LocalExecutor(subject, 1, timeout=study.timeout)
-        _executors[key] = executor.__enter__(), root
-    return _executors[key]
-
-
-def _root(study: ClusterStudy) -> str:
-    """Return the folder with copies of the files; empty: they are where they were planned."""
-    if all(_has(path, digest) for path, digest in study.files.items()):
-        return ""
-    folder = Path(distributed().get_worker().local_directory)
-    root = folder / f"cosim-{study.name}-{threading.get_ident()}"
-    with zipfile.ZipFile(folder / study.archive) as archive:
-        archive.extractall(root)
-    return str(root)
+        _executors[key] = executor.__enter__(), threading.Lock()
+    executor, lock = _executors[key]
+    with lock:
+        yield executor
 
 
 def _has(path: str, digest: str) -> bool:
@@ -481,13 +452,12 @@ def _has(path: str, digest: str) -> bool:
 
 def _inside(path: str) -> str:
     """Return the name of a file in the archive."""
-    return path.replace(":", "").lstrip("/\\")
+    return path.lstrip("/")
 
 
-def _moved_member(study: ClusterStudy, member: StudyMember, root: str) -> StudyMember:
-    if not root:
-        return member
-    return StudyMember(**_moved(asdict(member), study.files, root))
+def _moved_member(study: ClusterStudy, member: StudyMember) -> StudyMember:
+    root = _roots[study.name]
+    return StudyMember(**_moved(asdict(member), study.files, root)) if root else member
 
 
 def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
@@ -505,10 +475,13 @@ def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
     return value
 
 
-def _name_copies(scenario: Path, files: Mapping[str, str], root: str) -> None:
+def _name_copies(study: ClusterStudy, root: str) -> None:
     """Let the copy of a scenario name the copies of files that it names by absolute paths."""
+    if study.subject.scenario not in study.files:
+        return
+    scenario = Path(_moved(study.subject.scenario, study.files, root))
     text = scenario.read_text(encoding="utf-8")
-    for path in files:
-        copy = os.path.join(root, _inside(path)).replace("\\", r"\\")
+    for path in study.files:
+        copy = os.path.join(root, _inside(path))
         text = re.sub(f"(?<=[\"']){re.escape(path)}(?=[\"'#])", copy, text)
     scenario.write_text(text, encoding="utf-8")

@@ -17,7 +17,6 @@ from contextlib import suppress
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, final
 
 from cosim.errors import RunError, UsageError, option, quoted
@@ -100,17 +99,13 @@ class LocalExecutor:
         self._lost_openings = 0  # in a row
         self._children: set[_Child] = set()
         self._idle: list[_Child] = []
+        self._is_stopped = False
 
     def __enter__(self) -> Self:
         self._folder = TemporaryFolder("workers")
         return self
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, error_type: object, *rest: object) -> None:
         with uninterrupted():
             limit = monotonic() + (_ENDING if error_type is None else 0.0)
             for child in self._children:
@@ -155,7 +150,7 @@ class LocalExecutor:
         busy: dict[_Child, StudyMember] = {}
         done: deque[tuple[StudyMember, Any]] = deque()
         try:
-            while True:
+            while not self._is_stopped:
                 while len(busy) < self._count and len(busy) + len(done) < 2 * self._count:
                     is_fresh = bool(again)
                     member = again.popleft() if is_fresh else next(waiting, None)
@@ -167,7 +162,7 @@ class LocalExecutor:
                 if done:  # while workers are at work, however long the caller takes
                     yield done.popleft()
                 elif not busy:
-                    return
+                    break
                 wait([child.socket for child in busy], 0.0 if done else _LOOK)
                 for child in [*busy]:
                     reply = child.reply(self._limit[0])
@@ -180,6 +175,10 @@ class LocalExecutor:
         finally:
             for child in busy:
                 self._end(child)
+
+    def stop(self) -> None:
+        """Let what runs members end, soon and without the rest of them; any thread may ask."""
+        self._is_stopped = True
 
     def _is_lost(self, child: _Child, reply: _Reply) -> bool:
         """Return whether a member has to be done once more, by another worker."""
