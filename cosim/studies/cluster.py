@@ -1,14 +1,13 @@
 """Members on the workers of dask.distributed, each in a process beside its worker.
 
 A worker is admitted when it computes with what this machine does and builds a member. Files that it
-misses are sent to it, in one archive. A task is some seconds of members; two for each thread are on
+misses are sent to it, in one archive. A task is a second of members; two for each thread are on
 their way, so that the scheduler holds as much for a million members as for a thousand.
 """
 
 from __future__ import annotations
 
 import io
-import os
 import platform
 import re
 import secrets
@@ -19,6 +18,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -41,10 +41,9 @@ if TYPE_CHECKING:
 
 PATIENCE: Final = 60.0  # [s] without any worker
 MOST: Final = 1000  # members of a task
-_SECONDS: Final = 10.0  # of members in a task
+_SECONDS: Final = 1.0  # of members in a task: at the end others wait for the last
 _PER_THREAD: Final = 2  # tasks: the one that runs, and the next
 _CONNECTING: Final = 5.0  # [s]
-_ADMITTING: Final = 300.0  # [s]; models may be compiled
 _FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
 _LOOK: Final = 1.0  # [s] between looks at the workers
 
@@ -95,6 +94,7 @@ class ClusterExecutor:
         self._notice = notice
         self._resources = ExitStack()
         self._threads: dict[str, int] = {}  # of the workers that are used
+        self._asked: dict[str, Future] = {}  # of those that may be
         self._excluded: dict[str, str] = {}  # why others are not
         self._waits_since: float | None = None
         self._next_look = 0.0
@@ -211,25 +211,63 @@ class ClusterExecutor:
         while monotonic() >= self._next_look or (wait and not self._threads):
             try:
                 present: dict[str, int] = dict(self._client.nthreads())
+                known = self._threads.keys() | self._excluded.keys() | self._asked.keys()
+                self._ask(sorted(present.keys() - known))
             except (OSError, RuntimeError) as error:
                 raise self._lost() from error
             for address in sorted(self._threads.keys() - present.keys()):
                 del self._threads[address]
                 self._notice(f"worker {address} is gone; {len(self._threads)} left")
             self._excluded = {a: why for a, why in self._excluded.items() if a in present}
-            new = present.keys() - self._threads.keys() - self._excluded.keys()
-            for address, problem in self._admitted(sorted(new)).items():
-                if problem:
-                    self._excluded[address] = problem
-                    self._notice(f"worker {address} is not used: {problem}")
-                else:
-                    self._threads[address] = present[address]
+            self._asked = {a: future for a, future in self._asked.items() if a in present}
+            for address, future in [*self._asked.items()]:
+                if future.status != "pending":
+                    del self._asked[address]
+                    self._take(address, present[address], _problem(future))
             self._next_look = monotonic() + _LOOK
             if self._threads:
                 self._waits_since = None
                 return
-            self._be_patient()
+            if not self._asked:
+                self._be_patient()
             threading.Event().wait(0.1)
+
+    def _ask(self, addresses: Sequence[str]) -> None:
+        """Ask workers whether they can run the study, while others run it."""
+        if not addresses:
+            return
+        # not by a task, which a worker without cosim cannot read, and never answers
+        found = self._client.run(environment, workers=list(addresses), on_error="return")
+        for address, own in found.items():
+            problem = f"{type(own).__name__}: {own}"
+            if isinstance(own, dict):
+                problem = _differences(self._study.environment, own)
+            if problem:
+                self._take(address, 0, problem)
+            else:
+                self._asked[address] = self._submit(_admit, self._study, None, workers=[address])
+
+    def _take(self, address: str, threads: int, problem: str) -> None:
+        """Use a worker, or exclude it, or send it the files that it lacks."""
+        if problem == _LACKS_FILES:
+            try:  # not as an argument: the scheduler would keep it with the task
+                files = self._client.scatter(self._archive, workers=[address])
+            except (OSError, RuntimeError) as error:
+                raise self._lost() from error
+            self._asked[address] = self._submit(_admit, self._study, files, workers=[address])
+        elif problem:
+            self._excluded[address] = problem
+            self._notice(f"worker {address} is not used: {problem}")
+        else:
+            self._threads[address] = threads
+
+    @cached_property
+    def _archive(self) -> bytes:
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in self._study.files:
+                archive.write(file, file.lstrip("/"))
+        return content.getvalue()
 
     def _be_patient(self) -> None:
         reasons = [f"{address}: {reason}" for address, reason in self._excluded.items()]
@@ -246,37 +284,18 @@ class ClusterExecutor:
                 "and run the study again"
             )
 
-    def _admitted(self, addresses: Sequence[str]) -> dict[str, str]:
-        """Return why workers cannot be used; empty: they can."""
-        found = self._asked(addresses, None)
-        lacking = [address for address, answer in found.items() if answer == _LACKS_FILES]
-        if lacking:
-            content = io.BytesIO()
-            with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-                for file in self._study.files:
-                    archive.write(file, _inside(file))
-            try:  # not as an argument: the scheduler would keep it with each task
-                sent = self._client.scatter(content.getvalue(), workers=lacking, broadcast=True)
-            except (OSError, RuntimeError) as error:
-                raise self._lost() from error
-            found |= self._asked(lacking, sent)
-        return found
-
-    def _asked(self, addresses: Sequence[str], files: Future | None) -> dict[str, str]:
-        asked = {a: self._submit(_admit, self._study, files, workers=[a]) for a in addresses}
-        found = {}
-        for address, future in asked.items():
-            try:
-                found[address] = str(future.result(timeout=_ADMITTING))
-            except Exception as error:  # whatever a worker of another version raises
-                found[address] = f"{type(error).__name__}: {error}"
-        return found
-
     def _lost(self) -> RunError:
         return RunError(
             "the connection to the scheduler of dask was lost; run the same study again to "
             "continue from its dataset"
         )
+
+
+def _problem(admission: Future) -> str:
+    try:
+        return str(admission.result(timeout=_FETCHING))
+    except Exception as error:  # whatever a worker raises
+        return f"{type(error).__name__}: {error}"
 
 
 # --- the connection ---
@@ -371,9 +390,6 @@ _executors: dict[tuple[str, int], tuple[LocalExecutor, threading.Lock]] = {}  # 
 
 def _admit(study: ClusterStudy, files: bytes | None) -> str:
     """Return why this worker cannot run a study; empty: it can."""
-    problem = _differences(study.environment, environment())
-    if problem:
-        return problem
     root = ""
     if not all(_has(path, digest) for path, digest in study.files.items()):
         if files is None:
@@ -450,11 +466,6 @@ def _has(path: str, digest: str) -> bool:
         return False
 
 
-def _inside(path: str) -> str:
-    """Return the name of a file in the archive."""
-    return path.lstrip("/")
-
-
 def _moved_member(study: ClusterStudy, member: StudyMember) -> StudyMember:
     root = _roots[study.name]
     return StudyMember(**_moved(asdict(member), study.files, root)) if root else member
@@ -465,7 +476,7 @@ def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
     match value:
         case str():
             path, mark, rest = value.partition("#")
-            return os.path.join(root, _inside(path)) + mark + rest if path in files else value
+            return root + path + mark + rest if path in files else value
         case Mapping():
             return {
                 _moved(key, files, root): _moved(item, files, root) for key, item in value.items()
@@ -482,6 +493,6 @@ def _name_copies(study: ClusterStudy, root: str) -> None:
     scenario = Path(_moved(study.subject.scenario, study.files, root))
     text = scenario.read_text(encoding="utf-8")
     for path in study.files:
-        copy = os.path.join(root, _inside(path))
+        copy = root + path
         text = re.sub(f"(?<=[\"']){re.escape(path)}(?=[\"'#])", copy, text)
     scenario.write_text(text, encoding="utf-8")
