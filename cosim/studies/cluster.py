@@ -44,7 +44,7 @@ MOST: Final = 1000  # members of a task
 _SECONDS: Final = 1.0  # of members in a task: at the end others wait for the last
 _PER_THREAD: Final = 2  # tasks: the one that runs, and the next
 _CONNECTING: Final = 5.0  # [s]
-_FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
+_FETCHING: Final = 5.0  # [s] for a result; its worker may have died with it
 _LOOK: Final = 1.0  # [s] between looks at the workers
 
 
