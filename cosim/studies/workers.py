@@ -163,7 +163,7 @@ class LocalExecutor:
                     yield done.popleft()
                 elif not busy:
                     break
-                wait([child.socket for child in busy], 0.0 if done else _LOOK)
+                wait([child.socket for child in busy], 0.0 if done or not busy else _LOOK)
                 for child in [*busy]:
                     reply = child.reply(self._limit[0])
                     if reply is not None:
