@@ -160,7 +160,7 @@ class ClusterExecutor:
                 with uninterrupted(), suppress(OSError, RuntimeError):
                     self._client.cancel(list(running), force=True)
         if given_up:
-            numbers = listing([str(member.number) for member in given_up], 10)
+            numbers = listing(list(map(str, sorted(member.number for member in given_up))), 10)
             raise RunError(
                 f"dask gave up members {numbers}: every worker that ran them died; run the same "
                 "study again to continue from its dataset"
