@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -457,7 +457,7 @@ def _inspect(
     members = list(members)
     edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
     if all(map(is_own_code, edited)):
-        with OpenedSubject(study.subject) as opened:
+        with closing(OpenedSubject(study.subject)) as opened:
             for member in members:
                 yield member.number, opened.inspect(member)
         return

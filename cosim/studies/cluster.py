@@ -1,31 +1,32 @@
 """Members on the workers of dask.distributed, each in a process beside its worker.
 
 A worker is admitted when it computes with what this machine does and builds a member. Files that it
-misses are sent to it, in one archive. A task is some seconds of members; two for each thread are on
+misses are sent to it, in one archive. A task is a second of members; two for each thread are on
 their way, so that the scheduler holds as much for a million members as for a thousand.
 """
 
 from __future__ import annotations
 
-import os
+import io
 import platform
 import re
 import secrets
+import shutil
 import threading
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
-from cosim.digests import digest_of, sha256_of, source_digest
+from cosim.digests import sha256_of, source_digest
 from cosim.errors import CosimError, RunError, UsageError, listing, option, quoted, shortened
 from cosim.filters import ignored_warnings
 from cosim.fmi import platforms
@@ -33,7 +34,6 @@ from cosim.interrupts import uninterrupted
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.members import CODE, inspect_member
 from cosim.studies.workers import LocalExecutor
-from cosim.temporary import TemporaryFolder
 from cosim.version import __version__
 
 if TYPE_CHECKING:
@@ -41,40 +41,22 @@ if TYPE_CHECKING:
 
 PATIENCE: Final = 60.0  # [s] without any worker
 MOST: Final = 1000  # members of a task
-_SECONDS: Final = 10.0  # of members in a task
+_SECONDS: Final = 1.0  # of members in a task: at the end others wait for the last
 _PER_THREAD: Final = 2  # tasks: the one that runs, and the next
 _CONNECTING: Final = 5.0  # [s]
-_ADMITTING: Final = 300.0  # [s]; models may be compiled
-_FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
+_FETCHING: Final = 5.0  # [s] for a result; its worker may have died with it
 _LOOK: Final = 1.0  # [s] between looks at the workers
 
 
 @dataclass(frozen=True)
 class ClusterStudy:
-    """What a worker has to know of a study.
-
-    Parameters
-    ----------
-    subject : StudySubject
-    trial : StudyMember
-        One that can be built.
-    files : mapping of absolute path to SHA-256
-        That members read.
-    timeout : float or None
-        Wall time that a member may take [s].
-    environment : mapping of str to str
-        Where it was planned.
-    archive : str
-        The name of the file that has the files.
-    name : str
-    """
+    """What a worker has to know of a study: a member that can be built, files by SHA-256, ..."""
 
     subject: StudySubject
     trial: StudyMember
     files: Mapping[str, str]
     timeout: float | None
-    environment: Mapping[str, str]
-    archive: str
+    environment: Mapping[str, str]  # where it was planned
     name: str = field(default_factory=lambda: secrets.token_hex(6))
 
 
@@ -107,17 +89,16 @@ class ClusterExecutor:
     ) -> None:
         self._scheduler = scheduler
         codes = {name: digest for name, digest in subject.digests.items() if CODE in name}
-        archive = f"cosim-{digest_of(dict(files))[:16]}.zip"
         own = replace(subject, digests={**files, **codes})
-        self._study = ClusterStudy(own, trial, files, timeout, environment(), archive)
+        self._study = ClusterStudy(own, trial, files, timeout, environment())
         self._notice = notice
         self._resources = ExitStack()
         self._threads: dict[str, int] = {}  # of the workers that are used
+        self._asked: dict[str, Future] = {}  # of those that may be
         self._excluded: dict[str, str] = {}  # why others are not
         self._waits_since: float | None = None
         self._next_look = 0.0
         self._seconds = 0.0  # of a member
-        self._is_sent = not files
 
     def __enter__(self) -> Self:
         self._client = self._resources.enter_context(connected(self._scheduler))
@@ -128,17 +109,11 @@ class ClusterExecutor:
             raise
         return self
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         with uninterrupted(), self._resources, suppress(OSError, RuntimeError):
-            workers = list(self._threads)
-            if workers:
-                name = self._study.name
-                self._client.run(_close, name, workers=workers, on_error="ignore")
+            if self._threads:
+                workers = list(self._threads)
+                self._client.run(_close, self._study.name, workers=workers, on_error="ignore")
 
     def run(self, members: Iterable[StudyMember]) -> Iterator[tuple[StudyMember, MemberOutcome]]:
         """Yield members with their outcomes, as they come.
@@ -185,7 +160,7 @@ class ClusterExecutor:
                 with uninterrupted(), suppress(OSError, RuntimeError):
                     self._client.cancel(list(running), force=True)
         if given_up:
-            numbers = listing([str(member.number) for member in given_up], 10)
+            numbers = listing(list(map(str, sorted(member.number for member in given_up))), 10)
             raise RunError(
                 f"dask gave up members {numbers}: every worker that ran them died; run the same "
                 "study again to continue from its dataset"
@@ -236,25 +211,63 @@ class ClusterExecutor:
         while monotonic() >= self._next_look or (wait and not self._threads):
             try:
                 present: dict[str, int] = dict(self._client.nthreads())
+                known = self._threads.keys() | self._excluded.keys() | self._asked.keys()
+                self._ask(sorted(present.keys() - known))
             except (OSError, RuntimeError) as error:
                 raise self._lost() from error
             for address in sorted(self._threads.keys() - present.keys()):
                 del self._threads[address]
                 self._notice(f"worker {address} is gone; {len(self._threads)} left")
             self._excluded = {a: why for a, why in self._excluded.items() if a in present}
-            new = present.keys() - self._threads.keys() - self._excluded.keys()
-            for address, problem in self._admitted(sorted(new)).items():
-                if problem:
-                    self._excluded[address] = problem
-                    self._notice(f"worker {address} is not used: {problem}")
-                else:
-                    self._threads[address] = present[address]
+            self._asked = {a: future for a, future in self._asked.items() if a in present}
+            for address, future in [*self._asked.items()]:
+                if future.status != "pending":
+                    del self._asked[address]
+                    self._take(address, present[address], _problem(future))
             self._next_look = monotonic() + _LOOK
             if self._threads:
                 self._waits_since = None
                 return
-            self._be_patient()
+            if not self._asked:
+                self._be_patient()
             threading.Event().wait(0.1)
+
+    def _ask(self, addresses: Sequence[str]) -> None:
+        """Ask workers whether they can run the study, while others run it."""
+        if not addresses:
+            return
+        # not by a task, which a worker without cosim cannot read, and never answers
+        found = self._client.run(environment, workers=list(addresses), on_error="return")
+        for address, own in found.items():
+            problem = f"{type(own).__name__}: {own}"
+            if isinstance(own, dict):
+                problem = _differences(self._study.environment, own)
+            if problem:
+                self._take(address, 0, problem)
+            else:
+                self._asked[address] = self._submit(_admit, self._study, None, workers=[address])
+
+    def _take(self, address: str, threads: int, problem: str) -> None:
+        """Use a worker, or exclude it, or send it the files that it lacks."""
+        if problem == _LACKS_FILES:
+            try:  # not as an argument: the scheduler would keep it with the task
+                files = self._client.scatter(self._archive, workers=[address])
+            except (OSError, RuntimeError) as error:
+                raise self._lost() from error
+            self._asked[address] = self._submit(_admit, self._study, files, workers=[address])
+        elif problem:
+            self._excluded[address] = problem
+            self._notice(f"worker {address} is not used: {problem}")
+        else:
+            self._threads[address] = threads
+
+    @cached_property
+    def _archive(self) -> bytes:
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in self._study.files:
+                archive.write(file, file.lstrip("/"))
+        return content.getvalue()
 
     def _be_patient(self) -> None:
         reasons = [f"{address}: {reason}" for address, reason in self._excluded.items()]
@@ -271,44 +284,18 @@ class ClusterExecutor:
                 "and run the study again"
             )
 
-    def _admitted(self, addresses: Sequence[str]) -> dict[str, str]:
-        """Return why workers cannot be used; empty: they can."""
-        found = self._asked(_admit, addresses)
-        lacking = [address for address, answer in found.items() if answer == _LACKS_FILES]
-        if lacking:
-            self._send()
-            found |= self._asked(_admit, lacking)
-        return found
-
-    def _asked(self, function: Callable[..., str], addresses: Sequence[str]) -> dict[str, str]:
-        asked = {a: self._submit(function, self._study, workers=[a]) for a in addresses}
-        found = {}
-        for address, future in asked.items():
-            try:
-                found[address] = str(future.result(timeout=_ADMITTING))
-            except Exception as error:  # whatever a worker of another version raises
-                found[address] = f"{type(error).__name__}: {error}"
-        return found
-
-    def _send(self) -> None:
-        """Send the files to all workers, and to those that join later."""
-        if self._is_sent:
-            return
-        from distributed.diagnostics.plugin import UploadFile
-
-        with TemporaryFolder("cluster") as folder:
-            path = folder / self._study.archive
-            with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-                for file in self._study.files:
-                    archive.write(file, _inside(file))
-            self._client.register_plugin(UploadFile(str(path), load=False))
-        self._is_sent = True
-
     def _lost(self) -> RunError:
         return RunError(
             "the connection to the scheduler of dask was lost; run the same study again to "
             "continue from its dataset"
         )
+
+
+def _problem(admission: Future) -> str:
+    try:
+        return str(admission.result(timeout=_FETCHING))
+    except Exception as error:  # whatever a worker raises
+        return f"{type(error).__name__}: {error}"
 
 
 # --- the connection ---
@@ -397,19 +384,25 @@ def _check_scheduler(client: Client, own: Mapping[str, str]) -> None:
 # --- in a worker of dask ---
 
 _LACKS_FILES: Final = "files are missing"
-_executors: dict[tuple[str, int], tuple[LocalExecutor, str]] = {}  # by study and thread
+_roots: dict[str, str] = {}  # by study: where copies of its files are; empty: as planned
+_executors: dict[tuple[str, int], tuple[LocalExecutor, threading.Lock]] = {}  # by thread, too
 
 
-def _admit(study: ClusterStudy) -> str:
+def _admit(study: ClusterStudy, files: bytes | None) -> str:
     """Return why this worker cannot run a study; empty: it can."""
-    problem = _differences(study.environment, environment())
-    if problem:
-        return problem
-    try:
-        executor, root = _executor(study)
-    except FileNotFoundError:
-        return _LACKS_FILES
-    ((_, found),) = executor.run([_moved_member(study, study.trial, root)], inspect_member)
+    root = ""
+    if not all(_has(path, digest) for path, digest in study.files.items()):
+        if files is None:
+            return _LACKS_FILES
+        folder = Path(distributed().get_worker().local_directory)
+        root = str(folder.absolute() / f"cosim-{study.name}")
+        with zipfile.ZipFile(io.BytesIO(files)) as archive:
+            archive.extractall(root)
+        _name_copies(study, root)
+    _roots[study.name] = root
+    with _executor(study) as executor:
+        trial = _moved_member(study, study.trial)
+        ((_, found),) = executor.run([trial], inspect_member)
     problem = found.reason if isinstance(found, MemberOutcome) else found.refused
     return problem.replace(root, "") if root else problem
 
@@ -418,10 +411,11 @@ def _run_part(
     study: ClusterStudy, members: Sequence[StudyMember]
 ) -> tuple[float, list[MemberOutcome]]:
     """Run members; return the wall time that they took together [s], and their outcomes."""
-    executor, root = _executor(study)
     began = monotonic()
-    moved = (_moved_member(study, member, root) for member in members)
-    outcomes: dict[int, MemberOutcome] = {m.number: outcome for m, outcome in executor.run(moved)}
+    with _executor(study) as executor:
+        moved = (_moved_member(study, member) for member in members)
+        outcomes: dict[int, MemberOutcome] = {m.number: o for m, o in executor.run(moved)}
+    root = _roots[study.name]
     if root:
         for number, outcome in outcomes.items():
             warnings = [text.replace(root, "") for text in outcome.warnings]
@@ -431,45 +425,38 @@ def _run_part(
 
 
 def _close(name: str) -> None:
-    """End the children of a study."""
-    for key in [key for key in _executors if key[0] == name]:
-        executor, _ = _executors.pop(key)
-        threading.Thread(target=executor.__exit__, args=(None, None, None)).start()
+    """End the children of a study, and remove the copies of its files."""
+    executors = [_executors.pop(key) for key in [*_executors] if key[0] == name]
+    root = _roots.pop(name, "")
+
+    def end() -> None:
+        for executor, lock in executors:
+            executor.stop()
+            with lock:
+                executor.__exit__(None)
+        if root:
+            shutil.rmtree(root, ignore_errors=True)
+
+    threading.Thread(target=end).start()  # as the worker answers its scheduler meanwhile
 
 
-def _executor(study: ClusterStudy) -> tuple[LocalExecutor, str]:
-    """Return what runs members beside this thread, and where their files are; empty: as planned.
-
-    Raises
-    ------
-    FileNotFoundError
-        If they are nowhere.
-    """
+@contextmanager
+def _executor(study: ClusterStudy) -> Iterator[LocalExecutor]:
+    """Have what runs the members of a study beside this thread, which nobody closes meanwhile."""
     key = study.name, threading.get_ident()
     if key not in _executors:
-        root = _root(study)
         subject = study.subject
+        root = _roots[study.name]
         if root:
             subject = StudySubject(**_moved(asdict(subject), study.files, root))
-            scenario = Path(subject.scenario)
             if subject.scenario in subject.digests:
-                _name_copies(scenario, study.files, root)
-                digests = {**subject.digests, subject.scenario: sha256_of(scenario)}
+                digests = {**subject.digests, subject.scenario: sha256_of(subject.scenario)}
                 subject = replace(subject, digests=digests)
         executor = LocalExecutor(subject, 1, timeout=study.timeout)
-        _executors[key] = executor.__enter__(), root
-    return _executors[key]
-
-
-def _root(study: ClusterStudy) -> str:
-    """Return the folder with copies of the files; empty: they are where they were planned."""
-    if all(_has(path, digest) for path, digest in study.files.items()):
-        return ""
-    folder = Path(distributed().get_worker().local_directory)
-    root = folder / f"cosim-{study.name}-{threading.get_ident()}"
-    with zipfile.ZipFile(folder / study.archive) as archive:
-        archive.extractall(root)
-    return str(root)
+        _executors[key] = executor.__enter__(), threading.Lock()
+    executor, lock = _executors[key]
+    with lock:
+        yield executor
 
 
 def _has(path: str, digest: str) -> bool:
@@ -479,15 +466,9 @@ def _has(path: str, digest: str) -> bool:
         return False
 
 
-def _inside(path: str) -> str:
-    """Return the name of a file in the archive."""
-    return path.replace(":", "").lstrip("/\\")
-
-
-def _moved_member(study: ClusterStudy, member: StudyMember, root: str) -> StudyMember:
-    if not root:
-        return member
-    return StudyMember(**_moved(asdict(member), study.files, root))
+def _moved_member(study: ClusterStudy, member: StudyMember) -> StudyMember:
+    root = _roots[study.name]
+    return StudyMember(**_moved(asdict(member), study.files, root)) if root else member
 
 
 def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
@@ -495,7 +476,7 @@ def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
     match value:
         case str():
             path, mark, rest = value.partition("#")
-            return os.path.join(root, _inside(path)) + mark + rest if path in files else value
+            return root + path + mark + rest if path in files else value
         case Mapping():
             return {
                 _moved(key, files, root): _moved(item, files, root) for key, item in value.items()
@@ -505,10 +486,13 @@ def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
     return value
 
 
-def _name_copies(scenario: Path, files: Mapping[str, str], root: str) -> None:
+def _name_copies(study: ClusterStudy, root: str) -> None:
     """Let the copy of a scenario name the copies of files that it names by absolute paths."""
+    if study.subject.scenario not in study.files:
+        return
+    scenario = Path(_moved(study.subject.scenario, study.files, root))
     text = scenario.read_text(encoding="utf-8")
-    for path in files:
-        copy = os.path.join(root, _inside(path)).replace("\\", r"\\")
+    for path in study.files:
+        copy = root + path
         text = re.sub(f"(?<=[\"']){re.escape(path)}(?=[\"'#])", copy, text)
     scenario.write_text(text, encoding="utf-8")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import Final, Self, final
+from typing import Final, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
@@ -20,10 +20,12 @@ from cosim.core.recorders import EndOfRun, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Recorder
 from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError, Interrupted, UsageError
+from cosim.files import file_type
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
+from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
@@ -91,7 +93,7 @@ def inspect_member(subject: StudySubject, member: StudyMember) -> MemberSources:
 
 @final
 class OpenedSubject:
-    """What the members of a study are built from in this process, opened once; a context manager.
+    """What the members of a study are built from in this process, opened once.
 
     Parameters
     ----------
@@ -104,21 +106,12 @@ class OpenedSubject:
         self._recorder = MetricRecorder(self._metrics)
         self._digests = FileDigests()
         self._expected = dict(subject.digests)
-        self._check([subject.scenario] if subject.scenario in self._expected else [])
-        self._scenario = load_scenario(subject.scenario)
+        try:
+            self._scenario = load_scenario(subject.scenario)
+        finally:  # also where it cannot be read any more
+            self._check([subject.scenario] if subject.scenario in self._expected else [])
         self._fmus = UnpackedFmus(self._digests)
         self._logs: dict[str, Log] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close logs, unload FMUs."""
@@ -135,44 +128,47 @@ class OpenedSubject:
         try:
             values = self._run(member, out, measured)
             reason = measured.end.reason
+            if sink is None:
+                values |= self._recorder.values()
         except (Interrupted, ChangedFileError):
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
-            self._check(self._expected)  # unless a file that was changed is the cause
+            self._check_all(member)  # a file that was changed may be the cause
             status = FAILED
             reason = without_folders(error_text(error), "fmu")
             values = dict.fromkeys(self.subject.metrics)
+        seconds = perf_counter() - began
+        worker = f"{platform.node()}:{os.getpid()}"
         return MemberOutcome(
             member.number,
             status,
-            reason=reason,
-            steps=measured.steps,
-            metrics=values,
-            wall_time=perf_counter() - began,
-            worker=f"{platform.node()}:{os.getpid()}",
-            warnings=measured.warnings,
+            reason,
+            measured.steps,
+            values,
+            seconds,
+            worker,
+            measured.warnings,
         )
 
     def _run(
         self, member: StudyMember, out: Path | None, measured: _Measured
-    ) -> Mapping[str, MetricValue]:
-        with_results = self.subject.with_results
-        results: Mapping[str, MetricValue] = {}
+    ) -> dict[str, MetricValue]:
+        """Run a member; return its results, where they are wanted."""
         with ExitStack() as resources:
             experiment = self._experiment(member, resources)
-            read = self._read(experiment)
+            read = self._read(experiment, member)
             self._check(read)
-            if out is None and not with_results:  # verdicts are of a log
+            if out is None and not self.subject.with_results:  # verdicts are of a log
                 run_rows(measured, _in_short_blocks(experiment))
+                results = {}
             else:
                 target = Target(out, force=out is not None)
                 recording = record(
                     experiment, target, progress=None, beside=lambda r: TwoRecorders(r, measured)
                 )
-                results = results_of(summarize(recording)) if with_results else {}
-            self._check(read)  # it may have read a file that changed meanwhile
-        own = self._recorder.values() if measured.sink is self._recorder else {}
-        return {**results, **own}
+                results = results_of(summarize(recording)) if self.subject.with_results else {}
+            self._check(read)  # one may have changed meanwhile
+        return results
 
     def inspect(self, member: StudyMember) -> MemberSources:
         """Build a member; return what it is made of."""
@@ -180,9 +176,10 @@ class OpenedSubject:
             with ExitStack() as resources:
                 experiment = self._experiment(member, resources)
                 self._metrics.check({c.name: c for c in experiment.graph.layout.channels})
-                of = self._digests.of
-                files = {str(path): of(str(path)) for path in sorted(experiment.files)}
-                modules = {str(path): of(str(path)) for path in sorted(experiment.modules)}
+                files, modules = (
+                    {path: self._digests.of(path) for path in sorted(map(str, paths))}
+                    for paths in (experiment.files, experiment.modules)
+                )
                 return MemberSources("", files, modules, _codes(experiment))
         except UsageError as error:
             return MemberSources(str(error))
@@ -194,55 +191,56 @@ class OpenedSubject:
         if member.recording is None:
             scenario = self._scenario.edit(swap=swaps, map=subject.map, set=values)
             return build_experiment(scenario, resources, None, unpacked=self._fmus)
-        log = self._log(member.recording)
+        is_own = not is_foreign(Path(member.recording))
         replays = replays_of(
-            log,
+            self._log(member.recording) if is_own else member.recording,
             swap=swaps,
             map=subject.map,
             allow_code=subject.allow_code,
-            scenario=None if isinstance(log, Log) else self._scenario,
+            scenario=None if is_own else self._scenario,
         )
         return replays.experiment(values, resources, self._fmus)
 
-    def _log(self, path: str) -> Log | str:
-        if is_foreign(Path(path)):
-            return path
+    def _log(self, path: str) -> Log:
         if path not in self._logs:
             while len(self._logs) >= _OPEN_LOGS:
                 del self._logs[next(iter(self._logs))]
             self._logs[path] = open_joined(path)
         return self._logs[path]
 
-    def _read(self, experiment: Experiment) -> list[str]:
-        """Return the files that an experiment reads; what was not known is expected from now on."""
+    def _read(self, experiment: Experiment, member: StudyMember) -> list[str]:
+        """Return what a member reads; what was not known has to stay as it is now."""
         if not self._expected:
             return []
         for name, digest in _codes(experiment).items():
             if self._expected.setdefault(name, digest) != digest:
                 raise ChangedFileError(f"the {name} has changed since this study began")
-        read = sorted(map(str, experiment.files | experiment.modules))
+        read = [*map(str, experiment.files | experiment.modules), *_parts(member)]
         for path in read:
             if path not in self._expected:
                 self._expected[path] = self._digests.of(path)
         return read
 
+    def _check_all(self, member: StudyMember) -> None:
+        """Check all files, but for the logs of other members: they are many, and large."""
+        own = _parts(member)
+        self._check(
+            path
+            for path in self._expected
+            if not path.startswith(CODE) and (file_type(path) != "log" or path in own)
+        )
+
     def _check(self, paths: Iterable[str]) -> None:
         for path in paths:
-            if path.startswith(CODE):
-                continue
             expected = self._expected[path]
             try:
                 found = self._digests.of(path)
+                problem = f"expected the SHA-256 {expected[:_SHOWN]}..., got {found[:_SHOWN]}..."
             except OSError as error:
-                raise ChangedFileError(
-                    f"{path} has changed since this study began: it cannot be read "
-                    f"({error.strerror or error})"
-                ) from error
+                found = ""
+                problem = f"it cannot be read ({error.strerror or error})"
             if found != expected:
-                raise ChangedFileError(
-                    f"{path} has changed since this study began: expected the SHA-256 "
-                    f"{expected[:_SHOWN]}..., got {found[:_SHOWN]}..."
-                )
+                raise ChangedFileError(f"{path} has changed since this study began: {problem}")
 
 
 @final
@@ -296,6 +294,12 @@ def close() -> None:
     if _opened is not None:
         _opened.close()
     _opened = None
+
+
+def _parts(member: StudyMember) -> list[str]:
+    """Return the files of the log that a member replays."""
+    path = member.recording
+    return [] if path is None else [str(part) for part in part_paths(Path(path))]
 
 
 def _codes(experiment: Experiment) -> dict[str, str]:

@@ -10,9 +10,10 @@ import os
 import pickle
 import struct
 import sys
-from typing import Any, Final, NoReturn
+from collections.abc import Callable
+from typing import Any, Final
 
-from cosim.errors import ChangedFileError, CosimError, UsageError
+from cosim.errors import ChangedFileError, CosimError, RunError, UsageError
 from cosim.processes import describe_exit, end_with_parent, leave_no_core
 
 MARK: Final = b"cosim reply\0"
@@ -29,22 +30,46 @@ def packed(value: object) -> bytes:
     return HEAD.pack(MARK, len(content)) + content
 
 
-def send(socket: int, data: bytes) -> None:
-    """Write all of it."""
-    view = memoryview(data)
-    while view:
-        view = view[os.write(socket, view) :]
+def answer(work: Callable[[], Any]) -> bytes:
+    """Do some work; return what there is to say of it, as it goes through the socket."""
+    try:
+        return packed((DONE, work()))
+    except ChangedFileError as error:  # the parent adds the way out, in its language
+        return packed((REFUSED, ChangedFileError, error.problem))
+    except CosimError as error:
+        return packed((REFUSED, UsageError if error.exit_code == 2 else RunError, str(error)))
+    except SystemExit as error:
+        code = error.code
+        return packed(
+            (LOST, describe_exit(code if isinstance(code, int) else int(code is not None)))
+        )
+    except BaseException as error:
+        return packed((LOST, f"{type(error).__name__}: {error}".removesuffix(": ")))
 
 
-def receive(socket: int) -> Any:
-    """Read a value.
+def serve(socket: int) -> None:
+    """Answer requests until the socket is closed."""
+    sys.path[:] = pickle.loads(_read_packed(socket))
+    from cosim.studies import members
 
-    Raises
-    ------
-    OSError
-        If the socket is closed.
-    """
-    return pickle.loads(_read(socket, HEAD.unpack(_read(socket, HEAD.size))[1]))
+    content = _read_packed(socket)
+    opened: list[members.OpenedSubject] = []
+    _write(socket, answer(lambda: opened.append(members.opened(pickle.loads(content)))))
+    try:
+        while True:
+            request = _read_packed(socket)
+
+            def work(request: bytes = request) -> Any:
+                function, member = pickle.loads(request)
+                return function(opened[0].subject, member)
+
+            _write(socket, answer(work))
+    finally:
+        members.close()
+
+
+def _read_packed(socket: int) -> bytes:
+    return _read(socket, HEAD.unpack(_read(socket, HEAD.size))[1])
 
 
 def _read(socket: int, count: int) -> bytes:
@@ -52,50 +77,26 @@ def _read(socket: int, count: int) -> bytes:
     while len(data) < count:
         part = os.read(socket, count - len(data))
         if not part:
-            raise EOFError("the socket is closed")
+            raise EOFError
         data += part
     return bytes(data)
 
 
-def answer(function: Any, *arguments: Any) -> tuple[Any, ...]:
-    """Call a function, and return what there is to say of it."""
-    try:
-        return (DONE, function(*arguments))
-    except CosimError as error:
-        if isinstance(error, ChangedFileError):  # the parent adds the way out, in its language
-            return (REFUSED, ChangedFileError, error.problem)
-        return (REFUSED, UsageError if error.exit_code == 2 else CosimError, str(error))
-    except SystemExit as error:
-        code = error.code
-        return (LOST, describe_exit(code if isinstance(code, int) else int(code is not None)))
-    except BaseException as error:
-        return (LOST, f"{type(error).__name__}: {error}".removesuffix(": "))
+def _write(socket: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(socket, view) :]
 
 
-def main(socket: int) -> NoReturn:
-    """Serve until the socket is closed."""
+def main(socket: int) -> None:
+    """Serve; nothing else is done at the end, as what a member left behind might hang there."""
     end_with_parent()
     leave_no_core()
     os.set_inheritable(socket, False)  # what a member starts must not keep it open
     try:
-        sys.path[:] = receive(socket)
-        from cosim.studies import members
-
-        subject = receive(socket)
-        reply = answer(members.opened, subject)
-        send(socket, packed((DONE, None) if reply[0] == DONE else reply))
-        while True:
-            function, member = receive(socket)
-            reply = answer(function, subject, member)
-            try:
-                data = packed(reply)
-            except Exception as error:  # what cannot be pickled raises anything
-                data = packed((LOST, f"{type(error).__name__}: {error}"))
-            send(socket, data)
+        serve(socket)
     except (OSError, EOFError):
-        pass
-    members.close()
-    os._exit(SOCKET_LOST)
+        os._exit(SOCKET_LOST)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Members in child processes of this machine: one that crashes or hangs costs itself only.
 
-Each worker is a child process, and a thread of this one that asks it for one member after the
-other. What a crash destroys may be the work of an earlier member: so a member with which a worker
-crashes that has done others is done once more, as the first of a new worker.
+What a crash destroys may be the work of an earlier member: so a member with which a worker crashes
+that has done others is done once more, as the first of a new worker.
 """
 
 from __future__ import annotations
@@ -14,17 +13,13 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from itertools import islice
+from multiprocessing.connection import wait
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Lock
 from time import monotonic
-from types import TracebackType
-from typing import Any, Final, Self, final
+from typing import Any, Final, Self, TypeAlias, final
 
-from cosim.errors import CosimError, RunError, UsageError, option, quoted
+from cosim.errors import RunError, UsageError, option, quoted
 from cosim.interrupts import uninterrupted
 from cosim.processes import child_environment, describe_exit, kill, with_one_thread
 from cosim.studies.contracts import (
@@ -44,13 +39,15 @@ LEAST: Final = 60.0  # [s] that a member may take, and
 FACTOR: Final = 10.0  # times the longest of
 FIRST_MEMBERS: Final = 10  # that were completed
 UNTIL_TIMED: Final = 3600.0  # [s]; nothing is known before
-AHEAD: Final = 2  # members of each worker that are taken
 _OPENING: Final = 300.0  # [s] to open a subject; models may be compiled
 _OPENINGS: Final = 3  # in a row that are lost: the next will be, too
 _ENDING: Final = 2.0  # [s] to free what was loaded
-_LOOK: Final = 0.25  # [s] between looks at a worker that does not answer
+_LOOK: Final = 0.25  # [s] between looks at workers that do not answer
 _CLOSING: Final = 1.0  # [s] that a process may take to end once its socket is closed
 _CHUNK: Final = 65536  # bytes that are read at once
+_CRASHED: Final = "crashed"  # with a reason: the process is lost, perhaps by an earlier member
+_HUNG: Final = "hung"  # with nothing
+_Reply: TypeAlias = tuple[Any, ...]  # what came of a request: one of those words, and what it has
 
 
 @final
@@ -90,44 +87,31 @@ class LocalExecutor:
                 "a study runs its members in processes that it can end together with their "
                 "children; expected Linux or macOS, got Windows"
             )
-        for name, value in (("workers", workers), ("timeout", timeout)):
+        given = {"workers": workers, "timeout": timeout, "members_per_worker": members_per_worker}
+        for name, value in given.items():
             if value is not None and not value > 0:
                 raise UsageError(f"{option(name)}: expected a positive number, got {value!r}")
         self._subject = subject
         self._count = workers
-        self._most = members_per_worker or sys.maxsize
+        self._most = members_per_worker
         self._timeout = timeout
-        self._timed = 0
-        self._longest = 0.0
+        self._times: list[float] = []  # of the first members that were completed [s]
         self._lost_openings = 0  # in a row
         self._children: set[_Child] = set()
-        self._idle: deque[_Child] = deque()
-        self._lock = Lock()
-        self._is_closed = False
+        self._idle: list[_Child] = []
+        self._is_stopped = False
 
     def __enter__(self) -> Self:
         self._folder = TemporaryFolder("workers")
-        self._threads = ThreadPoolExecutor(self._count, "cosim-worker")
         return self
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, error_type: object, *rest: object) -> None:
         with uninterrupted():
-            self._is_closed = True
-            self._threads.shutdown(wait=False, cancel_futures=True)
             limit = monotonic() + (_ENDING if error_type is None else 0.0)
-            children = [*self._children]
-            for child in children:
+            for child in self._children:
                 child.close()
-            for child in children:
-                child.end(max(0.0, limit - monotonic()))
-            self._threads.shutdown()
-            for child in [*self._children]:  # one that was started meanwhile
-                child.end()
+            for child in [*self._children]:
+                self._end(child, limit - monotonic())
             self._folder.remove()
 
     def run(
@@ -162,74 +146,79 @@ class LocalExecutor:
             If workers are lost one after the other while they open the subject.
         """
         waiting = iter(members)
-        running: dict[Future[Any], StudyMember] = {}
-        done: SimpleQueue[Future[Any]] = SimpleQueue()
+        again: deque[StudyMember] = deque()  # with which a worker was lost that had done others
+        busy: dict[_Child, StudyMember] = {}
+        done: deque[tuple[StudyMember, Any]] = deque()
         try:
-            while True:
-                for member in islice(waiting, AHEAD * self._count - len(running)):
-                    future = self._threads.submit(self._do, function, member)
-                    running[future] = member
-                    future.add_done_callback(done.put)
-                if not running:
-                    return
-                future = done.get()
-                yield running.pop(future), future.result()
+            while not self._is_stopped:
+                while len(busy) < self._count and len(busy) + len(done) < 2 * self._count:
+                    is_fresh = bool(again)
+                    member = again.popleft() if is_fresh else next(waiting, None)
+                    if member is None:
+                        break
+                    child = self._start() if is_fresh or not self._idle else self._idle.pop()
+                    busy[child] = member
+                    child.ask(packed((function, member)))
+                if done:  # while workers are at work, however long the caller takes
+                    yield done.popleft()
+                elif not busy:
+                    break
+                wait([child.socket for child in busy], 0.0 if done or not busy else _LOOK)
+                for child in [*busy]:
+                    reply = child.reply(self._limit[0])
+                    if reply is not None:
+                        member = busy.pop(child)
+                        if self._is_lost(child, reply):
+                            again.append(member)
+                        else:
+                            done.append((member, self._result(child, member, reply)))
         finally:
-            if running:
-                self._drop(running)
+            for child in busy:
+                self._end(child)
 
-    def _drop(self, running: Iterable[Future[Any]]) -> None:
-        """Give up members that were begun."""
-        begun = [future for future in running if not future.cancel()]
-        for child in [*self._children]:
-            if child not in self._idle:
-                child.kill()
-        for future in begun:
-            future.exception()
+    def stop(self) -> None:
+        """Let what runs members end, soon and without the rest of them; any thread may ask."""
+        self._is_stopped = True
 
-    def _do(self, function: Callable[..., Any], member: StudyMember) -> Any:
-        request = packed((function, member))
-        child = self._take()
-        try:
-            reply = child.ask(request, lambda: self._limit[0])
-        except _LostError as lost:
-            if child.answered == 0 or lost.hangs or self._is_closed:
-                return self._failed(member, child, lost)
-            child = self._take(fresh=True)
-            try:
-                reply = child.ask(request, lambda: self._limit[0])
-            except _LostError as again:
-                return self._failed(member, child, again)
-        return self._taken(member, child, reply)
+    def _is_lost(self, child: _Child, reply: _Reply) -> bool:
+        """Return whether a member has to be done once more, by another worker."""
+        kind, *values = reply
+        if child.is_open:
+            self._lost_openings = 0
+            is_lost = kind == _CRASHED and child.answered > 0
+            if is_lost:
+                self._end(child)
+            return is_lost
+        self._end(child)
+        if kind == REFUSED:
+            raise values[0](values[1])
+        scenario = quoted(self._subject.scenario)
+        if kind == LOST:
+            raise RunError(f"{scenario} cannot be opened: {values[0]}")
+        self._lost_openings += 1
+        if kind == _HUNG or self._lost_openings >= _OPENINGS:
+            times = f", {self._lost_openings} times in a row" if kind == _CRASHED else ""
+            raise RunError(f"the process that opens {scenario} {values[0]}{times}")
+        return True
 
-    def _taken(self, member: StudyMember, child: _Child, reply: tuple[Any, ...]) -> Any:
-        """Return what a worker answered, and let it wait for the next member."""
-        if reply[0] == REFUSED or (reply[0] == DONE and child.answered < self._most):
+    def _result(self, child: _Child, member: StudyMember, reply: _Reply) -> Any:
+        """Return what came of a member, and let its worker wait for the next, or end it."""
+        kind, *values = reply
+        if kind in (DONE, REFUSED) and child.answered != self._most:
             self._idle.append(child)
         else:
-            child.end(_ENDING)
-            self._children.discard(child)
-        if reply[0] == LOST:
-            return self._failed(member, child, _LostError(reply[1]))
-        if reply[0] == REFUSED:
-            raise reply[1](reply[2])
-        result = reply[1]
-        if isinstance(result, MemberOutcome) and result.status == COMPLETE:
-            with self._lock:
-                if self._timed < FIRST_MEMBERS:
-                    self._timed += 1
-                    self._longest = max(self._longest, child.seconds)
-        return result
-
-    def _failed(self, member: StudyMember, child: _Child, lost: _LostError) -> MemberOutcome:
-        child.end()
-        self._children.discard(child)
-        reason = lost.reason
-        if lost.hangs:
-            limit, origin = self._limit
-            reason = f"{HANGS}did not end within {limit:g} s{origin}"
+            self._end(child, 0.0 if kind == _HUNG else _ENDING)
+        if kind == REFUSED:
+            raise values[0](values[1])
+        if kind == DONE:
+            result = values[0]
+            if isinstance(result, MemberOutcome) and result.status == COMPLETE:
+                self._times = [*self._times, result.wall_time][:FIRST_MEMBERS]
+            return result
+        reason = values[0] + (self._limit[1] if kind == _HUNG else "")
+        seconds = monotonic() - child.began
         return MemberOutcome(
-            member.number, FAILED, reason=reason, wall_time=child.seconds, worker=child.name
+            member.number, FAILED, reason=reason, wall_time=seconds, worker=child.name
         )
 
     @property
@@ -237,66 +226,38 @@ class LocalExecutor:
         """Wall time after which a member hangs [s], and where it comes from."""
         if self._timeout is not None:
             return self._timeout, ""
-        if not self._timed:
-            text = "the limit until a member is completed"
-            return UNTIL_TIMED, f", {text}; set a timeout for another one"
-        text = f"the larger of {LEAST:g} s and {FACTOR:g} times the longest of the first members"
-        return max(LEAST, FACTOR * self._longest), f", {text}; set a timeout for another one"
+        hint = "; set a timeout for another one"
+        if not self._times:
+            return UNTIL_TIMED, f", the limit until a member is completed{hint}"
+        text = f", the larger of {LEAST:g} s and {FACTOR:g} times the longest of the first members"
+        return max(LEAST, FACTOR * max(self._times)), text + hint
 
-    def _take(self, *, fresh: bool = False) -> _Child:
-        """Return a worker that is ready."""
-        while True:
-            with suppress(IndexError):
-                if not fresh:
-                    return self._idle.pop()
-            with uninterrupted():
-                child = _Child(self._folder.path, packed(list(map(str, sys.path))))
-                self._children.add(child)
-            try:
-                reply = child.ask(packed(self._subject), lambda: _OPENING)
-            except _LostError as lost:
-                child.end()
-                self._children.discard(child)
-                self._count_opening(lost)
-                continue
-            if reply[0] == DONE:
-                self._lost_openings = 0
-                child.answered = 0
-                return child
-            child.end()
-            self._children.discard(child)
-            if reply[0] == LOST or reply[1] is CosimError:
-                raise RunError(f"{quoted(self._subject.scenario)} cannot be opened: {reply[-1]}")
-            raise reply[1](reply[2])
+    def _start(self) -> _Child:
+        first = packed(list(map(str, sys.path))) + packed(self._subject)
+        with uninterrupted():
+            child = _Child(self._folder.path, first)
+            self._children.add(child)
+        return child
 
-    def _count_opening(self, lost: _LostError) -> None:
-        self._lost_openings += 1
-        if lost.hangs or self._lost_openings >= _OPENINGS or self._is_closed:
-            reason = f"{HANGS}did not end within {_OPENING:g} s" if lost.hangs else lost.reason
-            raise RunError(
-                f"the process that opens {quoted(self._subject.scenario)} {reason}, "
-                f"{self._lost_openings} times in a row; run 'cosim check' on its FMUs"
-            )
-
-
-class _LostError(Exception):
-    """A worker gave no answer."""
-
-    def __init__(self, reason: str, *, hangs: bool = False) -> None:
-        super().__init__(reason)
-        self.reason = reason
-        self.hangs = hangs
+    def _end(self, child: _Child, seconds: float = 0.0) -> None:
+        """Let a worker end in that time, then end it, and what it started."""
+        self._children.discard(child)
+        child.close()
+        with suppress(subprocess.TimeoutExpired):
+            child.process.wait(max(0.0, seconds))
+        kill(child.process)
+        child.socket.close()
 
 
 @final
 class _Child:
-    """A child process that answers one request after the other."""
+    """A child process that answers one request after the other, the first of them by opening."""
 
     def __init__(self, folder: Path, first: bytes) -> None:
-        own, other = socket.socketpair()
+        self.socket, other = socket.socketpair()
         with other:
             number = other.fileno()
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "cosim.studies.worker", str(number)],
                 env=with_one_thread(child_environment(folder, VARIABLE)),
                 stdin=subprocess.DEVNULL,
@@ -305,80 +266,73 @@ class _Child:
                 pass_fds=(number,),
                 start_new_session=True,
             )
-        self._socket = own
-        self._first = first
-        self.name = f"{platform.node()}:{self._process.pid}"
-        self.answered = 0
-        self.seconds = 0.0  # that the last request took
+        self.name = f"{platform.node()}:{self.process.pid}"
+        self.is_open = False
+        self.answered = 0  # requests
+        self._received = bytearray()
+        self._send(first)
 
-    def ask(self, request: bytes, limit: Callable[[], float]) -> tuple[Any, ...]:
-        """Return the answer to a request.
+    def ask(self, request: bytes) -> None:
+        """Send a request, if it is open; else once it is."""
+        self._request = request
+        if self.is_open:
+            self._send(request)
 
-        Raises
-        ------
-        _LostError
-            If the process ends, hangs, or answers with anything else.
-        """
-        began = monotonic()
-        with suppress(OSError):  # it has ended: what is read says how
-            self._socket.settimeout(limit())
-            self._socket.sendall(self._first + request)
-        self._first = b""
-        self._socket.settimeout(_LOOK)
-        received = bytearray()
-        while True:
-            try:
-                part = self._socket.recv(_CHUNK)
-            except TimeoutError:
-                self.seconds = monotonic() - began
-                if self._process.poll() is not None:  # what it started keeps the socket open
-                    raise self._ended() from None
-                if self.seconds > limit():
-                    raise _LostError("hangs", hangs=True) from None
-                continue
-            except OSError:
-                part = b""
-            self.seconds = monotonic() - began
-            if not part:
-                raise self._ended()
-            received += part
-            if len(received) >= HEAD.size:
-                mark, count = HEAD.unpack_from(received)
-                if mark != MARK:
-                    raise _GARBLED
-                if len(received) >= HEAD.size + count:
-                    break
+    def _send(self, data: bytes) -> None:
+        self.began = monotonic()
+        with suppress(OSError):  # it has ended, or hangs: what comes of it says so
+            self.socket.settimeout(_OPENING)
+            self.socket.sendall(data)
+        self.socket.setblocking(False)
+
+    def reply(self, limit: float) -> _Reply | None:
+        """Return what came of a request that may take so long [s]; None: nothing yet."""
+        limit = limit if self.is_open else _OPENING
+        has_ended = self.process.poll() is not None  # what it started keeps the socket open
         try:
-            reply: tuple[Any, ...] = pickle.loads(received[HEAD.size :])
-        except Exception:  # whatever was written there
-            raise _GARBLED from None
-        self.answered += 1
+            part = self.socket.recv(_CHUNK)
+        except BlockingIOError:
+            if has_ended:
+                return self._ended()
+            is_late = monotonic() - self.began > limit
+            return (_HUNG, f"{HANGS}did not end within {limit:g} s") if is_late else None
+        except OSError:
+            part = b""
+        if not part:
+            return self._ended()
+        self._received += part
+        reply = self._unpacked()
+        if reply == (DONE, None) and not self.is_open:
+            self.is_open = True
+            self._send(self._request)
+            return None
         return reply
 
-    def _ended(self) -> _LostError:
-        code = None
+    def _unpacked(self) -> _Reply | None:
+        """Return a reply that is there as a whole."""
+        garbled = _CRASHED, "writes into the pipe of its worker process"
+        received = self._received
+        if not received.startswith(MARK[: len(received)]):
+            return garbled
+        if len(received) < HEAD.size or len(received) < HEAD.size + HEAD.unpack_from(received)[1]:
+            return None
+        try:
+            reply: _Reply = pickle.loads(received[HEAD.size :])
+        except Exception:  # whatever was written there
+            return garbled
+        received.clear()
+        self.answered += self.is_open
+        return reply
+
+    def _ended(self) -> _Reply:
+        code: int | None = None
         with suppress(subprocess.TimeoutExpired):
-            code = self._process.wait(_CLOSING)
+            code = self.process.wait(_CLOSING)
         if code is None or code == SOCKET_LOST:
-            return _LostError("closes the pipe of its worker process")
-        return _LostError(describe_exit(code))
+            return _CRASHED, "closes the pipe of its worker process"
+        return _CRASHED, describe_exit(code)
 
     def close(self) -> None:
         """Let it end: it frees what it has loaded, and ends."""
         with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
-
-    def kill(self) -> None:
-        """End it, and what it started."""
-        kill(self._process)
-
-    def end(self, seconds: float = 0.0) -> None:
-        """Let it end in that time, then end it."""
-        self.close()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(seconds)
-        kill(self._process)
-        self._socket.close()
-
-
-_GARBLED: Final = _LostError("writes into the pipe of its worker process")
+            self.socket.shutdown(socket.SHUT_RDWR)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from cosim.studies import dataset
+from tests.studies.dask_processes import cluster
 from tests.studies.in_process import run_members_in_this_process, run_members_in_workers
 
 S3_SERVER = """
@@ -96,7 +97,5 @@ def two_workers(
 
     For a module: idle, they take a tenth of a processor as long as they are there.
     """
-    from tests.studies.cluster_processes import cluster
-
     with cluster(tmp_path_factory.mktemp("cluster"), **s3_variables) as processes:
         yield processes

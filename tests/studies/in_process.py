@@ -41,7 +41,7 @@ def _run(
 ) -> Iterator[tuple[StudyMember, Any]]:
     subject = _piped(executor._subject)
     for count, member in enumerate(members):
-        if count % executor._most == 0:
+        if executor._most is not None and count % executor._most == 0:
             of_process.close()
         reply = answer(of_process.opened, subject)
         if reply[0] == LOST or (reply[0] != DONE and reply[1] is CosimError):

@@ -7,7 +7,7 @@ from cosim.errors import UsageError
 from cosim.studies.study_file import read_keep
 from cosim.studies.study_file import read_study
 from cosim.studies.studying import estimate_study
-from cosim.studies.running.kept_members import kept_count
+from cosim.studies.kept_logs import kept_count
 from cosim.studies.plan import plan_study
 
 SCENARIO = """

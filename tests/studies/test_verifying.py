@@ -11,10 +11,9 @@ from pyarrow import parquet
 import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
-from cosim.studies.running.comparing import difference
 from cosim.studies.plan import own_environment
 from cosim.studies.show import print_verification
-from cosim.studies.verification import verifying
+from cosim.studies import verifying
 from cosim.studies.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS

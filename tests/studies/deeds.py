@@ -1,0 +1,139 @@
+"""What members of tests do to their workers: a member's ``set["does"]`` names it."""
+
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from cosim.errors import ChangedFileError, RunError, ScenarioError
+from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.workers import LocalExecutor
+
+C = ctypes.CDLL(None)
+SCENARIO = 'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
+SCENARIO += 'u = { kind = "constant", value = 1.0 }\n'
+
+
+def leave_a_process(exit_code, *, session=False):
+    """Start one that keeps the files of this one open, perhaps in its own session, and end."""
+    if os.fork() == 0:
+        if session:
+            os.setsid()
+        time.sleep(20.0)
+        os._exit(0)
+    os._exit(exit_code)
+
+
+def descriptors():
+    """Return those that are open, without the standard streams."""
+    return [number for number in map(int, os.listdir("/dev/fd")) if number > 2]
+
+
+def to_all_files(deed):
+    for number in descriptors():
+        with suppress(OSError):  # of the listing itself
+            deed(number)
+
+
+def print_much():
+    print('("done", 1)')
+    os.write(1, b"printed\n" * 1000)
+    os.write(2, b"printed\n" * 1000)
+
+
+def ignore_and_sleep():
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    time.sleep(600.0)
+
+
+def throw(error):
+    raise error
+
+
+DEEDS = {
+    "nothing": lambda: None,
+    "SIGSEGV": lambda: ctypes.string_at(0),
+    "abort": os.abort,
+    **{s: lambda s=s: os.kill(os.getpid(), getattr(signal, s)) for s in ("SIGKILL", "SIGTERM")},
+    "SIGFPE": lambda: signal.raise_signal(signal.SIGFPE),
+    "SIGBUS": lambda: signal.raise_signal(signal.SIGBUS),
+    "signal 40": lambda: signal.raise_signal(40),
+    "sleep": lambda: time.sleep(600.0),
+    "ignores SIGTERM": ignore_and_sleep,
+    "search in C": lambda: re.match("(a+)+$", "a" * 64 + "b"),  # with Python's lock
+    "_exit": lambda: os._exit(0),
+    "exit of C with 0": lambda: C.exit(0),
+    "exit of C with 3": lambda: C.exit(3),
+    "sys.exit": lambda: sys.exit(3),
+    "sys.exit with a text": lambda: sys.exit("stop"),
+    "sys.exit with nothing": sys.exit,
+    "ValueError": lambda: int("x"),
+    "MemoryError": lambda: bytearray(1 << 62),
+    "KeyboardInterrupt": lambda: signal.raise_signal(signal.SIGINT),
+    "BaseException": lambda: throw(GeneratorExit()),
+    "leaves a process": lambda: leave_a_process(4),
+    "leaves a session": lambda: leave_a_process(5, session=True),
+    "starts a process": lambda: subprocess.Popen(["sleep", "600"]),
+    "prints": print_much,
+    "closes files": lambda: to_all_files(os.close),
+    "replaces files": lambda: to_all_files(lambda n: os.dup2(os.open(os.devnull, os.O_RDWR), n)),
+    "writes into files": lambda: to_all_files(lambda n: os.write(n, b"hello\n")),
+    "is refused": lambda: throw(ScenarioError("unknown kind 'plnat'")),
+    "is an error": lambda: throw(RunError("'a.fmu' is none")),
+    "finds a change": lambda: throw(ChangedFileError("a.csv has changed")),
+    "object": lambda: (_ for _ in ()),
+}
+poisoned = False
+
+
+def do(subject, member):
+    """Do what a member says; the metrics are what it knows of its process."""
+    global poisoned
+    if poisoned:
+        os.abort()
+    if "begun" in member.set:
+        Path(member.set["begun"], str(os.getpid())).touch()
+    while "until" in member.set and not Path(member.set["until"]).exists():
+        time.sleep(0.01)
+    does = member.set.get("does", "nothing")
+    poisoned = does == "poison"
+    found = DEEDS.get(does, DEEDS["nothing"])()
+    if does == "object":
+        return found
+    metrics = {"pid": os.getpid(), **member.set.get("metrics", {})}
+    metrics |= {name: os.environ.get(name) for name in member.set.get("tells", ())}
+    wall_time = member.set.get("seconds", 0.0)
+    return MemberOutcome(member.number, COMPLETE, metrics=metrics, wall_time=wall_time)
+
+
+def doing(number, does="nothing", **more):
+    """Return a member that does something."""
+    return StudyMember(number, set={"does": does, **more})
+
+
+def executor(folder, workers=2, **options):
+    """Return one whose subject is a scenario of a constant."""
+    path = folder / "x.toml"
+    path.write_text(SCENARIO)
+    return LocalExecutor(StudySubject(str(path), metrics={"y": "last(u.y)"}), workers, **options)
+
+
+def outcomes_of(folder, members, workers=2, **options):
+    """Run members; return what came of them by number, each of which comes once."""
+    with executor(folder, workers, **options) as workers:
+        results = list(workers.run(members, do))
+    by_number = {member.number: result for member, result in results}
+    assert len(by_number) == len(results)
+    assert all(result.number == number for number, result in by_number.items())
+    return by_number
+
+
+def failures(outcomes):
+    """Return the reasons of those that failed."""
+    failed = {number: one for number, one in outcomes.items() if one.status == FAILED}
+    return {number: outcome.reason for number, outcome in failed.items()}

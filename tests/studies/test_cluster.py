@@ -1,0 +1,315 @@
+"""Studies on a scheduler and workers of dask: in processes of their own, or inside of this one."""
+
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cosim.digests import sha256_of
+from cosim.errors import ChangedFileError, RunError, UsageError
+from cosim.studies import cluster as module
+from cosim.studies.cluster import ClusterExecutor, environment
+from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.workers import LocalExecutor
+from tests.studies.dask_processes import LIMIT, cluster
+
+pytestmark = pytest.mark.slow
+distributed = pytest.importorskip("distributed")
+
+HERE = "/proc/self/cwd"  # another folder in every process
+SCENARIO = """
+scenario = { name = "x", stop = 0.2, step = 0.1 }
+[components]
+u = { kind = "table", file = "../u.csv" }
+v = { kind = "table", file = "/proc/self/cwd/u.csv" }
+acting = { kind = "python", class = "acting:Acting", seconds = 0.0, does = "nothing" }
+"""
+ACTING = """
+import os
+import time
+import numpy as np
+from cosim.core import Interface, Signal
+
+
+class Acting:
+    interface = Interface(outputs=(Signal("y", variability="discrete"),))
+
+    def __init__(self, seconds: float, does: str):
+        self.seconds = seconds
+        self.does = does
+        if does == "refuses":
+            raise ValueError("it refuses")
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.seconds])
+
+    def advance(self, t, h, u):
+        time.sleep(self.seconds)
+        if self.does == "crashes":
+            os.abort()
+        if self.does == "ends dask":
+            os.kill(os.getppid(), 9)
+        return np.full((len(t) - 1, 1), self.seconds)
+"""
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    """Return a subject and its files, below a path that is this process's own."""
+    folder = tmp_path / "study"
+    (folder / "x").mkdir(parents=True)
+    (folder / "x" / "s.toml").write_text(SCENARIO)
+    (folder / "x" / "acting.py").write_text(ACTING)
+    (folder / "u.csv").write_text("t,y\n0,1\n1,1\n")
+    monkeypatch.chdir(folder)
+    files = {f"{HERE}/{name}": sha256_of(name) for name in ("x/s.toml", "x/acting.py", "u.csv")}
+    metrics = {"y": "last(acting.y)", "v": "last(v.y)"}
+    return StudySubject(f"{HERE}/x/s.toml", metrics=metrics, digests=files), files
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory):
+    with cluster(tmp_path_factory.mktemp("cluster")) as found:
+        yield found
+
+
+def acting(number, does="nothing", seconds=0.0):
+    return StudyMember(number, {"acting.does": does, "acting.seconds": seconds})
+
+
+def executor(scheduler, study, notices=None, **options):
+    subject, files = study
+    notice = [].append if notices is None else notices.append
+    options = {"timeout": None, **options}
+    return ClusterExecutor(scheduler, subject, acting(0), files, notice=notice, **options)
+
+
+def children(process):
+    """Return the processes that one has started, zombies left out."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = path.read_text().rpartition(")")[2].split()[:2]
+        except OSError:
+            continue
+        if state != "Z" and int(parent) == process.pid:
+            found.append(int(path.parent.name))
+    return found
+
+
+def wait_until(condition):
+    limit = time.monotonic() + LIMIT
+    while not condition() and time.monotonic() < limit:
+        time.sleep(0.02)
+    assert condition()
+
+
+def test_outcomes_are_those_of_this_machine_and_nothing_is_left(processes, study):
+    """Files go to workers that lack them; members that crash, hang or are refused cost themselves.
+
+    Processes and copies of files end with the study.
+    """
+    deeds = {3: "crashes", 5: "refuses", 8: "crashes"}
+    members = [acting(n, deeds.get(n, "nothing"), n / 1000.0) for n in range(12)]
+    members.append(acting(12, seconds=600.0))
+    with executor(processes.address, study, timeout=3.0) as workers:
+        found = {member.number: outcome for member, outcome in workers.run(members)}
+        assert [outcome.status for _, outcome in workers.run([acting(0)])] == [COMPLETE]
+        assert any(children(worker) for worker in processes.workers)
+    with LocalExecutor(study[0], 2, timeout=3.0) as workers:
+        needed = {member.number: outcome for member, outcome in workers.run(members)}
+    assert found.keys() == needed.keys()
+    for number, outcome in needed.items():
+        reason = outcome.reason.replace(os.path.realpath(HERE), HERE)
+        own = replace(found[number], warnings=[*found[number].warnings], wall_time=0.0, worker="")
+        warnings = [*outcome.warnings]
+        assert own == replace(outcome, reason=reason, warnings=warnings, wall_time=0.0, worker="")
+    assert sorted(n for n, outcome in found.items() if outcome.status == FAILED) == [3, 5, 8, 12]
+    wait_until(lambda: not any(children(worker) for worker in processes.workers))
+    wait_until(lambda: not [*processes.folder.rglob("s.toml")])
+
+
+def test_a_study_that_is_left_early_leaves_nothing_behind(processes, study):
+    """Neither members that run nor those that wait."""
+    with executor(processes.address, study) as workers:
+        results = workers.run([acting(0), *(acting(n, seconds=200.0) for n in range(1, 9))])
+        assert next(results)[0].number == 0
+        results.close()
+    wait_until(lambda: not any(children(worker) for worker in processes.workers))
+    with distributed.Client(processes.address, set_as_default=False) as client:
+        wait_until(lambda: client.run_on_scheduler(lambda dask_scheduler: not dask_scheduler.tasks))
+        with executor(client, study) as workers:
+            assert len([*workers.run(map(acting, range(4)))]) == 4
+
+
+def test_a_file_that_changes_ends_the_study(processes, study):
+    """On a worker that has the files where they were planned, too."""
+    subject, _ = study
+    folder = os.path.realpath(HERE)
+    files = {path.replace(HERE, folder): digest for path, digest in subject.digests.items()}
+    scenario = f"{folder}/x/s.toml"
+    (Path(folder) / "x" / "s.toml").write_text(SCENARIO.replace(HERE, folder))
+    files[scenario] = sha256_of(scenario)
+    own = replace(subject, scenario=scenario, digests=files)
+    with executor(processes.address, (own, files)) as workers:
+        assert len([*workers.run(map(acting, range(3)))]) == 3
+        Path(folder, "u.csv").write_text("t,y\n0,2\n1,2\n")
+        with pytest.raises(ChangedFileError, match=r"u\.csv has changed"):
+            list(workers.run(map(acting, range(9))))
+
+
+def test_workers_that_go_and_come_cost_nothing(tmp_path, study, monkeypatch):
+    """Who has gone is named, and who comes later is used, or named if it is without cosim."""
+    monkeypatch.setattr(module, "_SECONDS", 0.1)
+    (tmp_path / "other" / "cosim").mkdir(parents=True)
+    (tmp_path / "other" / "cosim" / "__init__.py").write_text("raise ImportError('no cosim')")
+    notices = []
+    (tmp_path / "dask").mkdir()
+    with (
+        cluster(tmp_path / "dask", workers=1) as own,
+        executor(own.address, study, notices) as workers,
+    ):
+        found = {}
+        for member, outcome in workers.run(acting(n, seconds=0.02) for n in range(200)):
+            found[member.number] = outcome
+            if len(found) == 3:
+                own.start_worker(PYTHONPATH=str(tmp_path / "other"))
+                own.start_worker()
+            if len(found) > 3 and len({o.worker for o in found.values()}) == 2:
+                own.workers[0].kill()
+        assert own.workers[0].wait(LIMIT) == -signal.SIGKILL
+        assert len(found) == 200
+        assert {outcome.status for outcome in found.values()} == {COMPLETE}
+    assert sum("is gone" in text for text in notices) == 1
+    assert sum("is not used: " in text and "cosim" in text for text in notices) == 1
+
+
+def test_members_that_dask_gives_up_are_named(tmp_path, study, monkeypatch):
+    """The others have outcomes."""
+    monkeypatch.setattr(module, "_SECONDS", 0.1)
+    allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    (tmp_path / "dask").mkdir()
+    found = []
+    with (
+        cluster(tmp_path / "dask", **allowed) as own,
+        executor(own.address, study) as workers,
+    ):
+        members = [acting(n, "ends dask" if n == 7 else "nothing", 0.02) for n in range(60)]
+        results = (member.number for member, _ in workers.run(members))
+        with pytest.raises(RunError, match=r"dask gave up members (\d+, )*7\b"):
+            found.extend(results)
+    assert 7 not in found
+    assert len(found) > 40
+
+
+def test_a_scheduler_that_goes_is_one_error(tmp_path, study):
+    (tmp_path / "dask").mkdir()
+    with (
+        cluster(tmp_path / "dask", workers=1) as own,
+        executor(own.address, study) as workers,
+    ):
+        results = workers.run(map(acting, range(10**6)))
+        next(results)
+        own.scheduler.kill()
+        with pytest.raises(RunError, match=r"connection to the scheduler .*was lost"):
+            list(results)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "tls://127.0.0.1:1", "x://y"])
+def test_a_scheduler_that_is_not_there_is_one_error(address, study, monkeypatch):
+    monkeypatch.setattr(module, "_CONNECTING", 0.1)
+    with pytest.raises(UsageError, match="cannot connect to a dask scheduler at"):
+        executor(address, study).__enter__()
+
+
+# --- a cluster inside of this process ---
+
+
+@pytest.fixture
+def client(monkeypatch):
+    """Return a client of a cluster with one worker, where nobody waits for another."""
+    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    with (
+        distributed.LocalCluster(
+            processes=False, n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+        ) as own,
+        distributed.Client(own, set_as_default=False) as client,
+    ):
+        client.wait_for_workers(1, timeout=LIMIT)
+        yield client
+
+
+@pytest.mark.parametrize("key", ["Python", "cosim", "numpy", "scipy", "system"])
+def test_what_computes_with_something_else_is_not_used(key, client, study, monkeypatch):
+    """A worker is named; of the scheduler only what reads the tasks counts."""
+    own = environment()
+    workers = executor(client, study)
+    monkeypatch.setattr(module, "environment", lambda: {**own, key: "other"})
+    if key in ("Python", "cosim"):
+        with pytest.raises(UsageError, match=f"the scheduler cannot.*expected {key} .*got other"):
+            workers.__enter__()
+        monkeypatch.setattr(module, "_check_scheduler", lambda *_: None)
+    with (
+        workers,
+        pytest.raises(UsageError, match=f"no worker can run .*inproc:.*{key} .*, got other"),
+    ):
+        list(workers.run([acting(0)]))
+
+
+def test_a_trial_that_cannot_be_built_names_the_worker(client, study):
+    """Such as where the class of a user is not among the files."""
+    subject, files = study
+    own = {path: digest for path, digest in files.items() if "acting" not in path}
+    Path("x/acting.py").unlink()
+    with (
+        executor(client, (replace(subject, digests=own), own)) as workers,
+        pytest.raises(UsageError, match=r"no worker can run the study: inproc:.*acting"),
+    ):
+        list(workers.run([acting(0)]))
+
+
+def test_a_scheduler_without_workers_is_one_error(client, study):
+    """After a while; until then some may come."""
+    client.retire_workers()
+    notices = []
+    with (
+        executor(client, study, notices) as workers,
+        pytest.raises(RunError, match="the scheduler has no workers"),
+    ):
+        list(workers.run([acting(0)]))
+    assert "waiting 0 s" in notices[0]
+
+
+def test_the_scheduler_holds_as_much_for_a_hundred_thousand_members(client, study, monkeypatch):
+    """Two tasks a thread; members are taken as they are needed."""
+    scheduler = client.cluster.scheduler
+    most = [0, 0]
+    taken = 0
+
+    def members():
+        nonlocal taken
+        for taken in range(1, 100_001):
+            yield StudyMember(taken - 1)
+
+    monkeypatch.setattr(module, "_admit", lambda study, files: "")
+    monkeypatch.setattr(module, "_run_part", stub)
+    with executor(client, study) as workers:
+        threads = threading.active_count()
+        for done, (member, outcome) in enumerate(workers.run(members())):
+            assert member.number == outcome.number
+            most = [max(most[0], len(scheduler.tasks)), max(most[1], taken - done)]
+        assert threading.active_count() <= threads + 2
+    assert taken == done + 1 == 100_000
+    assert most[0] <= 4  # and one that is being forgotten, or asks a worker
+    assert most[1] <= 3 * module.MOST
+
+
+def stub(study, members):
+    return 0.0, [MemberOutcome(member.number, COMPLETE) for member in members]
