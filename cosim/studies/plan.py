@@ -370,7 +370,8 @@ class RecordedStudy:
         """
         try:
             described = read_json(text)
-            study, problems = study_of(described.pop("tables"), described.pop("source"))
+            source = TypeAdapter(str).validate_python(described.pop("source"))
+            study, problems = study_of(described.pop("tables"), source)
             problem = "; ".join(text for _, text in problems)
             if study is not None:
                 return TypeAdapter(cls).validate_python({**described, "study": study})

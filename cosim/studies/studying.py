@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import numpy as np
+
 from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import UsageError, option, warn
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, MetricValue, StudyMember
@@ -302,8 +304,13 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
             ((_, logged),) = executor.run([member], partial(log_member, folder))
             log_time = -(-log_bytes // workers) * logged.wall_time
             log_bytes *= sum(path.stat().st_size for path in folder.glob("*.mcap"))
-    values = (*plan.design.member(last.number).set.values(), *last.metrics.values())
-    row_bytes = sum(len(str(value)) if isinstance(value, str | list) else 8 for value in values)
+    member = plan.design.member(last.number)
+    texts = (last.status, last.reason, "\n".join(last.warnings), last.worker)
+    values = (*member.set.values(), *member.swap.values(), *last.metrics.values(), *texts)
+    row_bytes = 4 * 8  # of number, steps, wall time, other results
+    for value in values:
+        is_text = isinstance(value, str) and value
+        row_bytes += len(value.encode()) if is_text else 8 * np.size(value)
     each = -(-total // workers)
     return StudyEstimate(
         total,
@@ -311,7 +318,7 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
         first,
         last.wall_time,
         first + (each - 1) * last.wall_time + log_time,
-        dataset_bytes=total * (row_bytes + 5 * 8),  # number, status, steps, wall time, worker
+        dataset_bytes=total * row_bytes,
         log_bytes=log_bytes,
     )
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from cosim.errors import CosimError, RunError
+from cosim.errors import RunError
 from cosim.studies import members as of_process
-from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
+from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.members import run_member
-from cosim.studies.worker import DONE, LOST, answer
+from cosim.studies.worker import DONE, HEAD, LOST, REFUSED, answer
 from cosim.studies.workers import LocalExecutor
 
 EXECUTOR = {name: getattr(LocalExecutor, name) for name in ("run", "__exit__")}
@@ -43,17 +43,23 @@ def _run(
     for count, member in enumerate(members):
         if executor._most is not None and count % executor._most == 0:
             of_process.close()
-        reply = answer(of_process.opened, subject)
-        if reply[0] == LOST or (reply[0] != DONE and reply[1] is CosimError):
-            raise RunError(f"{subject.scenario!r} cannot be opened: {reply[-1]}")
-        if reply[0] == DONE:
-            reply = answer(*_piped((function, subject, member)))
-        if reply[0] == LOST:
-            yield member, MemberOutcome(member.number, FAILED, reason=reply[1])
-        elif reply[0] == DONE:
-            yield member, _piped(reply[1])
-        else:
-            raise reply[1](reply[2])
+        kind, *values = _answer(_open, subject)
+        if kind == LOST:
+            raise RunError(f"{subject.scenario!r} cannot be opened: {values[0]}")
+        if kind == DONE:
+            kind, *values = _answer(*_piped((function, subject, member)))
+        if kind == REFUSED:
+            raise values[0](values[1])
+        lost = MemberOutcome(member.number, FAILED, reason=str(values[0]))
+        yield member, lost if kind == LOST else values[0]
+
+
+def _open(subject: StudySubject) -> None:
+    of_process.opened(subject)
+
+
+def _answer(function: Callable[..., Any], *arguments: Any) -> Any:
+    return pickle.loads(answer(lambda: function(*arguments))[HEAD.size :])
 
 
 def _leave(executor: LocalExecutor, *error: object) -> None:

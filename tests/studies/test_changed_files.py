@@ -1,16 +1,14 @@
 """A study belongs to the files that its members read: those that it began with, all of them."""
 
 import pytest
+from cosim.studies.members.inspector import FILE
 
 import cosim
 from cosim.cli.app import main
 from cosim.errors import ChangedFileError, DatasetError, RunError
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
+from cosim.studies.plan import RecordedStudy, found_sources, plan_study
 from cosim.studies.study_file import read_study
-from cosim.studies.members.inspector import FILE
-from cosim.studies.plan import plan_study
-from cosim.studies.plan import RecordedStudy
-from cosim.studies.plan import found_sources
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 
 TABLE = """

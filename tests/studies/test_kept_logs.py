@@ -6,18 +6,17 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from cosim.studies.dataset.log_files import LogRecord
+from cosim.studies.members.left_log import readable_log
+from cosim.studies.running.keeping import LogKeeper, keep_logs
+from cosim.studies.running.kept_members import chosen_members
 
 import cosim
 from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, MemberOutcome
-from cosim.studies.dataset.log_files import LogRecord
 from cosim.studies.dataset import StudyDataset
+from cosim.studies.plan import RecordedStudy, plan_study
 from cosim.studies.study_file import read_keep
-from cosim.studies.members.left_log import readable_log
-from cosim.studies.running.keeping import LogKeeper, keep_logs
-from cosim.studies.running.kept_members import chosen_members
-from cosim.studies.plan import plan_study
-from cosim.studies.plan import RecordedStudy
 from cosim.studies.studying import open_dataset
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS

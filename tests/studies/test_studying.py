@@ -13,13 +13,11 @@ import pytest
 import cosim
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.design import plan_design
-from cosim.studies.study_file import read_study
-from cosim.studies.study_file import study_of
 from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics import parse_metrics
+from cosim.studies.plan import RecordedStudy, plan_study
+from cosim.studies.study_file import read_study, study_of
 from cosim.studies.studying import estimate_study
-from cosim.studies.plan import plan_study
-from cosim.studies.plan import RecordedStudy
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 from tests.studies.fitted_fmu import write_fit
 

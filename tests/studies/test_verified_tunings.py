@@ -4,7 +4,6 @@ import shutil
 
 import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
 import cosim
 from cosim.errors import DatasetError
@@ -12,6 +11,7 @@ from cosim.studies.show import print_verification
 from cosim.studies.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
+from tests.studies.outcomes import change_part
 
 LAG = """
 scenario = { name = "lag", stop = 0.2, step = 0.01 }
@@ -76,12 +76,13 @@ def test_members_of_a_search_come_to_what_is_recorded(tmp_path):
 def test_a_bit_of_the_objective_that_differs_is_found(lag, tmp_path):
     """As in a study."""
     tune(lag, tmp_path / "d", {"plant.time_constant": {"log": [0.1, 1.0]}}, members=3)
-    (path,) = (tmp_path / "d" / "parts").iterdir()
-    table = parquet.read_table(path)
-    values = table["objective"].to_pylist()
-    place = table.schema.get_field_index("objective")
-    changed = pa.array([value * (1 + 2**-52) for value in values])
-    parquet.write_table(table.set_column(place, table.field("objective"), changed), path)
+
+    def change(table):
+        place = table.schema.get_field_index("objective")
+        changed = pa.array([value * (1 + 2**-52) for value in table["objective"].to_pylist()])
+        return table.set_column(place, table.field("objective"), changed)
+
+    change_part(tmp_path / "d", change)
     found = verify_study(tmp_path / "d", members=[1])
     assert [(item.member, item.name) for item in found.differences] == [(1, "objective")]
 

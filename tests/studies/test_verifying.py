@@ -6,17 +6,17 @@ import shutil
 import numpy as np
 import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
 import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
+from cosim.studies import verifying
 from cosim.studies.plan import own_environment
 from cosim.studies.show import print_verification
-from cosim.studies import verifying
 from cosim.studies.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
+from tests.studies.outcomes import change_part
 
 
 @pytest.fixture(scope="module")
@@ -39,26 +39,17 @@ def recorded(tmp_path_factory):
     return folder
 
 
-def test_possible_causes_of_a_difference_are_said():
-    """Of another machine nobody knows whether it rounds otherwise."""
-    now = {"status": "complete", "reason": "", "steps": 3, "y": 1.0, "worker": "here:5"}
-    text = "y = 1.0; recorded: 2.0; "
-    cause = "the model is not deterministic"
-    assert difference(now, {**now, "y": 2.0, "worker": "here:4"}, ["y"]) == f"{text}{cause}"
-    assert difference(now, {**now, "y": 2.0, "worker": "there:4"}, ["y"]) == (
-        f"{text}it ran on there before, which may round differently from here, or {cause}"
-    )
-
-
 def change_one_bit(place):
     """Change the last bit of the metric ``y`` of member 0."""
-    (path,) = (place / "parts").iterdir()
-    table = parquet.read_table(path)
-    values = table["y"].to_pylist()
-    values[0] = float(np.nextafter(values[0], 2.0))
-    column = table.schema.get_field_index("y")
-    changed = table.set_column(column, table.field("y"), pa.array(values))
-    parquet.write_table(changed, path)
+    values = []
+
+    def change(table):
+        values.extend(table["y"].to_pylist())
+        values[0] = float(np.nextafter(values[0], 2.0))
+        column = table.schema.get_field_index("y")
+        return table.set_column(column, table.field("y"), pa.array(values))
+
+    change_part(place, change)
     return values[0]
 
 
