@@ -87,7 +87,8 @@ def keep_logs(
                 for name, was, now in different(row, dataset.row_of(member, outcome), dataset):
                     notice(
                         f"member {member.number} was rerun for its log: {name} = {now!r}; "
-                        f"recorded: {was!r}; the model is not deterministic, or it ran on another machine"
+                        f"recorded: {was!r}; the model is not deterministic, or it ran on another "
+                        "machine"
                     )
                 done += 1
                 if progress is not None:

@@ -370,7 +370,9 @@ class RecordedStudy:
         """
         try:
             described = read_json(text)
-            source = TypeAdapter(str).validate_python(described.pop("source"))
+            source = described.pop("source")
+            if not isinstance(source, str):
+                raise TypeError(f"source: expected a text, got {source!r}")
             study, problems = study_of(described.pop("tables"), source)
             problem = "; ".join(text for _, text in problems)
             if study is not None:

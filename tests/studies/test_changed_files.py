@@ -1,13 +1,13 @@
 """A study belongs to the files that its members read: those that it began with, all of them."""
 
 import pytest
-from cosim.studies.members.inspector import FILE
 
 import cosim
 from cosim.cli.app import main
 from cosim.errors import ChangedFileError, DatasetError, RunError
-from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
-from cosim.studies.plan import RecordedStudy, found_sources, plan_study
+from cosim.studies import plan
+from cosim.studies.members import MemberSources
+from cosim.studies.plan import RecordedStudy, plan_study
 from cosim.studies.study_file import read_study
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 
@@ -36,11 +36,9 @@ def exit_code(arguments):
 
 def test_a_file_that_changes_while_a_study_is_planned_is_named():
     """Nothing has begun that could go on."""
-    outcome = MemberOutcome(0, COMPLETE, details={f"{FILE}/u.csv": "ab"})
-    members = {0: StudyMember(0)}
-    text = "^/u.csv has changed while the study was being planned; plan it again$"
-    with pytest.raises(RunError, match=text):
-        found_sources({"/u.csv": "cd"}, [outcome], members, refused=lambda *_: "")
+    found = {0: MemberSources(files={"/u.csv": "ab"})}
+    with pytest.raises(RunError, match=r"/u.csv has changed while the study was being planned"):
+        plan._sources({"/u.csv": "cd"}, found)
 
 
 def write_table(path, value):
