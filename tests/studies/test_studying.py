@@ -235,20 +235,6 @@ def test_the_command_of_a_member_is_that_of_its_row(tmp_path):
         assert command.endswith(f"--set u.amplitude={recorded!r}")
 
 
-@pytest.mark.slow
-def test_the_log_of_a_study_that_was_killed_is_written_again(tmp_path):
-    """Only a member with an outcome has a log under its number."""
-    place = tmp_path / "kept"
-    given = {"seeds": 2, "metrics": {"y": "last(sensor.y)"}, "set": SHORT, "out": place}
-    cosim.study("academic-noisy", **given)
-    (place / "logs").mkdir()
-    (place / "logs" / "_0.unfinished.mcap").write_bytes(b"half")
-    study = cosim.study("academic-noisy", **given, keep="all")
-    assert set(study.logs) == {0, 1}
-    assert cosim.open_log(study.logs[0]).status == "complete"
-    assert not list((place / "logs").glob("_*"))
-
-
 def test_failures_of_an_earlier_call_are_counted(tmp_path):
     """A study that goes on knows how many have failed in all."""
     scenario = tmp_path / "x.toml"
