@@ -8,11 +8,9 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.checking import check_design
-from cosim.studies.checking import is_own_code
+from cosim.studies.checking import check_design, is_own_code
 from cosim.studies.design import plan_design
-from cosim.studies.study_file import read_study
-from cosim.studies.study_file import load_scenario
+from cosim.studies.study_file import load_scenario, read_study
 
 EMPTY = read_study("academic-noisy")
 SCENARIO = cosim.load("academic-noisy")

@@ -11,10 +11,10 @@ import cosim
 from cosim.cli.options import read_edits, read_unique_pairs
 from cosim.scenario.document.edits import parse_value
 from cosim.scenario.document.swap import port_names
-from cosim.studies.contracts import StudyMember
 from cosim.studies.checking import check_design
-from cosim.studies.plan import run_command, toml_text
+from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design
+from cosim.studies.plan import run_command, toml_text
 from cosim.studies.study_file import read_study
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 import cosim
 from cosim.errors import UsageError, shell_language
 from cosim.studies.contracts import StudyMember
-from cosim.studies.design import plain_values
-from cosim.studies.design import plan_design
+from cosim.studies.design import plain_values, plan_design
 from cosim.studies.study_file import read_study
 
 EMPTY = read_study("academic-noisy")

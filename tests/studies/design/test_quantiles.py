@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cosim.studies.variations import chosen, quantiles
-from cosim.studies.variations import SampledVariation, read_variation
+from cosim.studies.variations import SampledVariation, chosen, quantiles, read_variation
 
 P = np.concatenate([[2.0**-54, 1e-9], np.linspace(1e-3, 1 - 1e-3, 999), [1 - 1e-9, 1.0 - 2.0**-53]])
 

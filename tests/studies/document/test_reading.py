@@ -13,9 +13,7 @@ from cosim.errors import UsageError, shell_language
 from cosim.scenario.document.document import find
 from cosim.studies.contracts import StudySubject
 from cosim.studies.design import find_recordings
-from cosim.studies.study_file import KeptLogs
-from cosim.studies.study_file import read_study
-from cosim.studies.study_file import StudyTables
+from cosim.studies.study_file import KeptLogs, StudyTables, read_study
 from cosim.studies.variations import GridVariation, SampledVariation
 
 STUDY = """\

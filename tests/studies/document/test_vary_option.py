@@ -3,8 +3,7 @@
 import pytest
 
 from cosim.errors import UsageError
-from cosim.studies.variations import read_variation
-from cosim.studies.variations import read_vary_option
+from cosim.studies.variations import read_variation, read_vary_option
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Plan
 from cosim.core.signals import Interface, Signal
 from cosim.core.structure.ports import layout_of
-from cosim.studies.metrics import parse_metrics
-from cosim.studies.metrics import MetricRecorder
+from cosim.studies.metrics import MetricRecorder, parse_metrics
 
 STEP_NS = 10**6
 

@@ -12,6 +12,7 @@ from scipy import stats
 from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.layout import StudyLayout, results_of_study
+from cosim.studies.plan import RecordedSearch
 from cosim.studies.plots import KINDS, plot_study
 from cosim.studies.plots.heat_map import cell_means
 from cosim.studies.plots.scales import (
@@ -23,7 +24,6 @@ from cosim.studies.plots.scales import (
     zero_width,
 )
 from cosim.studies.plots.search_history import best_so_far
-from cosim.studies.plan import RecordedSearch
 from tests.studies.made import MadeStudy, saltelli_study, tolerances
 
 DRAWN = ["histogram", "distribution", "convergence", "line", "map", "scatter"]
