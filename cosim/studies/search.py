@@ -73,8 +73,8 @@ class BoundedKey:
 
     def slope(self, value: float) -> float:
         """Return by how much the value grows with its coordinate."""
-        low, high = self._logarithms if self.logarithmic else (self.lower, self.upper)
-        return (value if self.logarithmic else 1.0) * (high - low)
+        low, high = self._logarithms
+        return value * (high - low) if self.logarithmic else self.upper - self.lower
 
     def has(self, value: Any) -> bool:
         """Return whether it is a number between the bounds."""
@@ -92,7 +92,7 @@ class BoundedKey:
 
     @property
     def _logarithms(self) -> tuple[float, float]:
-        return math.log(self.lower), math.log(self.upper)
+        return (math.log(self.lower), math.log(self.upper)) if self.logarithmic else (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +121,14 @@ class ChoiceKey:
             raise UsageError(f"{option('vary', self.key)}: expected distinct values, {found}")
 
 
-Key: TypeAlias = BoundedKey | ChoiceKey
+SearchKey: TypeAlias = BoundedKey | ChoiceKey
 
 
 @dataclass(frozen=True, slots=True)
 class SearchSpace:
     """The keys that are searched."""
 
-    keys: tuple[Key, ...]
+    keys: tuple[SearchKey, ...]
 
     @property
     def bounded(self) -> tuple[BoundedKey, ...]:
@@ -391,21 +391,15 @@ class Trials:
 
     def _trial(self, point: Point, outcome: MemberOutcome) -> SearchTrial:
         value = outcome.metrics.get(OBJECTIVE)
-        objective = None
-        problem = ""
-        if outcome.status != COMPLETE:
-            problem = outcome.reason or "failed"
-        elif value is None:
-            problem = "the objective has no value"
-        elif isinstance(value, str) or not math.isfinite(value):
-            problem = f"the objective is {value}, no finite number"
-        else:
-            objective = float(value)
-        cost = math.inf if objective is None else self._sign * objective
+        found, cost = None, math.inf
+        problem = "" if outcome.status == COMPLETE else outcome.reason or "failed"
+        if not problem and isinstance(value, float) and math.isfinite(value):
+            found, cost = value, self._sign * value
+        elif not problem:
+            problem = f"the objective is {value}, expected a finite number"
         samples = int(outcome.metrics.get(SAMPLES) or 0)
-        return SearchTrial(
-            outcome.number, dict(point), objective, problem, cost, samples, outcome.warnings
-        )
+        own = (samples, outcome.warnings)
+        return SearchTrial(outcome.number, dict(point), found, problem, cost, *own)
 
 
 # --- methods ---

@@ -17,14 +17,7 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.document.document import find
 from cosim.scenario.document.edits import plain
 from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember
-from cosim.studies.dataset import (
-    OF_METRICS,
-    StudyDataset,
-    StudyIdentity,
-    json_value,
-    metric_column,
-    parameter_column,
-)
+from cosim.studies.dataset import OF_METRICS, StudyDataset, StudyIdentity, json_value
 from cosim.studies.design import (
     MemberLayout,
     SampleColumn,
@@ -52,12 +45,12 @@ from cosim.studies.search import (
     SAMPLES,
     BoundedKey,
     ChoiceKey,
-    Key,
     Point,
     RunPoints,
     Search,
     SearchEnd,
     SearchEnded,
+    SearchKey,
     SearchSpace,
     Trials,
     search_points,
@@ -395,13 +388,9 @@ class TuningPlan:
         }
         digests = {name: digest for name, digest in planned.digests.items() if name != OF_METRICS}
         digests |= {name: digest_of(value) for name, value in chosen.items()}
-        columns = [] if self.recording is None else [parameter_column(RECORDING, [self.recording])]
-        for key in keys:
-            values = [key.lower] if isinstance(key, BoundedKey) else key.choices
-            columns.append(parameter_column(key.key, values))
-        columns += [metric_column(name, text) for name, text in self.study.study.metrics.items()]
         name = f"tuning of {self.study.scenario.name}"
-        return StudyIdentity(name, recorded.to_text(), digests, tuple(columns), search.members)
+        text = recorded.to_text()
+        return replace(planned, name=name, text=text, digests=digests, members=search.members)
 
 
 def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
@@ -448,7 +437,7 @@ def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
 
 def plan_recorded(study: StudyFile, recorded: RecordedSearch) -> TuningPlan:
     """Plan a tuning that a dataset has again."""
-    keys: list[Key] = []
+    keys: list[SearchKey] = []
     for key in recorded.keys:
         is_list = "choices" in key
         keys.append(ChoiceKey(key["key"], tuple(key["choices"])) if is_list else BoundedKey(**key))
@@ -505,7 +494,7 @@ def read_space(vary: object) -> SearchSpace:
     return SearchSpace(tuple(_read_key(key, value) for key, value in entries.items()))
 
 
-def _read_key(key: str, value: Any) -> Key:
+def _read_key(key: str, value: Any) -> SearchKey:
     try:
         value = plain(value)
     except UsageError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,6 @@ from cosim.studies.residual import ResidualCheck
 from cosim.studies.search import OBJECTIVE, Point, Search, SearchEnd, SearchSpace, SearchTrial
 from cosim.studies.standard_errors import NoStandardErrors, StandardErrors, of_samples
 from cosim.studies.statistics import grouped, warning_lines
-
-_AT_BOUND: Final = 1e-4  # of the range between the bounds
-_CONVERGED: Final = 1e-3  # of the range between the bounds
-_SAME_PLACE: Final = 0.01  # of the range between the bounds
-_SAME_COST: Final = 1e-6  # relative
-_FLAT: Final = 1e-9  # relative; rounding alone differs by less
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -101,12 +95,11 @@ class TuningResult:
     @property
     def at_bounds(self) -> dict[str, str]:
         """Which bound a best value is at, ``lower`` or ``upper``; of keys where it is at one."""
-        found: dict[str, str] = {}
-        for key in self.search.space.bounded if self.best is not None else ():
-            coordinate = key.coordinate(self.estimate[key.key])
-            if coordinate <= _AT_BOUND or coordinate >= 1.0 - _AT_BOUND:
-                found[key.key] = "lower" if coordinate <= _AT_BOUND else "upper"
-        return found
+        near = 1e-4  # of the range between the bounds
+        keys = self.search.space.bounded if self.best is not None else ()
+        at = {key.key: key.coordinate(self.estimate[key.key]) for key in keys}
+        ends = {name: "lower" if x <= near else "upper" for name, x in at.items()}
+        return {name: end for name, end in ends.items() if not near < at[name] < 1.0 - near}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -116,10 +109,7 @@ class TuningResult:
             "method": self.search.method,
             "best": None if self.best is None else _trial_dict(self.best),
             "members": len(self.trials),
-            "failed": [
-                {"member": trial.number, "values": dict(trial.point), "problem": trial.problem}
-                for trial in self.failed
-            ],
+            "failed": [_trial_dict(trial, "problem") for trial in self.failed],
             "finished": self.finished,
             "converged": self.best_end is not None,
             "stop_reason": self.stop_reason,
@@ -144,7 +134,7 @@ class TuningResult:
         if self.best is None:
             return said
         costs = [trial.cost for trial in self.trials if trial.objective is not None]
-        if len(costs) > 1 and max(costs) - min(costs) <= _FLAT * max(map(abs, costs)):
+        if len(costs) > 1 and max(costs) - min(costs) <= 1e-9 * max(map(abs, costs)):
             keys = "the varied keys have no effect on it here"
             return [*said, f"all members have the same objective: {keys}"]
         for key, side in self.at_bounds.items():
@@ -165,12 +155,12 @@ class TuningResult:
         starts = self.search.starts
         if self.search.method in ("global", "optuna"):
             return "whether there are better values elsewhere is not known"
-        others = [end for end in self.ends if _distance(self.search.space, best, end) > _SAME_PLACE]
+        others = [end for end in self.ends if _distance(self.search.space, best, end) > 0.01]
         here = len(self.ends) - len(others)
         if others:
             other = min(others, key=lambda end: end.cost)
             place = _values_text(other.point)
-            if math.isclose(other.cost, best.cost, rel_tol=_SAME_COST):
+            if math.isclose(other.cost, best.cost, rel_tol=1e-6):
                 ended = f"another start ended at {place} with this objective"
                 return f"the values are not unique: {ended}"
             objective = -other.cost if self.search.maximize else other.cost
@@ -179,13 +169,10 @@ class TuningResult:
                 f"{place} with {objective:.6g}: more starts, or the method 'global', may find "
                 "better values"
             )
-        found = f"all {here} starts ended here"
-        if not here:
-            found = "no local search has finished"
-        elif starts == 1:
-            found = "searched from one start"
-        elif here < starts:
-            found = f"{here} of {starts} starts finished and ended here"
+        found = f"{here} of {starts} starts finished and ended here"
+        if not here or here == starts:
+            found = f"all {here} starts ended here" if here else "no local search has finished"
+        found = "searched from one start" if here == starts == 1 else found
         return f"{found}; better values elsewhere are not excluded"
 
     def _of_errors(self) -> Iterator[str]:
@@ -228,7 +215,7 @@ def converged_end(
 ) -> SearchEnd | None:
     """Return the first search that converged at the best point; None: none did."""
     for end in ends:
-        if best is not None and end.converged and _distance(space, best, end) <= _CONVERGED:
+        if best is not None and end.converged and _distance(space, best, end) <= 1e-3:
             return end
     return None
 
@@ -237,8 +224,8 @@ def _distance(space: SearchSpace, best: SearchTrial, end: SearchEnd) -> float:
     return float(np.abs(space.coordinates(end.point) - space.coordinates(best.point)).max())
 
 
-def _trial_dict(trial: SearchTrial) -> dict[str, Any]:
-    return {"member": trial.number, "values": dict(trial.point), "objective": trial.objective}
+def _trial_dict(trial: SearchTrial, name: str = "objective") -> dict[str, Any]:
+    return {"member": trial.number, "values": dict(trial.point), name: getattr(trial, name)}
 
 
 def _values_text(point: Point) -> str:

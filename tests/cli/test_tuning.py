@@ -6,7 +6,7 @@ import re
 import pytest
 
 from cosim.cli.stopping import stopped_text
-from tests.studies.tuning.lags import LAG
+from tests.studies.test_tuning import LAG
 
 pytestmark = pytest.mark.usefixtures("members_in_this_process")
 
@@ -78,7 +78,7 @@ def test_a_tuning_that_is_interrupted_says_how_to_go_on(lag, tmp_path, capsys, m
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cosim.studies.tuning.members.TrialMembers._try", interrupt)
+    monkeypatch.setattr("cosim.studies.search.Trials._try", interrupt)
     code, out, err = call(capsys, *options, "--members=9")
     assert (code, out) == (130, "")
     recorded = f"stopped: 5 of 9 members are recorded in {tmp_path / 'd'}; the "

@@ -151,7 +151,8 @@ def test_members_that_fail_are_named_and_cost_themselves():
     result = search(holes, ONE, method="global", members=60)
     assert result.best.point["x"] == pytest.approx(0.25, abs=2e-2)
     problems = {trial.problem for trial in result.failed}
-    assert problems == {"x is too large", "the objective is nan, no finite number"}
+    assert "x is too large" in problems
+    assert any(text.startswith("the objective is nan") for text in problems)
     assert "x is too large" in " ".join(result.statements)
 
 
@@ -202,14 +203,20 @@ def decay(t, a, k):
     return a * np.exp(-k * t)
 
 
-def fitted(model, space, measured, noise=0.0):
-    """Search the parameters of a curve; with noise, as a solver with step control has it."""
+def rms_of(model, measured, noise=0.0):
+    """Return the rms of the residual; with noise, as a solver with step control has it."""
 
     def rms(point):
         exact = math.sqrt(np.mean((model(T, *point.values()) - measured) ** 2))
         return exact * (1.0 + noise * (math.modf(1e5 * sum(point.values()) * math.pi)[0] - 0.5))
 
-    return search(rms, space, is_rms=True, with_errors=True, samples=T.size, starts=1)
+    return rms
+
+
+def fitted(model, space, measured, noise=0.0, **options):
+    """Search the parameters of a curve."""
+    given = {"is_rms": True, "with_errors": True, "samples": T.size, "starts": 1, **options}
+    return search(rms_of(model, measured, noise), space, **given)
 
 
 def noisy(values, deviation, seed=1):

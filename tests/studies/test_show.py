@@ -19,7 +19,7 @@ from cosim.studies.show import (
 )
 from cosim.studies.statistics import ConfidenceInterval
 from tests.studies.made import MadeStudy, command_of, saltelli, tolerances
-from tests.studies.tuning.curves import LINE, T, fitted, line
+from tests.studies.test_search import LINE, T, fitted, line
 
 TEN = StudyLayout("random", samples=10)
 
@@ -311,7 +311,7 @@ def test_a_tuned_value_has_the_digits_that_its_error_leaves():
     noise = np.random.default_rng(3).standard_normal(T.size)
     for deviation, digits in ((1e-6, 9), (1.0, 6)):
         result = fitted(line, LINE, line(T, 3.0, -2.0) + deviation * noise, starts=1)
-        found = tuning_lines(replace(result, expression="rms(x)", command="cosim run x"))[1]
+        found = tuning_lines(replace(result, command="cosim run x"))[1]
         value, error, interval = found.split(", ")
         low, high = result.errors.intervals["slope"]
         assert value == f"  slope = {result.estimate['slope']:.{digits}g}"
