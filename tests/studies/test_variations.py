@@ -1,0 +1,194 @@
+"""What a key is varied by: tables of a file, texts of --vary, and quantiles."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cosim.errors import UsageError
+from cosim.scenario.document.problems import TableProblems
+from cosim.studies.variations import (
+    GridVariation,
+    SampledVariation,
+    chosen,
+    quantiles,
+    read_variation,
+    read_vary_option,
+)
+
+P = np.concatenate([[2.0**-54, 1e-9], np.linspace(1e-3, 1 - 1e-3, 999), [1 - 1e-9, 1.0 - 2.0**-53]])
+
+
+@pytest.mark.parametrize(
+    ("value", "values"),
+    [
+        ([1.0, 2, "a", [1, 2]], (1.0, 2, "a", [1, 2])),
+        ({"values": [True]}, (True,)),
+        (np.array([1.0, 2.0]), (1.0, 2.0)),
+        ({"linear": [0.0, 1.0], "points": 5}, (0.0, 0.25, 0.5, 0.75, 1.0)),
+        ({"linear": [2, -2], "points": 3}, (2.0, 0.0, -2.0)),
+    ],
+)
+def test_a_grid_has_its_values_in_order(value, values):
+    assert read_variation("a.x", value) == GridVariation("a.x", values)
+
+
+def test_a_logarithmic_grid_has_one_factor_and_exact_ends():
+    values = read_variation("a.x", {"log": [10.0, 1e4], "points": 25}).values
+    assert (values[0], values[-1], len(values)) == (10.0, 1e4, 25)
+    # pow and the division round by a few units in the last place
+    np.testing.assert_allclose(np.divide(values[1:], values[:-1]), 1000 ** (1 / 24), rtol=1e-14)
+
+
+def test_a_choice_has_values_of_any_type_and_weights():
+    """The weights are equal where there are none."""
+    equal = read_variation("a.x", {"choice": ["a", 2]})
+    assert equal == SampledVariation("a.x", "choice", (1.0, 1.0), ("a", 2))
+    weighted = read_variation("swap.a", {"choice": ["a.fmu", "b.fmu"], "weights": [3, 0]})
+    assert weighted == SampledVariation("swap.a", "choice", (3.0, 0.0), ("a.fmu", "b.fmu"))
+
+
+CUT_NORMAL = {"normal": [2, 0.5], "lower": 1.5, "upper": 4}
+NORMAL_TOLERANCE = {"tolerance": 0.1, "distribution": "normal"}
+
+
+@pytest.mark.parametrize(
+    ("text", "table", "reference"),
+    [
+        ("uniform:-1:3", {"uniform": [-1, 3]}, stats.uniform(-1, 4)),
+        ("log-uniform:10:1e4", {"log-uniform": [10, 1e4]}, stats.loguniform(10, 1e4)),
+        ("normal:2:0.5", {"normal": [2, 0.5]}, stats.norm(2, 0.5)),
+        ("normal:2:0.5:1.5:4", CUT_NORMAL, stats.truncnorm(-1, 4, loc=2, scale=0.5)),
+        (None, {"normal": [0, 1], "lower": 6}, stats.truncnorm(6.0, math.inf)),
+        ("lognormal:2:0.25", {"lognormal": [2, 0.25]}, stats.lognorm(0.25, scale=2)),
+        ("triangular:-1:0:3", {"triangular": [-1, 0, 3]}, stats.triang(0.25, -1, 4)),
+        ("triangular:0:0:2", {"triangular": [0, 0, 2]}, stats.triang(0, 0, 2)),
+        ("triangular:0:2:2", {"triangular": [0, 2, 2]}, stats.triang(1, 0, 2)),
+        ("exponential:3", {"exponential": [3]}, stats.expon(scale=3)),
+        (None, {"exponential": 3.0}, stats.expon(scale=3)),
+        ("beta:2:1.5", {"beta": [2, 1.5]}, stats.beta(2, 1.5)),
+        ("beta:2:3:1:5", {"beta": [2, 3], "lower": 1, "upper": 5}, stats.beta(2, 3, 1, 4)),
+        ("weibull:2:1.5", {"weibull": [2, 1.5]}, stats.weibull_min(1.5, scale=2)),
+        ("tolerance:0.1", {"tolerance": 0.1}, stats.uniform(-2.2, 0.4)),
+        ("tolerance:0.1:normal", NORMAL_TOLERANCE, stats.truncnorm(-3, 3, loc=-2, scale=0.2 / 3)),
+    ],
+)
+def test_a_distribution_has_its_quantiles(text, table, reference):
+    """As an option and in a file, as scipy.stats has them; the tolerances are of -2."""
+    assert text is None or read_vary_option(text) == table
+    found = quantiles(read_variation("a.x", table), P, -2.0)
+    # Both are some roundings of a closed form, whose largest number is 10 at a place of rounding.
+    np.testing.assert_allclose(found, reference.ppf(P), rtol=1e-12, atol=1e-14)
+    assert (np.diff(found) >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("table", "lower", "upper"),
+    [
+        ({"uniform": [0.1, 0.3]}, 0.1, 0.3),
+        ({"uniform": [-1e308, 1e308]}, -1e308, 1e308),
+        ({"log-uniform": [0.1, 0.3]}, 0.1, 0.3),
+        ({"triangular": [0.1, 0.2, 0.3]}, 0.1, 0.3),
+        ({"normal": [0.0, 1.0], "lower": 0.1, "upper": 0.3}, 0.1, 0.3),
+        ({"normal": [0.0, 1.0], "lower": 40.0, "upper": 41.0}, 40.0, 41.0),
+        ({"beta": [0.5, 0.5], "lower": 0.1, "upper": 0.3}, 0.1, 0.3),
+    ],
+)
+def test_no_rounding_leads_out_of_the_bounds(table, lower, upper):
+    """Where a parameter of a scenario may have a limit."""
+    found = quantiles(read_variation("a.x", table), P, 1.0)
+    assert lower <= found.min()
+    assert found.max() <= upper
+
+
+def test_a_choice_follows_its_weights():
+    """Its values take parts of the unit interval as long as their weights, in order."""
+    variation = SampledVariation("a.x", "choice", (1.0, 0.0, 2.0, 1.0, 0.0), tuple("abcde"))
+    p = np.array([2.0**-54, 0.2499, 0.25, 0.7499, 0.75, 1.0 - 2.0**-53])
+    assert chosen(variation, p).tolist() == [0, 0, 2, 2, 3, 3]
+    many = SampledVariation("a.x", "choice", (0.1,) * 10, tuple(range(10)))
+    assert chosen(many, np.array([1.0 - 2.0**-53])).tolist() == [9]
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (3.0, "got 3.0"),
+        ([], "got none"),
+        ([object()], "<object .*>"),
+        ({}, "got none of them"),
+        ({"uniform": [0, 1], "log": [1, 2]}, "got 'log' and 'uniform'"),
+        ({"unifrm": [0, 1]}, "'unifrm'; did you mean 'uniform'"),
+        ({"values": []}, "values: .*got none"),
+        ({"uniform": [1.0, 1.0]}, r"uniform: .*got \[1.0, 1.0\]"),
+        ({"uniform": [0.0, 1.0, 2.0]}, r"uniform: .*got \[0.0, 1.0, 2.0\]"),
+        ({"uniform": ["a", math.inf]}, "uniform.0: .*'a'.*uniform.1: .*inf"),
+        ({"log-uniform": [0.0, 1.0]}, r"log-uniform: .*got \[0.0, 1.0\]"),
+        ({"normal": [0.0, 0.0]}, r"normal: .*got \[0.0, 0.0\]"),
+        ({"normal": [0.0, 1.0], "lower": 1, "upper": 1}, "got 1.0 and 1.0"),
+        ({"lognormal": [-1.0, 1.0]}, r"lognormal: .*got \[-1.0, 1.0\]"),
+        ({"triangular": [0.0, 2.0, 1.0]}, r"triangular: .*got \[0.0, 2.0, 1.0\]"),
+        ({"triangular": [1.0, 1.0, 1.0]}, r"triangular: .*got \[1.0, 1.0, 1.0\]"),
+        ({"exponential": 0.0}, r"exponential: .*got \[0.0\]"),
+        ({"beta": [0.0, 1.0]}, r"beta: .*got \[0.0, 1.0\]"),
+        ({"weibull": [1.0, 0.0]}, r"weibull: .*got \[1.0, 0.0\]"),
+        ({"choice": [1, 2], "weights": [1.0]}, r"weights: .* 2 values.*got \[1.0\]"),
+        ({"choice": [1, 2], "weights": [0, 0]}, r"weights: .*got \[0.0, 0.0\]"),
+        ({"choice": [1, 2], "weights": [1e308, 1e308]}, r"weights: .*got \[1e\+308, 1e\+308\]"),
+        ({"tolerance": 5}, "tolerance: .*got 5.0"),
+        ({"tolerance": 0.1, "distribution": "norml"}, "distribution: .*did you mean 'normal'"),
+        ({"linear": [0.0, 1.0]}, "'points'.*'linear'"),
+        ({"linear": [0.0, 1.0], "points": 10**9}, "points: .*1000000000"),
+        ({"linear": [1.0, 1.0], "points": 2}, r"linear: .*got \[1.0, 1.0\]"),
+        ({"log": [0.0, 1.0], "points": 2}, r"log: .*got \[0.0, 1.0\]"),
+        ({"uniform": [0, 1], "lower": 0}, "lower: .*'normal' or 'beta'.*'uniform'"),
+    ],
+)
+def test_wrong_numbers_are_refused(value, message):
+    """At the key that is wrong."""
+    with pytest.raises(TableProblems, match=message):
+        read_variation("a.x", value)
+
+
+def test_a_swap_has_paths():
+    for value, message in (({"uniform": [0, 1]}, "got 'uniform'"), (["a.fmu", 3], "1: .*got 3")):
+        with pytest.raises(TableProblems, match=message):
+            read_variation("swap.plant", value)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e3,1e6", [1e3, 1e6]),
+        ("1, 2,3", [1, 2, 3]),
+        ("[0,2],[0,4]", [[0, 2], [0, 4]]),
+        ("[0,2]", [[0, 2]]),
+        ("sine,step", ["sine", "step"]),
+        ("'a:1',b:c", ["a:1", "b:c"]),
+        ("C:x.mat", ["C:x.mat"]),
+        ("[a.fmu,b.fmu#cs]", ["a.fmu", "b.fmu#cs"]),
+        ("['a.fmu', \"b.fmu\"]", [["a.fmu", "b.fmu"]]),
+        ("log:10:1e4:25", {"log": [10.0, 1e4], "points": 25}),
+        ("linear:0:1:11", {"linear": [0.0, 1.0], "points": 11}),
+        ("choice:1,2,a", {"choice": [1, 2, "a"]}),
+    ],
+)
+def test_an_option_is_what_a_file_has(text, value):
+    assert read_vary_option(text) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("unifrm:0:1", "'unifrm' in 'unifrm:0:1'; did you mean 'uniform'"),
+        ("uniform:0:a", "'uniform:0:a'"),
+        ("log:1:10", "FIRST:LAST:POINTS, got 'log:1:10'"),
+        ("linear:1:10:inf", "FIRST:LAST:POINTS, got 'linear:1:10:inf'"),
+        ("1,,2", "empty one in '1,,2'"),
+        ("choice:", "empty one in ''"),
+    ],
+)
+def test_options_that_name_no_variation_are_refused(text, message):
+    with pytest.raises(UsageError, match=message):
+        read_vary_option(text)
