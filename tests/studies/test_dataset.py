@@ -1,0 +1,644 @@
+"""The dataset of a study: what is added is there, once, bit for bit, whenever its writer ends."""
+
+import json
+import math
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import sys
+
+import pandas
+import pyarrow.dataset
+import pytest
+
+import cosim
+from cosim.errors import DatasetError, DatasetWriteError, UsageError
+from cosim.studies import dataset as dataset_module
+from cosim.studies import storage
+from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.dataset import (
+    StudyDataset,
+    StudyIdentity,
+    differences,
+    metric_column,
+    parameter_column,
+    result_columns,
+    scenario_digests,
+)
+
+DIGESTS = {"key scenario.stop": "ab", "FMU plant.fmu": "cd", "the metrics": "ef"}
+COLUMNS = (
+    parameter_column("observer.filter_rate", [1.5], "rad/s"),
+    parameter_column("noise.seed", [1]),
+    metric_column("error", "rms(observer.delta - delta.y)"),
+    metric_column("late", "first(t, plant.y > 1)", "s"),
+)
+SESSION = ["wall_time", "worker"]  # what differs between sessions
+FAILED = [3, 10, 17, 24]
+
+
+class Planned(dict):
+    """Planned parameters, of all members, by name."""
+
+    def column(self, name, begin=0, end=None):
+        """Return the values of some members."""
+        return self[name][begin:end]
+
+
+def design(count):
+    """Return the planned parameters."""
+    return Planned(
+        {
+            "observer.filter_rate": [10.0 * 1.1 ** (number % 97) for number in range(count)],
+            "noise.seed": [number % 5 for number in range(count)],
+        }
+    )
+
+
+def identity(members, *, of=COLUMNS, **others):
+    """Return what the study is about."""
+    values = {"text": '[study]\nscenario = "academic"\n', "digests": DIGESTS, "version": "1.0"}
+    return StudyIdentity("tolerances", columns=of, members=members, **(values | others))
+
+
+def add(dataset, numbers, seed=0):
+    """Add the outcomes of members: every seventh failed, some have no ``late``."""
+    for number in numbers:
+        values = {"observer.filter_rate": 10.0 * 1.1 ** (number % 97), "noise.seed": number % 5}
+        outcome = MemberOutcome(number, "failed", f"NaN at {number} s", number, {}, seed, "")
+        if number % 7 != 3:
+            late = number / 3 if number % 4 else None
+            metrics = {"error": 1.0 / (number + 1), "late": late}
+            outcome = MemberOutcome(number, "complete", "", 1000, metrics, seed, "here")
+        dataset.add(StudyMember(number, values), outcome)
+
+
+def opened(folder, count, **given):
+    """Open the dataset of a study, or make it."""
+    return StudyDataset.open_or_create(folder, identity(count), design=design(count), **given)
+
+
+def complete(dataset, seed, report=lambda number: None):
+    """Run what is missing; members end in the order in which workers may end them."""
+    chance = random.Random(seed)
+    numbers = [number for absent in dataset.missing() for number in absent]
+    while numbers:
+        number = numbers.pop(chance.randrange(min(30, len(numbers))))
+        add(dataset, [number], seed)
+        report(number)
+
+
+def content(folder):
+    """Return what must not depend on how a study was run."""
+    return StudyDataset.open(folder).read().drop_columns([*SESSION, "log"])
+
+
+def parts(folder):
+    """Return the first and last members of parts."""
+    names = sorted(path.name for path in (folder / "parts").glob("*.parquet"))
+    return [(int(name[5:15]), int(name[16:26])) for name in names]
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Have parts of ten members."""
+    monkeypatch.setattr(dataset_module, "PART_SIZE", 10)
+
+
+@pytest.fixture
+def folder(tmp_path, small):
+    """Return a study of 30 with two parts and a journal."""
+    with opened(tmp_path / "x", 30) as dataset:
+        add(dataset, range(25))
+    return tmp_path / "x"
+
+
+# --- rows ---
+
+
+def test_values_of_every_type_come_back(tmp_path, small):
+    """Bit for bit, of parts and of the journal; what has no type of its own is JSON."""
+    values = {
+        "plant.x": [0.1, -0.0, 5e-324, math.inf, None, 1e308],
+        "seed": [2**62 + 1, 0, -1, -(2**63), None, 2**63 - 1],
+        "big": [2**63, 1, -(10**30), 2**80, None, 0],
+        "on": [True, False, None, True, True, False],
+        "swap.plant": ["a.fmu", "b ä.fmu", None, "", "\n", '"'],
+        "recording": ["one.mcap", "two.mcap", "one.mcap", None, "x", "y"],
+        "x0": [[1.0, 2.0], [], [1 / 3], None, [-0.0, math.inf], [2.0]],
+        "mixed": ["auto", 3, {"kind": "sine", "rate": 1.5}, [1, "a"], None, False],
+        "number": [1, 0.5, 2**53, None, 3, -0.0],
+    }
+    own = tuple(parameter_column(name, column) for name, column in values.items())
+    kinds = "double int64 json bool string string list<double> json double".split()
+    assert [column.type for column in own] == kinds
+    metrics = [math.nan, -0.0, math.inf, -math.inf, None, 5e-324]
+    planned = identity(26, of=(*own, metric_column("y")))
+    longer = Planned({name: column * 5 for name, column in values.items()})
+    with StudyDataset.open_or_create(tmp_path, planned, design=longer) as dataset:
+        for number in range(25):
+            chosen = {name: column[number % 6] for name, column in values.items()}
+            given = {name: value for name, value in chosen.items() if value is not None}
+            swap = {"plant": given.pop("swap.plant")} if "swap.plant" in given else {}
+            recording = given.pop("recording", None)
+            member = StudyMember(number, given, swap, recording)
+            y = {"y": metrics[number % 6]}
+            dataset.add(member, MemberOutcome(number, "complete", metrics=y))
+    assert parts(tmp_path) == [(0, 9), (10, 19)]
+    study = cosim.open_study(tmp_path)
+    table = study.table()
+    for name, kind in zip(values, kinds, strict=True):
+        expected = (values[name] * 5)[:25]
+        if kind == "json":
+            found = [None if v is None else json.loads(v) for v in table[name].to_pylist()]
+        else:
+            found = table[name].to_pylist()
+        if name == "number":
+            expected = [None if value is None else float(value) for value in expected]
+        assert repr(found) == repr(expected)
+    assert repr(table["y"].to_pylist()) == repr(([None, *metrics[1:]] * 5)[:25])
+    assert study.member(2).set["mixed"] == {"kind": "sine", "rate": 1.5}
+    assert study.member(1).swap == {"plant": "b ä.fmu"}
+    assert study.member(24).recording == "one.mcap"
+    with StudyDataset.open_or_create(tmp_path, planned, design=longer) as dataset:
+        assert dataset.missing() == [range(25, 26)]
+
+
+def test_rows_are_read_in_the_order_of_members(tmp_path, small):
+    """By chosen columns and members too, whatever the order in which they ended."""
+    with opened(tmp_path, 25) as dataset:
+        assert dataset.missing() == [range(25)]
+        add(dataset, [*range(19, 9, -1), 23, 2, 20])
+        assert dataset.missing() == [range(2), range(3, 10), range(21, 23), range(24, 25)]
+        assert (len(dataset), dataset.failed) == (13, 2)
+        with pytest.raises(AssertionError):
+            add(dataset, [12])
+    (tmp_path / "logs").mkdir()
+    for name in ("2.mcap", "11.mcap", "20.txt"):
+        (tmp_path / "logs" / name).touch()
+    dataset = StudyDataset.open(tmp_path)
+    assert dataset.read()["member"].to_pylist() == [2, *range(10, 21), 23]
+    table = dataset.read(["log", "noise.seed"], [21, 2, 24, 11, 20])
+    assert table.column_names == ["log", "noise.seed"]
+    kept = [str(tmp_path / "logs" / name) for name in ("2.mcap", "11.mcap")]
+    assert table["log"].to_pylist() == [*kept, None]
+    assert table["noise.seed"].to_pylist() == [2, 1, 0]
+    with pytest.raises(DatasetError, match=r"no column 'noise.sed'; did you mean 'noise.seed'"):
+        dataset.read(["noise.sed"])
+    assert (tmp_path / "_journal.jsonl").read_bytes().count(b"\n") <= 6
+
+
+def test_what_has_no_column_of_its_own_is_kept_as_json(tmp_path):
+    """Results of other names or types; texts that are no Unicode are written with escapes."""
+    results = result_columns({"plant.y": 1.5, "verdict": "good", "late": 3.0}, ["late"])
+    with StudyDataset.open_or_create(tmp_path, identity(1, of=results)) as dataset:
+        said = {"plant.y": "none", "verdict": "identifiable", "other.z": 2.0}
+        outcome = MemberOutcome(0, "complete", "\udcff", 1, said, 0.0, "", ("a", "b"))
+        row = dataset.row_of(StudyMember(0), outcome)
+        dataset.add(StudyMember(0), outcome)
+    (found,) = StudyDataset.open(tmp_path).read().drop_columns("log").to_pylist()
+    assert found == row
+    assert found["plant.y"] is None
+    assert found["verdict"] == "identifiable"
+    assert json.loads(found["other_results"]) == {"plant.y": "none", "other.z": 2.0}
+    assert found["reason"] == "\\udcff"
+    assert found["warnings"] == "a\nb"
+
+
+# --- growth ---
+
+
+def test_a_study_grows_from_part_to_part(tmp_path, small):
+    """Parts are never changed: the next one begins where the last one ended."""
+    with opened(tmp_path, 25) as dataset:
+        add(dataset, range(24))
+    for count, absent in [(27, [24, 25, 26]), (28, [27]), (41, range(28, 41))]:
+        before = {path: path.read_bytes() for path in (tmp_path / "parts").iterdir()}
+        with opened(tmp_path, count) as dataset:
+            assert [n for numbers in dataset.missing() for n in numbers] == [*absent]
+            complete(dataset, count)
+        assert all(path.read_bytes() == content for path, content in before.items())
+    assert parts(tmp_path) == [(0, 9), (10, 19), (20, 26), (27, 27), (28, 29), (30, 39), (40, 40)]
+    with opened(tmp_path / "whole", 41) as dataset:
+        complete(dataset, 0)
+    assert content(tmp_path).equals(content(tmp_path / "whole"))
+    assert (tmp_path / "_journal.jsonl").read_bytes() == b""
+
+
+def test_a_study_that_was_planned_larger_can_end_before(tmp_path, small):
+    """What is recorded stays in the plan; with a member beyond it the study is refused."""
+    with opened(tmp_path, 1000) as dataset:
+        add(dataset, range(13))
+    with opened(tmp_path, 15) as dataset:
+        add(dataset, [13, 14])
+    assert parts(tmp_path) == [(0, 9), (10, 14)]
+    with pytest.raises(DatasetError, match="member 14 is recorded, but only 12 members are pla"):
+        opened(tmp_path, 12)
+    assert StudyDataset.open(tmp_path).total == 15
+
+
+def test_parts_of_a_thousand_grow_within_and_across(tmp_path):
+    """As users have them."""
+    for count in (700, 1300, 2500):
+        with opened(tmp_path, count) as dataset:
+            complete(dataset, count)
+    assert parts(tmp_path) == [(0, 699), (700, 999), (1000, 1299), (1300, 1999), (2000, 2499)]
+    table = StudyDataset.open(tmp_path).read(["member", "noise.seed"])
+    assert table["member"].to_pylist() == list(range(2500))
+    assert table["noise.seed"].to_pylist() == design(2500)["noise.seed"]
+
+
+# --- kills and full disks ---
+
+COUNT = 60
+CALLS = ["write", "ftruncate", "fsync", "replace", "unlink"]  # of the system, that change files
+processes = multiprocessing.get_context("forkserver")
+processes.set_forkserver_preload([__name__])
+
+
+def write(pipe, folder, cut):
+    """Make a dataset that grows, or go on with it, until the call that kills this process."""
+    dataset_module.PART_SIZE = 10
+    calls = iter(range(10**9))
+
+    def cutting(call):
+        def killing(*arguments):
+            if next(calls) < cut:
+                return call(*arguments)
+            if call is os_write:  # half of it
+                call(arguments[0], arguments[1][: len(arguments[1]) // 2])
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        return killing
+
+    os_write = os.write
+    for name in CALLS:
+        setattr(os, name, cutting(getattr(os, name)))
+    for count in (35, COUNT):
+        with opened(folder, count) as dataset:
+            complete(dataset, cut, pipe.send)
+    pipe.send(None)
+
+
+def killed(folder, cut):
+    """Return the members that a process has added until it was killed; None: it has not been."""
+    receiver, sender = processes.Pipe(duplex=False)
+    process = processes.Process(target=write, args=(sender, folder, cut))
+    process.start()
+    sender.close()
+    added = []
+    with pytest.raises(EOFError):
+        while True:
+            added.append(receiver.recv())
+    process.join()
+    return added
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals to kill with")
+@pytest.mark.parametrize("instants", [20, pytest.param(150, marks=pytest.mark.campaign)])
+def test_a_study_that_is_killed_at_any_instant_goes_on(tmp_path, small, instants):
+    """What was added is there, once; in the end the content is that of an undisturbed study."""
+    with opened(tmp_path / "whole", COUNT) as dataset:
+        complete(dataset, 0)
+    expected = content(tmp_path / "whole")
+    for cut in sorted(random.Random(instants).sample(range(150), instants)):
+        folder = tmp_path / str(cut)
+        added = killed(folder, cut)
+        if None in added:
+            break
+        added += killed(folder, cut // 2 + 3)
+        opened(folder, COUNT).close()
+        left = StudyDataset.open(folder).read(["member"])["member"].to_pylist()
+        assert left == sorted(set(left))
+        assert set(added) - {None} <= set(left)
+        with opened(folder, COUNT) as dataset:
+            complete(dataset, 1)
+        assert content(folder).equals(expected)
+        assert not list(folder.rglob("_*tmp"))
+        assert (folder / "_journal.jsonl").read_bytes() == b""
+    assert cut > 90
+
+
+@pytest.mark.parametrize("room", [1, 700, 1700, 2000, 5000, 9000, 20000])
+def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, small, monkeypatch, room):
+    """Wherever it is noticed: in the description, the journal, or a part."""
+    with opened(tmp_path / "whole", COUNT) as dataset:
+        complete(dataset, 0)
+    added = []
+    os_write = os.write
+    left = [room]
+
+    def full(descriptor, content):
+        if not left[0]:
+            raise OSError(28, os.strerror(28))
+        written = os_write(descriptor, content[: left[0]])
+        left[0] -= written
+        return written
+
+    with monkeypatch.context() as patch:
+        patch.setattr(storage.os, "write", full)
+        with (
+            pytest.raises(DatasetWriteError, match=r"No space left on device; all outcomes so f"),
+            opened(tmp_path / "x", COUNT) as dataset,
+        ):
+            complete(dataset, 1, added.append)
+    with opened(tmp_path / "x", COUNT) as dataset:
+        assert set(added) <= set(dataset.read(["member"])["member"].to_pylist())
+        assert len(dataset) <= len(added) + 1  # the member whose part could not be written
+        complete(dataset, 2)
+    assert content(tmp_path / "x").equals(content(tmp_path / "whole"))
+    assert not list((tmp_path / "x").rglob("_*tmp"))
+
+
+def test_who_reads_while_a_study_runs_misses_nothing_that_was_there_before(tmp_path, small):
+    """Whatever moves from the journal into a part just then."""
+    with opened(tmp_path, COUNT) as dataset:
+        read = storage.Folder.read
+        numbers = iter(range(COUNT))
+
+        def reading(folder, name):
+            found = read(folder, name)
+            if name == dataset_module.JOURNAL:  # the writer goes on
+                add(dataset, [next(numbers) for _ in range(12)])
+            return found
+
+        for count in (0, 12, 24, 36):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(storage.Folder, "read", reading)
+                study = StudyDataset.open(tmp_path)
+            found = study.read(["member"])["member"].to_pylist()
+            assert found == sorted(set(found))
+            assert set(range(count)) <= set(found) <= set(range(count + 12))
+        earlier = cosim.open_study(tmp_path)
+        complete(dataset, 0)
+        assert earlier.table(["member"])["member"].to_pylist() == list(range(48))
+
+
+def test_two_studies_cannot_write_one_dataset_at_once(folder):
+    """The second is refused while the first writes; who reads is not."""
+    with opened(folder, 30):
+        with pytest.raises(DatasetError, match=rf"is writing there \(process {os.getpid()}\)"):
+            opened(folder, 30, new=True)
+        assert len(StudyDataset.open(folder)) == 25
+    opened(folder, 30).close()
+
+
+# --- damage ---
+
+
+@pytest.mark.parametrize("stride", [41, pytest.param(1, marks=pytest.mark.campaign)])
+def test_a_flipped_bit_is_named_or_harmless(folder, stride):
+    """Anywhere in any file: never is anything read that was not written."""
+    expected = content(folder)
+    rows = {row["member"]: row for row in expected.to_pylist()}
+    named = 0
+    for path in [*folder.glob("*.json*"), *folder.glob("parts/*")]:
+        whole = path.read_bytes()
+        for place in range(0, len(whole), stride):
+            flipped = whole[place] ^ (1 << place // stride % 8)
+            path.write_bytes(whole[:place] + bytes([flipped]) + whole[place + 1 :])
+            try:
+                found = content(folder)
+            except DatasetError as error:
+                named += 1
+                assert str(path) in str(error)
+            else:
+                assert all(rows[row["member"]] == row for row in found.to_pylist())
+                assert len(found) >= 24  # the last line of a journal, as one that was cut
+        path.write_bytes(whole)
+    assert named > 100
+
+
+def test_what_is_damaged_is_removed_and_run_again(folder):
+    """A part, and a line of the journal; one that a kill has cut is dropped by itself."""
+    expected = content(folder)
+    journal = folder / "_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([lines[0], b"[1, 2\n", *lines[1:]]))
+    with pytest.raises(DatasetError, match=r"_journal.jsonl: line 2 is damaged; remove that line"):
+        StudyDataset.open(folder)
+    journal.write_bytes(b"".join(lines)[:-9])
+    part = min((folder / "parts").iterdir())
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(DatasetError, match=r"part-0000000000-.*damaged.* remove it and run the st"):
+        StudyDataset.open(folder).read()
+    part.unlink()
+    with opened(folder, 30) as dataset:
+        assert dataset.missing() == [range(10), range(24, 30)]
+        add(dataset, [*range(10), 24])
+    assert content(folder).equals(expected)
+
+
+def test_files_of_another_dataset_are_none_of_this_one(folder, tmp_path):
+    """Though it is one of the same study; overlapping ones are named, other names left alone."""
+    shutil.copytree(folder, tmp_path / "y")
+    with opened(tmp_path / "y", 30, new=True) as dataset:
+        add(dataset, range(25), seed=1)
+    other = {path.name[:26]: path for path in (tmp_path / "y" / "parts").iterdir()}
+    for path in [*(folder / "parts").iterdir()]:
+        content = other[path.name[:26]].read_bytes()
+        shutil.copy(other[path.name[:26]], folder / "parts")
+        with pytest.raises(DatasetError, match="not a part of this dataset; remove it"):
+            StudyDataset.open(folder)
+        (folder / "parts" / other[path.name[:26]].name).unlink()
+        path.write_bytes(content)
+        with pytest.raises(DatasetError, match=f"{path.name}: damaged"):
+            StudyDataset.open(folder).read()
+    (folder / "parts" / "mine.parquet").touch()
+    (folder / "_journal.jsonl").write_bytes((tmp_path / "y" / "_journal.jsonl").read_bytes())
+    with pytest.raises(DatasetError, match="line 1 is damaged"):
+        StudyDataset.open(folder)
+
+
+def test_a_part_that_is_removed_while_it_is_read_is_named(folder):
+    """As by a study that begins anew."""
+    dataset = StudyDataset.open(folder)
+    min((folder / "parts").iterdir()).unlink()
+    with pytest.raises(DatasetError, match=r"parquet: removed while it was read"):
+        dataset.read()
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"format": 1, "cosim": "0.1.0"}, "expected dataset format 3, got 1; read it with cosim 0"),
+        ({"format": 2, "cosim": "0.2.0"}, r"format 3, got 2; read it with cosim 0\.2\.0"),
+        ({"format": 4}, r"format 3, got 4; read it with cosim 1\.0"),
+        ({"members": 31}, "study.json is damaged; .* new=True"),
+    ],
+)
+def test_other_formats_and_damaged_descriptions_are_refused(folder, changes, text):
+    """Those that were written before have the version as ``cosim``."""
+    path = folder / "study.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    for call in (StudyDataset.open, lambda place: opened(place, 30)):
+        with pytest.raises(DatasetError, match=text):
+            call(folder)
+    with opened(folder, 30, new=True) as dataset:
+        assert dataset.missing() == [range(30)]
+
+
+# --- whose dataset it is ---
+
+SCENARIO = {
+    "scenario": {"stop": 1.0, "step": 0.1},
+    "components": {"a": {"kind": "lag"}, "b": {"kind": "sine"}},
+    "connections": {"a.u": "b.y"},
+    "actions": [{"at": 1.0}],
+    "record": {},
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({}, ""),
+        ({"components": {"b": {"kind": "sine"}, "a": {"kind": "lag"}}}, ""),
+        ({"scenario": {"stop": 2.0, "step": 0.1}}, "key scenario.stop changed"),
+        ({"scenario": {"stop": 1, "step": 0.1}}, "key scenario.stop changed"),
+        ({"scenario": {"stop": 1.0}}, "key scenario.step is no longer part of it"),
+        ({"scenario": {"stop": 1.0, "step": 0.1, "until": "t > 1"}}, "key scenario.until is new"),
+        ({"connections": {"a": {"u": "b.y"}}}, "key connections.a.u is no longer part of it; "),
+        ({"actions": []}, "key actions changed"),
+        ({"record": {"every": 2}}, "key record is no longer part of it; key record.every is new"),
+        ({"components": {f"c{i}": {} for i in range(20)}}, "; and 14 other differences"),
+    ],
+)
+def test_every_key_of_a_scenario_tells_studies_apart(changes, text):
+    """Whatever their order; those that differ are named, or counted where they are many."""
+    before = identity(5, digests=scenario_digests(SCENARIO))
+    found = differences(before, identity(5, digests=scenario_digests(SCENARIO | changes)))
+    assert text in found
+    assert bool(text) == bool(found)
+
+
+def test_another_study_is_refused_by_what_differs(folder):
+    """A new beginning removes the files of the dataset, and no others."""
+    (folder / "notes.txt").touch()
+    (folder / "parts" / "mine.parquet").touch()
+    before = content(folder)
+    of = (parameter_column("noise.seed", [0.5]), *COLUMNS[2:])
+    digests = {"key scenario.stop": "00", "the metrics": "00"}
+    other = identity(5, digests=digests, version="2.0", of=of)
+    for call in (StudyDataset.check, StudyDataset.open_or_create):
+        with pytest.raises(DatasetError) as caught:
+            call(folder, other)
+        assert str(caught.value) == (
+            f"{folder} holds the dataset of another study: it was made by cosim 1.0, this is 2.0; "
+            "key scenario.stop changed; FMU plant.fmu is no longer part of it; the metrics "
+            "changed; observer.filter_rate is no longer varied; the values of noise.seed were of "
+            "type int64, are double; choose another folder, or use new=True to delete it and "
+            "start over"
+        )
+    assert content(folder).equals(before)
+    with StudyDataset.open_or_create(folder, other, new=True) as dataset:
+        assert dataset.missing() == [range(5)]
+    assert [path.name for path in (folder / "parts").iterdir()] == ["mine.parquet"]
+    assert (folder / "notes.txt").exists()
+
+
+def test_files_that_a_study_is_grown_by_belong_to_it(folder):
+    """From then on."""
+    more = DIGESTS | {"FMU other.fmu": "12"}
+    StudyDataset.open_or_create(folder, identity(40, digests=more)).close()
+    with pytest.raises(DatasetError, match=r"another study: FMU other.fmu is no longer part of it"):
+        opened(folder, 40)
+
+
+def test_members_that_were_renumbered_are_refused_by_the_first(folder):
+    """Bit for bit; of those that are recorded."""
+    planned = design(30)
+    planned["noise.seed"][21] = 4
+    planned["observer.filter_rate"][29] = 0.0  # not recorded yet
+    with pytest.raises(DatasetError, match=r"member 21 was noise.seed = 1, is 4; members keep"):
+        StudyDataset.open_or_create(folder, identity(30), design=planned)
+    planned["observer.filter_rate"][7] += 2**-40
+    with pytest.raises(DatasetError, match=r"member 7 was observer.filter_rate = 19.487171"):
+        StudyDataset.open_or_create(folder, identity(30), design=planned)
+    one = identity(1, of=(parameter_column("x", [0.0]),))
+    with StudyDataset.open_or_create(folder, one, new=True) as dataset:
+        dataset.add(StudyMember(0, {"x": -0.0}), MemberOutcome(0, "complete"))
+    with pytest.raises(DatasetError, match=r"member 0 was x = -0.0, is 0.0"):
+        StudyDataset.open_or_create(folder, one, design=Planned({"x": [0.0]}))
+
+
+def test_what_is_no_dataset_is_left_alone(folder, tmp_path):
+    """Parts of nobody, a file of another program, two columns of one name, no dataset, no path."""
+    (folder / "study.json").unlink()
+    with pytest.raises(DatasetError, match=r"belongs to a dataset, but no study.json says to wh"):
+        opened(folder, 30)
+    assert len(parts(folder)) == 2
+    (folder / "study.json").write_text('{"a": 1}')
+    with pytest.raises(DatasetError, match=r"study\.json is not that of a dataset; choose another"):
+        opened(folder, 30, new=True)
+    assert (folder / "study.json").read_text() == '{"a": 1}'
+    for of in ([metric_column("status")], [metric_column("y"), metric_column("y")]):
+        with pytest.raises(DatasetError, match="already has this name"):
+            StudyDataset.open_or_create(tmp_path / "y", identity(3, of=tuple(of)))
+    with pytest.raises(DatasetError, match=r"no study.json there; expected the dataset of a stud"):
+        cosim.open_study(tmp_path / "y")
+    with pytest.raises(UsageError, match="got an empty path"):
+        opened("", 3)
+    assert not (tmp_path / "y").exists()
+
+
+# --- readers ---
+
+
+def test_pandas_and_pyarrow_read_the_parts(folder):
+    """By their folder; what a kill has left of a part is none."""
+    with opened(folder, 30) as dataset:
+        complete(dataset, 0)
+    (folder / "parts" / "_part-0000000030-0000000039-0.parquet.cosim-tmp").write_bytes(b"PAR1")
+    frame = pandas.read_parquet(folder / "parts")
+    assert frame["observer.filter_rate"].tolist() == design(30)["observer.filter_rate"]
+    assert frame["member"][frame["status"] == "failed"].tolist() == FAILED
+    whole = pyarrow.dataset.dataset(folder / "parts", ignore_prefixes=["_"]).to_table()
+    assert whole.equals(cosim.open_study(folder).table().drop_columns("log"))
+    assert whole.schema.field("late").metadata[b"unit"] == b"s"
+
+
+@pytest.mark.slow
+def test_polars_and_duckdb_read_the_parts(folder):
+    """By a pattern; the names of columns are those of the study."""
+    import duckdb
+    import polars
+
+    with opened(folder, 30) as dataset:
+        complete(dataset, 0)
+    (folder / "parts" / "_part-0000000030-0000000039-0.parquet.cosim-tmp").write_bytes(b"PAR1")
+    frame = polars.read_parquet(folder / "parts" / "*.parquet")
+    errors = [None if number in FAILED else 1.0 / (number + 1) for number in range(30)]
+    assert frame["error"].to_list() == errors
+    assert cosim.open_study(folder).to_polars()["error"].to_list() == errors
+    parts = folder / "parts" / "*.parquet"
+    query = f"""select member, "noise.seed" from '{parts}' where error < 0.04 order by member"""
+    assert duckdb.sql(query).fetchall() == [(n, n % 5) for n in range(25, 30)]
+
+
+def test_a_study_says_what_it_holds(folder, monkeypatch):
+    """Its names, units and failures; as a frame of pandas by member."""
+    study = cosim.open_study(str(folder))
+    assert (len(study), study.planned) == (25, 30)
+    assert study.name == "tolerances"
+    assert study.parameters == ("observer.filter_rate", "noise.seed")
+    assert study.metrics == ("error", "late")
+    assert study.columns[0] == "member"
+    assert study.units == {"observer.filter_rate": "rad/s", "late": "s", "wall_time": "s"}
+    assert study.failures == {n: f"NaN at {n} s" for n in FAILED}
+    assert (study.logs, study.warnings) == ({}, {})
+    assert repr(study) == "<Study 'tolerances': 25 of 30 members>"
+    frame = study.to_pandas(["error"])
+    assert frame.index.tolist() == list(range(25))
+    assert frame.columns.tolist() == ["error"]
+    assert [member.number for member in study.members([7, 5, 29])] == [5, 7]
+    with pytest.raises(UsageError, match="no outcome of member 29; available: 25 of 30"):
+        study.member(29)
+    monkeypatch.setitem(sys.modules, "polars", None)
+    with pytest.raises(UsageError, match=r"to_polars needs polars, .* pip install polars"):
+        study.to_polars()
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(UsageError, match="studies need pyarrow, which is not installed: pip inst"):
+        cosim.open_study(folder)
