@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.studies.cluster.processes import cluster
+from tests.studies.in_process import run_members_in_this_process, run_members_in_workers
 
 S3_SERVER = """
 import sys
