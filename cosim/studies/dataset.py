@@ -8,23 +8,29 @@
     _lock             held by who writes (in folders)
     logs/7.mcap       logs of members that are kept
 
-A row is in the journal first. When the last member of a part has come, the part is written, and its
-lines in the journal no longer count. The last part of a study that has grown is read back, and
-replaced when it is complete again. So there is always one place from which a row is read.
+A row is in the journal first. When all members of a part have come, the part is written, and their
+lines in the journal no longer count. A part is never changed: where a study has grown, the next one
+begins where the last one ended. So there is always one place from which a row is read.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
 import re
+import secrets
 import zlib
+from bisect import bisect, insort
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
-from typing import Any, Final, Literal, Protocol, Self, TypeAlias, final
+from typing import Any, Final, Literal, NamedTuple, Protocol, Self, TypeAlias, final
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -56,6 +62,7 @@ LOG: Final = "log"
 WARNINGS: Final = "warnings"
 _PART: Final = re.compile(r"part-(\d+)-(\d+)-([0-9a-f]{8})\.parquet")
 _LOG: Final = re.compile(r"(\d+)\.(mcap|txt)")
+_PERIOD: Final = 10.0  # [s] between two writes of a journal to which nothing can be appended
 _SHOWN: Final = 8  # differences
 _LARGEST_EXACT: Final = 2**53  # every whole number up to it is a double
 
@@ -129,9 +136,8 @@ def _type_of(values: Iterable[Any]) -> ColumnType:
         values = values[:1].tolist()
     present = [value for value in values if value is not None]
     types = {_kind(value) for value in present}
-    if types == {"int64", "double"}:
-        whole = (abs(value) for value in present if isinstance(value, int))
-        return "double" if max(whole) <= _LARGEST_EXACT else "json"
+    if types == {"int64", "double"} and all(map(_is_double, present)):
+        return "double"
     return types.pop() if len(types) == 1 else "json"
 
 
@@ -145,15 +151,13 @@ def _kind(value: Any) -> ColumnType:
             return "double"
         case str():
             return "string"
-        case list() | tuple() if all(
-            _kind(element) == "double" or _fits(element) for element in value
-        ):
+        case list() | tuple() if all(map(_is_double, value)):
             return "list<double>"
     return "json"
 
 
-def _fits(value: Any) -> bool:
-    return type(value) is int and abs(value) <= _LARGEST_EXACT
+def _is_double(value: Any) -> bool:
+    return isinstance(value, float) or (type(value) is int and abs(value) <= _LARGEST_EXACT)
 
 
 def json_value(text: str) -> Any:
@@ -202,6 +206,8 @@ class StudyIdentity:
         That are planned; the dataset may grow.
     version : str
         Of cosim.
+    salt : str
+        Of the checksums of parts and rows, which those of another dataset do not have.
     """
 
     name: str
@@ -210,6 +216,7 @@ class StudyIdentity:
     columns: tuple[StudyColumn, ...]
     members: int
     version: str = __version__
+    salt: str = field(default_factory=partial(secrets.token_hex, 8))
 
     @property
     def all_columns(self) -> tuple[StudyColumn, ...]:
@@ -233,8 +240,8 @@ class StudyIdentity:
 
     def to_json(self) -> bytes:
         """Return the description of a dataset."""
-        content: dict[str, Any] = {"format": FORMAT, **asdict(self)}
-        content["checksum"] = digest_of(content)
+        fields = asdict(self)
+        content = {"format": FORMAT, "checksum": digest_of(fields), **fields}
         return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 
     @classmethod
@@ -246,24 +253,24 @@ class StudyIdentity:
         DatasetError
             If it is damaged, or of another format.
         """
+        version = FORMAT
         try:
             found = read_json(content)
-            checksum = found.pop("checksum")
-            version = found["format"]
+            version = found.pop("format")
+            if version == FORMAT and found.pop("checksum") == digest_of(found):
+                return TypeAdapter(cls).validate_python(found)
         except (ValueError, KeyError, TypeError, AttributeError):
-            version = checksum = None
-        if version not in (None, FORMAT):
+            pass
+        if version != FORMAT:
+            writer = found.get("cosim", found.get("version"))  # before format 3, since
             raise DatasetError(
                 f"{label}: expected dataset format {FORMAT}, got {version!r}; read it with cosim "
-                f"{found.get('cosim')}, or choose another folder"
+                f"{writer}, or choose another folder"
             )
-        if version is None or checksum != digest_of(found):
-            raise DatasetError(
-                f"{label} is damaged; restore it from a copy, or use {flag('new')} to start over "
-                "without the recorded members"
-            )
-        del found["format"]
-        return TypeAdapter(cls).validate_python(found)
+        raise DatasetError(
+            f"{label} is damaged; restore it from a copy, or use {flag('new')} to start over "
+            "without the recorded members"
+        )
 
 
 def scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
@@ -316,6 +323,12 @@ class PlannedColumns(Protocol):
 # --- the dataset ---
 
 
+class _Part(NamedTuple):
+    first: int
+    last: int
+    name: str
+
+
 @final
 class StudyDataset:
     """The outcomes of a study; a context manager that closes it.
@@ -324,31 +337,25 @@ class StudyDataset:
     """
 
     def __init__(self, storage: Folder | Bucket, identity: StudyIdentity, *, writes: bool) -> None:
-        self._storage = storage
+        self.storage = storage
         self.identity = identity
         self.columns = identity.all_columns
-        types = {column.name: column.type for column in identity.columns}
-        self._salt = digest_of([identity.version, identity.name, types]).encode()
         self._schema = _arrow_schema(self.columns)
-        # whose rows are known: those of the journal first, as its lines end when a part is there
-        self._open: dict[int, dict[int, list[Any]]] = {}  # by the first member of the part
-        lines = self._read_journal()
+        self._writes = writes
+        # the journal before the parts: its lines end when they are in one
+        journal = storage.read(JOURNAL) or b""
+        rows = self._read_journal(journal)
         self._parts = self._listed_parts()
-        self._loose: set[int] = set()  # rows whose place is a part that is to be replaced
-        self._journal = None
+        self._rows = {number: row for number, row in rows.items() if not self._is_in_part(number)}
+        self._lines = len(rows)  # of the journal
+        self._unwritten = 0  # rows that are not in it yet
+        self._due = monotonic() + _PERIOD
         if writes:
-            self._reopen_short_parts()
-        for first, part in self._parts.items():
-            rows = self._open.get(first, {})
-            for number in part[0]:
-                rows.pop(number, None)
-            if not rows:
-                self._open.pop(first, None)
-        if writes:
-            self._lines = lines
-            self._journal = storage.journal(JOURNAL)
-            for first in [*self._open]:
-                self._write_if_complete(first)
+            for number in sorted(self._rows):
+                if number in self._rows:
+                    self._write_if_complete(number)
+            if journal != b"".join(map(self._line, self._rows.values())):
+                self._write_journal()
 
     @staticmethod
     def is_at(place: str | Path) -> bool:
@@ -411,16 +418,14 @@ class StudyDataset:
             if new:
                 _remove(storage)
             recorded = _identity(storage)
-            if recorded is None:
-                left = _files(storage)
-                if left:
-                    raise DatasetError(
-                        f"{storage.label(left[0])} belongs to a dataset, but no {DESCRIPTION} says "
-                        f"to which; choose another folder, or use {flag('new')} to delete it and "
-                        "start over"
-                    )
-            else:
+            if recorded is not None:
                 identity = _grown(storage, recorded, identity, design)
+            elif left := _files(storage):
+                raise DatasetError(
+                    f"{storage.label(left[0])} belongs to a dataset, but no {DESCRIPTION} says to "
+                    f"which; choose another folder, or use {flag('new')} to delete it and start "
+                    "over"
+                )
             if identity != recorded:
                 storage.write(DESCRIPTION, identity.to_json())
             return cls(storage, identity, writes=True)
@@ -440,7 +445,7 @@ class StudyDataset:
             As of :meth:`open_or_create`, and if there is none.
         """
         dataset = cls.open(place)
-        _grown(dataset._storage, dataset.identity, identity, design)
+        _grown(dataset.storage, dataset.identity, identity, design)
 
     def __enter__(self) -> Self:
         return self
@@ -455,32 +460,27 @@ class StudyDataset:
 
     def close(self) -> None:
         """Let others write; twice does no harm."""
-        if self._journal is not None:
-            journal, self._journal = self._journal, None
+        if self._writes:
+            self._writes = False
             try:
-                journal.close()
+                if self._unwritten:
+                    self._write_journal()
             finally:
-                self._storage.close()
+                self.storage.close()
 
     @property
     def label(self) -> str:
         """Its place."""
-        return self._storage.label()
+        return self.storage.label()
 
     @property
     def total(self) -> int:
         """How many members are planned."""
         return self.identity.members
 
-    @property
-    def storage(self) -> Folder | Bucket:
-        """Where it is."""
-        return self._storage
-
     def __len__(self) -> int:
         """Return how many members have an outcome."""
-        whole = sum(len(part) for part, _ in self._parts.values())
-        return whole + sum(map(len, self._open.values()))
+        return sum(part.last - part.first + 1 for part in self._parts) + len(self._rows)
 
     @property
     def failed(self) -> int:
@@ -489,19 +489,14 @@ class StudyDataset:
 
     def missing(self) -> list[range]:
         """Return the members without an outcome, as ranges in order."""
-        found: list[range] = []
-        for first in range(0, self.total, PART_SIZE):
-            there = self._open.get(first, {})
-            begin = self._parts[first][0].stop if first in self._parts else first
-            end = min(first + PART_SIZE, self.total)
-            absent = [range(begin, end)] if begin < end else []
-            if there:
-                absent = [range(n, n + 1) for n in range(begin, end) if n not in there]
-            for numbers in absent:
-                if found and found[-1].stop == numbers.start:
-                    found[-1] = range(found[-1].start, numbers.stop)
-                else:
-                    found.append(numbers)
+        there = [(part.first, part.last) for part in self._parts]
+        there += [(number, number) for number in self._rows]
+        found = []
+        begin = 0
+        for first, last in [*sorted(there), (self.total, self.total)]:
+            if begin < first:
+                found.append(range(begin, first))
+            begin = last + 1
         return found
 
     # --- writing ---
@@ -514,39 +509,50 @@ class StudyDataset:
         DatasetWriteError
             If it cannot be written; what was written before is there.
         """
-        assert self._journal is not None
+        number = member.number
+        assert self._writes
+        assert number not in self._rows
+        assert not self._is_in_part(number)
         row = self._row(member, outcome)
-        self._journal.append(_line(row))
-        self._lines += 1
-        first = member.number - member.number % PART_SIZE
-        self._open.setdefault(first, {})[member.number] = row
-        self._write_if_complete(first)
+        if isinstance(self.storage, Folder):
+            self.storage.append(JOURNAL, self._line(row))
+            self._lines += 1
+        else:
+            self._unwritten += 1
+        self._rows[number] = row
+        self._write_if_complete(number)
+        if self._unwritten and monotonic() >= self._due:
+            self._write_journal()
 
-    def _write_if_complete(self, first: int) -> None:
-        rows = self._open[first]
-        numbers = range(first, min(first + PART_SIZE, self.total))
-        if len(rows) < len(numbers):
+    def _write_if_complete(self, number: int) -> None:
+        """Write the part of a member: between those that are there, in a thousand of its own."""
+        place = bisect(self._parts, (number,))
+        begin = number - number % PART_SIZE
+        end = min(begin + PART_SIZE, self.total)
+        begin = max([begin, *(part.last + 1 for part in self._parts[max(place - 1, 0) : place])])
+        end = min([end, *(part.first for part in self._parts[place : place + 1])])
+        if not all(other in self._rows for other in reversed(range(begin, end))):
             return
         from pyarrow import parquet
 
         stream = io.BytesIO()
         texts = [column.name for column in self.columns if column.type in ("string", "json")]
-        table = self._table([rows[number] for number in numbers])
+        table = self._table(range(begin, end))
         parquet.write_table(table, stream, compression="zstd", use_dictionary=texts)
         content = stream.getvalue()
-        name = f"part-{first:010d}-{numbers[-1]:010d}-{self._checksum(content)}.parquet"
-        self._storage.write(f"{PARTS}/{name}", content)
-        self._parts[first] = (numbers, name)
-        del self._open[first]
-        self._loose.difference_update(numbers)
-        assert self._journal is not None
-        kept = [row for rows in self._open.values() for row in rows.values()]
-        kept = [row for row in kept if row[0] not in self._loose]
-        if self._lines > 2 * len(kept):
-            self._journal.replace([_line(row) for row in kept])
-            self._lines = len(kept)
-        others = [other for other in self._storage.names(PARTS) if other != name]
-        self._storage.remove(f"{PARTS}/{o}" for o in others if o.startswith(name[:16]))
+        name = f"part-{begin:010d}-{end - 1:010d}-{self._checksum(content)}.parquet"
+        self.storage.write(f"{PARTS}/{name}", content)
+        insort(self._parts, _Part(begin, end - 1, name))
+        for other in range(begin, end):
+            del self._rows[other]
+        if self._lines > 2 * len(self._rows):
+            self._write_journal()
+
+    def _write_journal(self) -> None:
+        self.storage.write(JOURNAL, b"".join(map(self._line, self._rows.values())))
+        self._lines = len(self._rows)
+        self._unwritten = 0
+        self._due = monotonic() + _PERIOD
 
     # --- reading ---
 
@@ -567,181 +573,154 @@ class StudyDataset:
         DatasetError
             If a column is unknown, or a part is damaged.
         """
-        names = self._names(columns)
-        return pyarrow().concat_tables(
-            [self._chosen(names).empty_table(), *self.tables(names, members)]
-        )
+        schema = self._chosen(columns)
+        return pyarrow().concat_tables([schema.empty_table(), *self.tables(schema.names, members)])
 
     def tables(
         self, columns: Iterable[str] | None = None, members: Collection[int] | None = None
     ) -> Iterator[Any]:
         """Yield what :meth:`read` returns part by part, in memory for one of them."""
         arrow = pyarrow()
-        names = self._names(columns)
+        schema = self._chosen(columns)
+        names = [MEMBER, *(name for name in schema.names if name not in (MEMBER, LOG))]
         chosen = None if members is None else np.asarray(list(members), np.int64)
-        logs = self.logs() if LOG in names else {}
-        for first in sorted({*self._parts, *self._open}):
-            inside = (
-                (chosen >= first) & (chosen < first + PART_SIZE) if chosen is not None else None
-            )
-            if inside is not None and not inside.any():
+        logs = self.logs() if LOG in schema.names else {}
+        for first, last, part in self._pieces():
+            if chosen is not None and not ((first <= chosen) & (chosen <= last)).any():
                 continue
-            table = self._rows_of(first, [MEMBER, *(n for n in names if n not in (MEMBER, LOG))])
+            table = self._read_part(part, names) if isinstance(part, str) else self._table(part)
             if chosen is not None:
                 table = table.filter(arrow.array(np.isin(table[MEMBER].to_numpy(), chosen)))
-            if LOG in names:
-                places = [logs.get(number) for number in table[MEMBER].to_pylist()]
-                table = table.append_column(LOG, arrow.array(places, arrow.string()))
-            yield table.select(names).cast(self._chosen(names))
+            places = [logs.get(number) for number in table[MEMBER].to_pylist()]
+            table = table.append_column(LOG, arrow.array(places, arrow.string()))
+            yield table.select(schema.names).cast(schema)
+
+    def _pieces(self) -> Iterator[tuple[int, int, str | list[int]]]:
+        """Yield parts by name, and the members between them that are in none, in order."""
+        between = groupby(sorted(self._rows), lambda number: bisect(self._parts, (number,)))
+        open_rows = {place: list(numbers) for place, numbers in between}
+        for place in range(len(self._parts) + 1):
+            if numbers := open_rows.get(place):
+                yield numbers[0], numbers[-1], numbers
+            yield from self._parts[place : place + 1]
 
     def row_of(self, member: StudyMember, outcome: MemberOutcome) -> dict[str, Any]:
         """Return the row of an outcome as it would be read when it was added; nothing is."""
-        (row,) = self._table([self._row(member, outcome)]).to_pylist()
+        rows = [self._row(member, outcome)]
+        (row,) = pyarrow().Table.from_pylist(rows, schema=self._schema).to_pylist()
         return dict(row)
 
     def logs(self) -> dict[int, str]:
         """Return the places of the logs that are kept, by member."""
-        found = (_LOG.fullmatch(name) for name in self._storage.names(LOGS))
+        found = map(_LOG.fullmatch, self.storage.names(LOGS))
         return {
-            int(log[1]): self._storage.label(f"{LOGS}/{log[0]}")
+            int(log[1]): self.storage.label(f"{LOGS}/{log[0]}")
             for log in found
             if log is not None and log[2] == "mcap"
         }
 
     # --- rows ---
 
-    def _row(self, member: StudyMember, outcome: MemberOutcome) -> list[Any]:
-        """Return the values of a row, as JSON takes them; a metric is never NaN."""
-        row: list[Any] = []
+    def _row(self, member: StudyMember, outcome: MemberOutcome) -> dict[str, Any]:
+        """Return a row as JSON takes it; a metric is never NaN."""
+        swaps = {f"{SWAP}{name}": path for name, path in member.swap.items()}
+        given = {**member.set, **swaps, RECORDING: member.recording}
         others = dict(outcome.metrics)
-        for column in self.columns:
-            name = column.name
+        row: dict[str, Any] = {MEMBER: outcome.number}
+        for column in self.identity.columns:
+            value = (given if column.role == "parameter" else others).get(column.name)
             if column.role == "parameter":
-                swapped = member.swap.get(name.removeprefix(SWAP)) if SWAP in name else None
-                value = member.recording if name == RECORDING else member.set.get(name, swapped)
-                row.append(_stored(column, value))
-            elif column.role == "metric":
-                value = others.get(name)
-                if value is None or isinstance(value, str) is (column.type == "string"):
-                    others.pop(name, None)
-                    row.append(None if value != value else value)
-                else:
-                    row.append(None)
-        text = json.dumps(others, ensure_ascii=False) if others else None
-        of_outcome = (
-            outcome.status,
-            outcome.reason or None,
-            "\n".join(outcome.warnings) or None,
-            outcome.steps,
-            outcome.wall_time,
-            outcome.worker or None,
-            text,
-        )
-        return [outcome.number, *row, *of_outcome]
+                row[column.name] = _stored(column, value)
+            elif value is None or isinstance(value, str) is (column.type == "string"):
+                others.pop(column.name, None)
+                row[column.name] = None if value != value else value
+        return row | {
+            "status": outcome.status,
+            "reason": _plain(outcome.reason),
+            WARNINGS: _plain("\n".join(outcome.warnings)),
+            "steps": outcome.steps,
+            "wall_time": outcome.wall_time,
+            "worker": _plain(outcome.worker),
+            "other_results": json.dumps(others, ensure_ascii=False) if others else None,
+        }
 
-    def _table(self, rows: Sequence[Sequence[Any]]) -> Any:
-        arrow = pyarrow()
-        columns = list(zip(*rows, strict=True)) or [()] * len(self.columns)
-        try:
-            arrays = [
-                arrow.array(values, field.type)
-                for values, field in zip(columns, self._schema, strict=True)
-            ]
-        except (arrow.ArrowException, TypeError, ValueError, OverflowError) as error:
-            raise self._damaged(JOURNAL, "a row of it is") from error
-        return arrow.Table.from_arrays(arrays, schema=self._schema)
+    def _table(self, numbers: Iterable[int]) -> Any:
+        rows = [self._rows[number] for number in numbers]
+        return pyarrow().Table.from_pylist(rows, schema=self._schema)
 
-    def _rows_of(self, first: int, names: list[str]) -> Any:
-        """Return the rows from a first member on: of its part, and those that came since."""
-        arrow = pyarrow()
-        tables = []
-        if first in self._parts:
-            tables.append(self._read_part(self._parts[first][1], names))
-        rows = self._open.get(first)
-        if rows:
-            tables.append(self._table([rows[number] for number in sorted(rows)]).select(names))
-        return arrow.concat_tables(tables)
+    def _line(self, row: Mapping[str, Any]) -> bytes:
+        text = json.dumps(row)
+        return f'["{self._checksum(text.encode())}", {text}]\n'.encode()
+
+    def _checksum(self, content: bytes) -> str:
+        return f"{zlib.crc32(content, zlib.crc32(self.identity.salt.encode())):08x}"
+
+    def _read_journal(self, content: bytes) -> dict[int, dict[str, Any]]:
+        """Return the rows of the journal; a kill may have cut the last line, which is dropped."""
+        rows = {}
+        lines = content[: content.rfind(b"\n") + 1].splitlines()
+        for number, line in enumerate(lines, 1):
+            try:
+                row = read_json(line)[1]
+                if self._line(row) != line + b"\n":
+                    raise ValueError
+            except (ValueError, TypeError, LookupError) as error:
+                raise DatasetError(
+                    f"{self.storage.label(JOURNAL)}: line {number} is damaged; remove that line "
+                    "and run the study again: its member is rerun"
+                ) from error
+            rows[row[MEMBER]] = row
+        return rows
 
     def _read_part(self, name: str, columns: list[str]) -> Any:
         from pyarrow import parquet
 
-        content = self._storage.read(f"{PARTS}/{name}")
-        if content is None:
-            raise DatasetError(
-                f"{self._storage.label(f'{PARTS}/{name}')}: removed while it was read"
-            )
-        if name != _PART.sub(rf"part-\1-\2-{self._checksum(content)}.parquet", name):
-            raise self._damaged(f"{PARTS}/{name}", "it, or a part of another study, is")
+        content = self.storage.read(f"{PARTS}/{name}")
+        if content is None or not name.endswith(f"{self._checksum(content)}.parquet"):
+            what = "removed while it was read" if content is None else "damaged, or not of it"
+            raise self._wrong_part(name, what)
         return parquet.read_table(io.BytesIO(content), columns=columns, use_threads=False)
 
-    def _checksum(self, content: bytes) -> str:
-        return f"{zlib.crc32(content, zlib.crc32(self._salt)):08x}"
+    def _listed_parts(self) -> list[_Part]:
+        """Return the parts that are there, in order."""
+        found = map(_PART.fullmatch, self.storage.names(PARTS))
+        parts = sorted(_Part(int(p[1]), int(p[2]), p[0]) for p in found if p is not None)
+        begin = 0
+        for part in parts:
+            if not begin <= part.first <= part.last:
+                raise self._wrong_part(part.name, "not a part of this dataset")
+            begin = part.last + 1
+        return parts
 
-    def _damaged(self, name: str, what: str) -> DatasetError:
+    def _wrong_part(self, name: str, what: str) -> DatasetError:
         return DatasetError(
-            f"{self._storage.label(name)}: {what} damaged; remove it and run the study again: its "
-            "members are rerun"
+            f"{self.storage.label(f'{PARTS}/{name}')}: {what}; remove it and run the study again: "
+            "its members are rerun"
         )
 
-    def _read_journal(self) -> int:
-        """Take the rows of the journal; return how many lines it has."""
-        content = self._storage.read(JOURNAL) or b""
-        lines = content[: content.rfind(b"\n") + 1].splitlines()
-        for number, line in enumerate(lines, 1):
-            row = _row_of(line)
-            if row is None or len(row) != len(self.columns) or not 0 <= row[0] < self.total:
-                raise DatasetError(
-                    f"{self._storage.label(JOURNAL)}: line {number} is damaged; remove that line "
-                    "and run the study again: its member is rerun"
-                )
-            self._open.setdefault(row[0] - row[0] % PART_SIZE, {})[row[0]] = row
-        return len(lines)
+    def _is_in_part(self, number: int) -> bool:
+        place = bisect(self._parts, (number, math.inf))
+        return place > 0 and number <= self._parts[place - 1].last
 
-    def _listed_parts(self) -> dict[int, tuple[range, str]]:
-        """Return the parts that are there by their first member: of several the longest one."""
-        found: dict[int, tuple[range, str]] = {}
-        for name in self._storage.names(PARTS):
-            match = _PART.fullmatch(name)
-            if match is None:
-                continue
-            first, last = int(match[1]), int(match[2])
-            if first % PART_SIZE or not first <= last < min(first + PART_SIZE, self.total):
-                raise DatasetError(
-                    f"{self._storage.label(f'{PARTS}/{name}')}: not a part of this dataset; remove "
-                    "it and run the study again"
-                )
-            if first not in found or last >= found[first][0].stop:
-                found[first] = (range(first, last + 1), name)
-        return found
-
-    def _reopen_short_parts(self) -> None:
-        """Take the rows of parts that more members belong to now."""
-        for first, (numbers, name) in list(self._parts.items()):
-            if numbers.stop < min(first + PART_SIZE, self.total):
-                table = self._read_part(name, list(self._schema.names))
-                rows = zip(*(table[c].to_pylist() for c in self._schema.names), strict=True)
-                own = self._open.setdefault(first, {})
-                own.update({row[0]: list(row) for row in rows})
-                self._loose.update(numbers)
-                del self._parts[first]
-
-    def _names(self, columns: Iterable[str] | None) -> list[str]:
-        known = [*self._schema.names, LOG]
-        names = known if columns is None else list(columns)
-        for name in names:
-            if name not in known:
-                raise DatasetError(
-                    f"{self.label}: there is no column {name!r}; {nearest(name, known)}"
-                )
-        return names
-
-    def _chosen(self, names: Iterable[str]) -> Any:
+    def _chosen(self, columns: Iterable[str] | None) -> Any:
+        """Return the schema of some columns."""
         arrow = pyarrow()
-        log = arrow.field(LOG, arrow.string())
-        return arrow.schema([log if n == LOG else self._schema.field(n) for n in names])
+        schema = self._schema.append(arrow.field(LOG, arrow.string()))
+        names = schema.names if columns is None else list(columns)
+        for name in names:
+            if name not in schema.names:
+                raise DatasetError(
+                    f"{self.label}: there is no column {name!r}; {nearest(name, schema.names)}"
+                )
+        return arrow.schema([schema.field(name) for name in names])
 
 
-def _arrow_schema(columns: Sequence[StudyColumn]) -> Any:
+def _plain(text: str) -> str | None:
+    """Return a text as a column has it: of Unicode, or none."""
+    return text.encode(errors="backslashreplace").decode() or None
+
+
+def _arrow_schema(columns: Iterable[StudyColumn]) -> Any:
     arrow = pyarrow()
     types = {
         "double": arrow.float64(),
@@ -756,22 +735,6 @@ def _arrow_schema(columns: Sequence[StudyColumn]) -> Any:
         kind = types.get(column.type, arrow.string())
         fields.append(arrow.field(column.name, kind, column.name != MEMBER, metadata=kept))
     return arrow.schema(fields)
-
-
-def _line(row: Sequence[Any]) -> bytes:
-    text = json.dumps(row)
-    return f'["{zlib.crc32(text.encode()):08x}", {text}]\n'.encode()
-
-
-def _row_of(line: bytes) -> list[Any] | None:
-    """Return the row of a line; None: it is damaged."""
-    try:
-        _, row = read_json(line)
-        if _line(row) == line + b"\n" and type(row[0]) is int:
-            return list(row)
-    except (ValueError, TypeError, IndexError):
-        pass
-    return None
 
 
 def _identity(storage: Folder | Bucket) -> StudyIdentity | None:
@@ -802,10 +765,9 @@ def _grown(
         )
     dataset = StudyDataset(storage, recorded, writes=False)
     parameters = [column for column in dataset.columns if column.role == "parameter"]
-    names = [MEMBER, *(column.name for column in parameters)]
     last = -1
-    for table in dataset.tables(names):
-        last = max(last, table[MEMBER][-1].as_py())
+    for table in dataset.tables([MEMBER, *(column.name for column in parameters)]):
+        last = table[MEMBER][-1].as_py()
         if last < identity.members and design is not None:
             _check_planned(dataset.label, parameters, table, design)
     if last >= identity.members:
@@ -815,7 +777,7 @@ def _grown(
             f"use {flag('new')} to delete the dataset and start over"
         )
     digests = {**recorded.digests, **identity.digests}
-    return replace(identity, digests=digests, columns=recorded.columns)
+    return replace(identity, digests=digests, columns=recorded.columns, salt=recorded.salt)
 
 
 def _check_planned(
@@ -828,9 +790,8 @@ def _check_planned(
     for column in parameters:
         values = design.column(column.name, begin, members[-1] + 1)
         plain = values.tolist() if isinstance(values, np.ndarray) else values
-        kind = _arrow_schema([column]).field(0).type
         stored = [_stored(column, plain[number - begin]) for number in members]
-        planned = pyarrow().array(stored, kind).to_pylist()
+        planned = pyarrow().array(stored, table.schema.field(column.name).type).to_pylist()
         for number, was, now in zip(members, table[column.name].to_pylist(), planned, strict=True):
             if repr(was) != repr(now):
                 wrong.append((number, column.name, was, now))

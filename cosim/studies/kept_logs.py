@@ -112,7 +112,7 @@ def _keep(dataset: StudyDataset, path: Path, outcome: MemberOutcome) -> str:
     if outcome.status == FAILED:
         log = _readable(path)
     if log is not None:
-        dataset.storage.put(f"{LOGS}/{outcome.number}.mcap", log)
+        dataset.storage.write(f"{LOGS}/{outcome.number}.mcap", log)
         return ""
     reason = f"{outcome.reason}, before a row of its log was written"
     dataset.storage.write(f"{LOGS}/{outcome.number}.txt", f"{reason}\n".encode())

@@ -1,16 +1,14 @@
 """Where a dataset is: files by name in a folder, or in a bucket that fsspec reaches.
 
-A file is whole at any instant, also where its writer is killed.
+A file is whole at any instant, also where its writer is killed; a line is appended whole, or not.
 """
 
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
 import sys
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -20,9 +18,11 @@ from urllib.parse import unquote, urlsplit
 from cosim.arguments import path_argument
 from cosim.errors import DatasetError, DatasetWriteError, UsageError
 
+if sys.platform != "win32":
+    import fcntl
+
 _LOCK: Final = "_lock"
-_TEMPORARY: Final = ".tmp"
-_PERIOD: Final = 10.0  # [s] between two writes of a journal in a bucket
+_TEMPORARY: Final = ".cosim-tmp"
 
 
 def open_storage(place: str | Path) -> Folder | Bucket:
@@ -67,36 +67,41 @@ class Folder:
         except OSError as error:
             raise DatasetError(f"{self.label(name)}: {error.strerror}") from error
 
-    def write(self, name: str, content: bytes) -> None:
-        """Write a file as a whole."""
+    def write(self, name: str, content: bytes | Path) -> None:
+        """Write a file as a whole, or move one there."""
         path = self.path / name
-        temporary = path.with_name(f"_{path.name}.{secrets.token_hex(8)}{_TEMPORARY}")
+        near = path.with_name(f"_{path.name}{_TEMPORARY}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with open(temporary, "xb", buffering=0) as file:
-                _write(file.fileno(), content)
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
+            if isinstance(content, Path):
+                shutil.move(content, near)  # it may be on another disk
+            else:
+                with open(near, "wb", buffering=0) as file:
+                    _write(file.fileno(), content)
+                    os.fsync(file.fileno())
+            os.replace(near, path)
         except OSError as error:
             with suppress(OSError):
-                temporary.unlink()
+                near.unlink()
             raise _write_error(self.label(name), error) from error
 
-    def put(self, name: str, file: Path) -> None:
-        """Move a file there."""
+    def append(self, name: str, line: bytes) -> None:
+        """Append a line to a file."""
         try:
-            path = self.path / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            near = path.with_name(f"_{path.name}{_TEMPORARY}")  # the file may be on another disk
-            shutil.move(file, near)
-            os.replace(near, path)
+            with open(self.path / name, "ab", buffering=0) as file:
+                length = os.fstat(file.fileno()).st_size
+                try:
+                    _write(file.fileno(), line)
+                except OSError:
+                    file.truncate(length)
+                    raise
         except OSError as error:
             raise _write_error(self.label(name), error) from error
 
     def names(self, folder: str = "") -> list[str]:
-        """Return the names in a folder, in order."""
+        """Return the names in a folder."""
         try:
-            return sorted(os.listdir(self.path / folder))
+            return os.listdir(self.path / folder)
         except (FileNotFoundError, NotADirectoryError):
             return []
         except OSError as error:
@@ -125,33 +130,25 @@ class Folder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(self.path / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise DatasetError(
-                f"{self.path}: {error.strerror}; expected a writable folder"
-            ) from error
-        if sys.platform != "win32":
-            import fcntl
-
-            try:
+            if sys.platform != "win32":
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                holder = self.read(_LOCK) or b"unknown"
-                self.close()
+        except BlockingIOError as error:
+            holder = self.read(_LOCK) or b"unknown"
+            self.close()
+            raise DatasetError(
+                f"{self.path}: another study is writing there (process {holder.decode()}); wait "
+                "until it ends, or choose another folder"
+            ) from error
+        except OSError as error:
+            if self._lock < 0:  # otherwise a file system without locks
                 raise DatasetError(
-                    f"{self.path}: another study is writing there (process {holder.decode()}); "
-                    "wait until it ends, or choose another folder"
+                    f"{self.path}: {error.strerror}; expected a writable folder"
                 ) from error
-            except OSError:  # a file system without locks
-                pass
         with suppress(OSError):  # a full disk: who holds it is not said then
             os.ftruncate(self._lock, 0)
             os.write(self._lock, str(os.getpid()).encode())
-        for folder in (
-            self.path,
-            self.path / "parts",
-            self.path / "logs",
-        ):  # what a killed writer has left
-            for left in folder.glob(f"_*{_TEMPORARY}"):
+        for pattern in ("_*", "*/_*"):  # what a killed writer has left
+            for left in self.path.glob(f"{pattern}{_TEMPORARY}"):
                 left.unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -160,49 +157,6 @@ class Folder:
             os.close(self._lock)
             self._lock = -1
 
-    def journal(self, name: str) -> FolderJournal:
-        """Open a file that grows line by line."""
-        return FolderJournal(self, name)
-
-
-@final
-class FolderJournal:
-    """A file of lines; an incomplete last one is cut off."""
-
-    def __init__(self, folder: Folder, name: str) -> None:
-        self._folder = folder
-        self._name = name
-        self._open()
-
-    def append(self, line: bytes) -> None:
-        """Append a line: as a whole, or not at all."""
-        try:
-            _write(self._file, line)
-        except OSError as error:
-            with suppress(OSError):
-                os.ftruncate(self._file, self._length)
-            raise _write_error(self._folder.label(self._name), error) from error
-        self._length += len(line)
-
-    def replace(self, lines: Sequence[bytes]) -> None:
-        """Have these lines instead."""
-        self._folder.write(self._name, b"".join(lines))
-        os.close(self._file)
-        self._open()
-
-    def close(self) -> None:
-        """Close it."""
-        os.close(self._file)
-
-    def _open(self) -> None:
-        path = self._folder.path / self._name
-        try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-            self._length = path.read_bytes().rfind(b"\n") + 1
-            os.ftruncate(self._file, self._length)
-        except OSError as error:
-            raise _write_error(str(path), error) from error
-
 
 @final
 class Bucket:
@@ -210,8 +164,7 @@ class Bucket:
 
     def __init__(self, url: str) -> None:
         try:
-            fsspec = import_module("fsspec")
-            self._files, root = fsspec.core.url_to_fs(url)
+            self._files, root = import_module("fsspec").core.url_to_fs(url)
         except ModuleNotFoundError as error:
             raise DatasetError(
                 f"{url}: a dataset outside of a local folder needs {error.name}, which is not "
@@ -236,23 +189,20 @@ class Bucket:
             raise DatasetError(f"{self.label(name)}: {_text(error)}") from error
         return content
 
-    def write(self, name: str, content: bytes) -> None:
-        """Write a file as a whole."""
+    def write(self, name: str, content: bytes | Path) -> None:
+        """Write a file as a whole, or move one there."""
+        path = f"{self._root}/{name}"
         try:
-            self._files.pipe_file(self._made(name), content)
+            if isinstance(content, Path):
+                self._files.put_file(str(content), path)
+                content.unlink()
+            else:
+                self._files.pipe_file(path, content)
         except Exception as error:
             raise _write_error(self.label(name), error) from error
-
-    def put(self, name: str, file: Path) -> None:
-        """Move a file there."""
-        try:
-            self._files.put_file(str(file), self._made(name))
-        except Exception as error:
-            raise _write_error(self.label(name), error) from error
-        file.unlink()
 
     def names(self, folder: str = "") -> list[str]:
-        """Return the names in a folder, in order."""
+        """Return the names in a folder."""
         try:
             self._files.invalidate_cache()
             paths = self._files.ls(f"{self._root}/{folder}".rstrip("/"), detail=False)
@@ -260,7 +210,7 @@ class Bucket:
             return []
         except Exception as error:
             raise DatasetError(f"{self.label(folder)}: {_text(error)}") from error
-        return sorted(path.rstrip("/").rpartition("/")[2] for path in paths)
+        return [path.rstrip("/").rpartition("/")[2] for path in paths]
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files."""
@@ -276,50 +226,6 @@ class Bucket:
 
     def close(self) -> None:
         """Do nothing."""
-
-    def journal(self, name: str) -> BucketJournal:
-        """Open a file that grows line by line."""
-        return BucketJournal(self, name)
-
-    def _made(self, name: str) -> str:
-        path = f"{self._root}/{name}"
-        if "memory" in self._files.protocol:  # the only one that misses its folders
-            self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
-        return path
-
-
-@final
-class BucketJournal:
-    """A file of lines that is written anew every few seconds."""
-
-    def __init__(self, bucket: Bucket, name: str) -> None:
-        self._bucket = bucket
-        self._name = name
-        content = bucket.read(name) or b""
-        self._lines = content.splitlines(keepends=True)
-        self._written = len(self._lines)
-        self._due = time.monotonic() + _PERIOD
-
-    def append(self, line: bytes) -> None:
-        """Append a line; it is written within seconds, or when the journal is closed."""
-        self._lines.append(line)
-        if time.monotonic() >= self._due:
-            self._write()
-
-    def replace(self, lines: Sequence[bytes]) -> None:
-        """Have these lines instead."""
-        self._lines = list(lines)
-        self._write()
-
-    def close(self) -> None:
-        """Write what is not written."""
-        if self._written < len(self._lines):
-            self._write()
-
-    def _write(self) -> None:
-        self._bucket.write(self._name, b"".join(self._lines))
-        self._written = len(self._lines)
-        self._due = time.monotonic() + _PERIOD
 
 
 def _write(descriptor: int, content: bytes) -> None:

@@ -1,207 +1,491 @@
-"""The dataset of a study: what is added is there, once; what is damaged or changed is named."""
+"""The dataset of a study: what is added is there, once, bit for bit, whenever its writer ends."""
 
 import json
 import math
+import multiprocessing
 import os
-import re
+import random
+import shutil
+import signal
+import sys
 
 import pandas
-import pyarrow
 import pyarrow.dataset
 import pytest
 
 import cosim
 from cosim.errors import DatasetError, DatasetWriteError, UsageError
+from cosim.studies import dataset as dataset_module
 from cosim.studies import storage
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset import (
     StudyDataset,
+    StudyIdentity,
     differences,
     metric_column,
     parameter_column,
     result_columns,
     scenario_digests,
 )
-from tests.studies.outcomes import (
-    DIGESTS,
-    Planned,
-    add,
-    columns,
-    design,
-    identity,
-    member,
-    outcome,
-    parts,
-)
 
-pytestmark = pytest.mark.usefixtures("parts_of_ten")
+DIGESTS = {"key scenario.stop": "ab", "FMU plant.fmu": "cd", "the metrics": "ef"}
+COLUMNS = (
+    parameter_column("observer.filter_rate", [1.5], "rad/s"),
+    parameter_column("noise.seed", [1]),
+    metric_column("error", "rms(observer.delta - delta.y)"),
+    metric_column("late", "first(t, plant.y > 1)", "s"),
+)
+SESSION = ["wall_time", "worker"]  # what differs between sessions
 FAILED = [3, 10, 17, 24]
 
 
-def opened(folder, members=25, **given):
-    """Open the dataset of a study for writing."""
-    return StudyDataset.open_or_create(folder, identity(members), **given)
+class Planned(dict):
+    """Planned parameters, of all members, by name."""
+
+    def column(self, name, begin=0, end=None):
+        """Return the values of some members."""
+        return self[name][begin:end]
+
+
+def design(count):
+    """Return the planned parameters."""
+    return Planned(
+        {
+            "observer.filter_rate": [10.0 * 1.1 ** (number % 97) for number in range(count)],
+            "noise.seed": [number % 5 for number in range(count)],
+        }
+    )
+
+
+def identity(members, *, of=COLUMNS, **others):
+    """Return what the study is about."""
+    values = {"text": '[study]\nscenario = "academic"\n', "digests": DIGESTS, "version": "1.0"}
+    return StudyIdentity("tolerances", columns=of, members=members, **(values | others))
+
+
+def add(dataset, numbers, seed=0):
+    """Add the outcomes of members: every seventh failed, some have no ``late``."""
+    for number in numbers:
+        values = {"observer.filter_rate": 10.0 * 1.1 ** (number % 97), "noise.seed": number % 5}
+        outcome = MemberOutcome(number, "failed", f"NaN at {number} s", number, {}, seed, "")
+        if number % 7 != 3:
+            late = number / 3 if number % 4 else None
+            metrics = {"error": 1.0 / (number + 1), "late": late}
+            outcome = MemberOutcome(number, "complete", "", 1000, metrics, seed, "here")
+        dataset.add(StudyMember(number, values), outcome)
+
+
+def opened(folder, count, **given):
+    """Open the dataset of a study, or make it."""
+    return StudyDataset.open_or_create(folder, identity(count), design=design(count), **given)
+
+
+def complete(dataset, seed, report=lambda number: None):
+    """Run what is missing; members end in the order in which workers may end them."""
+    chance = random.Random(seed)
+    numbers = [number for absent in dataset.missing() for number in absent]
+    while numbers:
+        number = numbers.pop(chance.randrange(min(30, len(numbers))))
+        add(dataset, [number], seed)
+        report(number)
+
+
+def content(folder):
+    """Return what must not depend on how a study was run."""
+    return StudyDataset.open(folder).read().drop_columns([*SESSION, "log"])
+
+
+def parts(folder):
+    """Return the first and last members of parts."""
+    names = sorted(path.name for path in (folder / "parts").glob("*.parquet"))
+    return [(int(name[5:15]), int(name[16:26])) for name in names]
 
 
 @pytest.fixture
-def folder(tmp_path):
-    """Return a study with two parts and a journal."""
-    with opened(tmp_path, 30) as dataset:
+def small(monkeypatch):
+    """Have parts of ten members."""
+    monkeypatch.setattr(dataset_module, "PART_SIZE", 10)
+
+
+@pytest.fixture
+def folder(tmp_path, small):
+    """Return a study of 30 with two parts and a journal."""
+    with opened(tmp_path / "x", 30) as dataset:
         add(dataset, range(25))
-    return tmp_path
+    return tmp_path / "x"
 
 
-# --- what is added is there ---
+# --- rows ---
 
 
-def test_rows_are_read_in_the_order_of_members(tmp_path):
-    """From parts and from the journal alike, whatever the order in which members ended."""
-    with opened(tmp_path) as dataset:
-        add(dataset, [*range(9, -1, -1), 23, 12, 20])
-        table = dataset.read()
-    numbers = [*range(10), 12, 20, 23]
-    assert table["member"].to_pylist() == numbers
-    assert table["noise.seed"].to_pylist() == [number % 5 for number in numbers]
-    assert table["late"].to_pylist() == [outcome(n).metrics.get("late") for n in numbers]
-    assert StudyDataset.open(tmp_path).read().equals(table)
-    assert parts(tmp_path) == [(0, 9)]
+def test_values_of_every_type_come_back(tmp_path, small):
+    """Bit for bit, of parts and of the journal; what has no type of its own is JSON."""
+    values = {
+        "plant.x": [0.1, -0.0, 5e-324, math.inf, None, 1e308],
+        "seed": [2**62 + 1, 0, -1, -(2**63), None, 2**63 - 1],
+        "big": [2**63, 1, -(10**30), 2**80, None, 0],
+        "on": [True, False, None, True, True, False],
+        "swap.plant": ["a.fmu", "b ä.fmu", None, "", "\n", '"'],
+        "recording": ["one.mcap", "two.mcap", "one.mcap", None, "x", "y"],
+        "x0": [[1.0, 2.0], [], [1 / 3], None, [-0.0, math.inf], [2.0]],
+        "mixed": ["auto", 3, {"kind": "sine", "rate": 1.5}, [1, "a"], None, False],
+        "number": [1, 0.5, 2**53, None, 3, -0.0],
+    }
+    own = tuple(parameter_column(name, column) for name, column in values.items())
+    kinds = "double int64 json bool string string list<double> json double".split()
+    assert [column.type for column in own] == kinds
+    metrics = [math.nan, -0.0, math.inf, -math.inf, None, 5e-324]
+    planned = identity(26, of=(*own, metric_column("y")))
+    longer = Planned({name: column * 5 for name, column in values.items()})
+    with StudyDataset.open_or_create(tmp_path, planned, design=longer) as dataset:
+        for number in range(25):
+            chosen = {name: column[number % 6] for name, column in values.items()}
+            given = {name: value for name, value in chosen.items() if value is not None}
+            swap = {"plant": given.pop("swap.plant")} if "swap.plant" in given else {}
+            recording = given.pop("recording", None)
+            member = StudyMember(number, given, swap, recording)
+            y = {"y": metrics[number % 6]}
+            dataset.add(member, MemberOutcome(number, "complete", metrics=y))
+    assert parts(tmp_path) == [(0, 9), (10, 19)]
+    study = cosim.open_study(tmp_path)
+    table = study.table()
+    for name, kind in zip(values, kinds, strict=True):
+        expected = (values[name] * 5)[:25]
+        if kind == "json":
+            found = [None if v is None else json.loads(v) for v in table[name].to_pylist()]
+        else:
+            found = table[name].to_pylist()
+        if name == "number":
+            expected = [None if value is None else float(value) for value in expected]
+        assert repr(found) == repr(expected)
+    assert repr(table["y"].to_pylist()) == repr(([None, *metrics[1:]] * 5)[:25])
+    assert study.member(2).set["mixed"] == {"kind": "sine", "rate": 1.5}
+    assert study.member(1).swap == {"plant": "b ä.fmu"}
+    assert study.member(24).recording == "one.mcap"
+    with StudyDataset.open_or_create(tmp_path, planned, design=longer) as dataset:
+        assert dataset.missing() == [range(25, 26)]
 
 
-def test_a_dataset_goes_on_where_it_was(tmp_path):
-    """What has an outcome is not missing, and the last part is whole at the end of the study."""
-    with opened(tmp_path, design=design(25)) as dataset:
+def test_rows_are_read_in_the_order_of_members(tmp_path, small):
+    """By chosen columns and members too, whatever the order in which they ended."""
+    with opened(tmp_path, 25) as dataset:
         assert dataset.missing() == [range(25)]
-        add(dataset, [0, 1, 3, *range(10, 20)])
-    with opened(tmp_path, design=design(25)) as dataset:
-        assert dataset.missing() == [range(2, 3), range(4, 10), range(20, 25)]
-        for absent in dataset.missing():
-            add(dataset, absent)
-        assert (dataset.missing(), len(dataset), dataset.failed) == ([], 25, 4)
+        add(dataset, [*range(19, 9, -1), 23, 2, 20])
+        assert dataset.missing() == [range(2), range(3, 10), range(21, 23), range(24, 25)]
+        assert (len(dataset), dataset.failed) == (13, 2)
+        with pytest.raises(AssertionError):
+            add(dataset, [12])
+    (tmp_path / "logs").mkdir()
+    for name in ("2.mcap", "11.mcap", "20.txt"):
+        (tmp_path / "logs" / name).touch()
+    dataset = StudyDataset.open(tmp_path)
+    assert dataset.read()["member"].to_pylist() == [2, *range(10, 21), 23]
+    table = dataset.read(["log", "noise.seed"], [21, 2, 24, 11, 20])
+    assert table.column_names == ["log", "noise.seed"]
+    kept = [str(tmp_path / "logs" / name) for name in ("2.mcap", "11.mcap")]
+    assert table["log"].to_pylist() == [*kept, None]
+    assert table["noise.seed"].to_pylist() == [2, 1, 0]
+    with pytest.raises(DatasetError, match=r"no column 'noise.sed'; did you mean 'noise.seed'"):
+        dataset.read(["noise.sed"])
+    assert (tmp_path / "_journal.jsonl").read_bytes().count(b"\n") <= 6
+
+
+def test_what_has_no_column_of_its_own_is_kept_as_json(tmp_path):
+    """Results of other names or types; texts that are no Unicode are written with escapes."""
+    results = result_columns({"plant.y": 1.5, "verdict": "good", "late": 3.0}, ["late"])
+    with StudyDataset.open_or_create(tmp_path, identity(1, of=results)) as dataset:
+        said = {"plant.y": "none", "verdict": "identifiable", "other.z": 2.0}
+        outcome = MemberOutcome(0, "complete", "\udcff", 1, said, 0.0, "", ("a", "b"))
+        row = dataset.row_of(StudyMember(0), outcome)
+        dataset.add(StudyMember(0), outcome)
+    (found,) = StudyDataset.open(tmp_path).read().drop_columns("log").to_pylist()
+    assert found == row
+    assert found["plant.y"] is None
+    assert found["verdict"] == "identifiable"
+    assert json.loads(found["other_results"]) == {"plant.y": "none", "other.z": 2.0}
+    assert found["reason"] == "\\udcff"
+    assert found["warnings"] == "a\nb"
+
+
+# --- growth ---
+
+
+def test_a_study_grows_from_part_to_part(tmp_path, small):
+    """Parts are never changed: the next one begins where the last one ended."""
+    with opened(tmp_path, 25) as dataset:
+        add(dataset, range(24))
+    for count, absent in [(27, [24, 25, 26]), (28, [27]), (41, range(28, 41))]:
+        before = {path: path.read_bytes() for path in (tmp_path / "parts").iterdir()}
+        with opened(tmp_path, count) as dataset:
+            assert [n for numbers in dataset.missing() for n in numbers] == [*absent]
+            complete(dataset, count)
+        assert all(path.read_bytes() == content for path, content in before.items())
+    assert parts(tmp_path) == [(0, 9), (10, 19), (20, 26), (27, 27), (28, 29), (30, 39), (40, 40)]
+    with opened(tmp_path / "whole", 41) as dataset:
+        complete(dataset, 0)
+    assert content(tmp_path).equals(content(tmp_path / "whole"))
     assert (tmp_path / "_journal.jsonl").read_bytes() == b""
-    assert parts(tmp_path) == [(0, 9), (10, 19), (20, 24)]
 
 
-@pytest.mark.parametrize("sizes", [(25, 42), (3, 5, 9, 10, 11), (19, 20, 40)])
-def test_a_study_that_grows_has_the_rows_of_one_that_was_large_at_once(tmp_path, sizes):
-    """Its last part is replaced by a longer one; only what is new is missing."""
-    done = 0
-    for size in sizes:
-        with opened(tmp_path / "x", size, design=design(size)) as dataset:
-            assert dataset.missing() == [range(done, size)]
-            add(dataset, range(done, size))
-            done = size
-    with opened(tmp_path / "whole", done) as dataset:
-        add(dataset, range(done))
-    assert (
-        StudyDataset.open(tmp_path / "x")
-        .read()
-        .equals(StudyDataset.open(tmp_path / "whole").read())
-    )
-    assert parts(tmp_path / "x") == parts(tmp_path / "whole")
-
-
-def test_a_part_that_has_grown_is_read_while_it_is_incomplete(tmp_path):
-    """Its rows stand in the old part, the new ones in the journal."""
-    with opened(tmp_path, 3) as dataset:
-        add(dataset, range(3))
-    with opened(tmp_path, 8) as dataset:
-        add(dataset, [6])
-        assert dataset.missing() == [range(3, 6), range(7, 8)]
-    again = StudyDataset.open(tmp_path)
-    assert again.read(["member"])["member"].to_pylist() == [0, 1, 2, 6]
-    assert (len(again), parts(tmp_path)) == (4, [(0, 2)])
-    with opened(tmp_path, 8) as dataset:
-        add(dataset, [3, 4, 5, 7])
-    assert parts(tmp_path) == [(0, 7)]
-
-
-def test_a_study_that_was_planned_larger_than_it_went_can_end_before(tmp_path):
+def test_a_study_that_was_planned_larger_can_end_before(tmp_path, small):
     """What is recorded stays in the plan; with a member beyond it the study is refused."""
     with opened(tmp_path, 1000) as dataset:
         add(dataset, range(13))
     with opened(tmp_path, 15) as dataset:
         add(dataset, [13, 14])
     assert parts(tmp_path) == [(0, 9), (10, 14)]
-    with pytest.raises(DatasetError, match="member 14 is recorded, but only 12 members"):
+    with pytest.raises(DatasetError, match="member 14 is recorded, but only 12 members are pla"):
         opened(tmp_path, 12)
     assert StudyDataset.open(tmp_path).total == 15
 
 
-def test_types_do_not_depend_on_values(tmp_path):
-    """A part without any metric has the schema of the others; NaN is no value, infinity is one."""
-    with opened(tmp_path, 20) as dataset:
-        for number in range(10):
-            dataset.add(member(number), MemberOutcome(number, "failed", "it crashed"))
-        for number in range(10, 20):
-            metrics = {"error": math.nan, "late": math.inf}
-            dataset.add(member(number), MemberOutcome(number, "complete", metrics=metrics))
-        tables = list(dataset.tables())
-    assert tables[0].schema == tables[1].schema
-    assert tables[0].schema.field("late").type == pyarrow.float64()
-    assert tables[1]["error"].to_pylist() == [None] * 10
-    assert tables[1]["late"].to_pylist() == [math.inf] * 10
+def test_parts_of_a_thousand_grow_within_and_across(tmp_path):
+    """As users have them."""
+    for count in (700, 1300, 2500):
+        with opened(tmp_path, count) as dataset:
+            complete(dataset, count)
+    assert parts(tmp_path) == [(0, 699), (700, 999), (1000, 1299), (1300, 1999), (2000, 2499)]
+    table = StudyDataset.open(tmp_path).read(["member", "noise.seed"])
+    assert table["member"].to_pylist() == list(range(2500))
+    assert table["noise.seed"].to_pylist() == design(2500)["noise.seed"]
 
 
-def test_values_of_every_type_come_back(tmp_path):
-    """Numbers bit for bit, texts, lists of numbers; other values as JSON."""
-    values = {
-        "plant.x": [0.1, -0.0, 5e-324],
-        "seed": [2**62 + 1, 0, -1],
-        "on": [True, False, None],
-        "swap.plant": ["a.fmu", "b ä.fmu", "c.fmu"],
-        "recording": ["one.mcap", "two.mcap", "one.mcap"],
-        "x0": [[1.0, 2.0], [], [1 / 3]],
-        "mixed": ["auto", 3, {"kind": "sine", "rate": 1.5}],
-    }
-    of = tuple(parameter_column(name, column) for name, column in values.items())
-    kinds = ["double", "int64", "bool", "string", "string", "list<double>", "json"]
-    assert [column.type for column in of] == kinds
-    planned = identity(3, of=of)
-    with StudyDataset.open_or_create(tmp_path, planned, design=Planned(values)) as dataset:
-        for number in range(3):
-            chosen = {name: column[number] for name, column in values.items()}
-            swap, recording = {"plant": chosen.pop("swap.plant")}, chosen.pop("recording")
-            found = MemberOutcome(number, "complete")
-            dataset.add(StudyMember(number, chosen, swap, recording), found)
-        table = dataset.read()
-    for name in values.keys() - {"mixed"}:
-        assert repr(table[name].to_pylist()) == repr(values[name])
-    assert table["mixed"].to_pylist() == ['"auto"', "3", '{"kind": "sine", "rate": 1.5}']
-    with StudyDataset.open_or_create(tmp_path, planned, design=Planned(values)) as dataset:
-        assert dataset.missing() == []
+# --- kills and full disks ---
+
+COUNT = 60
+CALLS = ["write", "ftruncate", "fsync", "replace", "unlink"]  # of the system, that change files
+processes = multiprocessing.get_context("forkserver")
+processes.set_forkserver_preload([__name__])
 
 
-def test_results_that_have_no_column_are_kept_as_json(tmp_path):
-    """Those that another member has, and those of another type than that of the column."""
-    found = {"plant.y": 1.5, "identifier verdict": "identifiable", "noise.seed": 3.0}
-    results = result_columns(found, ["noise.seed"])
-    assert [column.type for column in results] == ["double", "string"]
-    of = (parameter_column("noise.seed", [1]), *results)
-    with StudyDataset.open_or_create(tmp_path, identity(1, of=of)) as dataset:
-        said = {"plant.y": "none", "identifier verdict": "identifiable", "other.z": 2.0}
-        dataset.add(StudyMember(0, {"noise.seed": 1}), MemberOutcome(0, "complete", metrics=said))
-        (row,) = dataset.read().to_pylist()
-    assert (row["plant.y"], row["identifier verdict"]) == (None, "identifiable")
-    assert json.loads(row["other_results"]) == {"plant.y": "none", "other.z": 2.0}
+def write(pipe, folder, cut):
+    """Make a dataset that grows, or go on with it, until the call that kills this process."""
+    dataset_module.PART_SIZE = 10
+    calls = iter(range(10**9))
+
+    def cutting(call):
+        def killing(*arguments):
+            if next(calls) < cut:
+                return call(*arguments)
+            if call is os_write:  # half of it
+                call(arguments[0], arguments[1][: len(arguments[1]) // 2])
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        return killing
+
+    os_write = os.write
+    for name in CALLS:
+        setattr(os, name, cutting(getattr(os, name)))
+    for count in (35, COUNT):
+        with opened(folder, count) as dataset:
+            complete(dataset, cut, pipe.send)
+    pipe.send(None)
 
 
-def test_chosen_columns_and_members_are_read(folder):
-    """And the logs that are kept, which are made after the parts."""
-    (folder / "logs").mkdir()
-    for number in (3, 21):
-        (folder / "logs" / f"{number}.mcap").touch()
+def killed(folder, cut):
+    """Return the members that a process has added until it was killed; None: it has not been."""
+    receiver, sender = processes.Pipe(duplex=False)
+    process = processes.Process(target=write, args=(sender, folder, cut))
+    process.start()
+    sender.close()
+    added = []
+    with pytest.raises(EOFError):
+        while True:
+            added.append(receiver.recv())
+    process.join()
+    return added
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals to kill with")
+@pytest.mark.parametrize("instants", [20, pytest.param(150, marks=pytest.mark.campaign)])
+def test_a_study_that_is_killed_at_any_instant_goes_on(tmp_path, small, instants):
+    """What was added is there, once; in the end the content is that of an undisturbed study."""
+    with opened(tmp_path / "whole", COUNT) as dataset:
+        complete(dataset, 0)
+    expected = content(tmp_path / "whole")
+    for cut in sorted(random.Random(instants).sample(range(150), instants)):
+        folder = tmp_path / str(cut)
+        added = killed(folder, cut)
+        if None in added:
+            break
+        added += killed(folder, cut // 2 + 3)
+        opened(folder, COUNT).close()
+        left = StudyDataset.open(folder).read(["member"])["member"].to_pylist()
+        assert left == sorted(set(left))
+        assert set(added) - {None} <= set(left)
+        with opened(folder, COUNT) as dataset:
+            complete(dataset, 1)
+        assert content(folder).equals(expected)
+        assert not list(folder.rglob("_*tmp"))
+        assert (folder / "_journal.jsonl").read_bytes() == b""
+    assert cut > 90
+
+
+@pytest.mark.parametrize("room", [1, 700, 1700, 2000, 5000, 9000, 20000])
+def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, small, monkeypatch, room):
+    """Wherever it is noticed: in the description, the journal, or a part."""
+    with opened(tmp_path / "whole", COUNT) as dataset:
+        complete(dataset, 0)
+    added = []
+    os_write = os.write
+    left = [room]
+
+    def full(descriptor, content):
+        if not left[0]:
+            raise OSError(28, os.strerror(28))
+        written = os_write(descriptor, content[: left[0]])
+        left[0] -= written
+        return written
+
+    with monkeypatch.context() as patch:
+        patch.setattr(storage.os, "write", full)
+        with (
+            pytest.raises(DatasetWriteError, match=r"No space left on device; all outcomes so f"),
+            opened(tmp_path / "x", COUNT) as dataset,
+        ):
+            complete(dataset, 1, added.append)
+    with opened(tmp_path / "x", COUNT) as dataset:
+        assert set(added) <= set(dataset.read(["member"])["member"].to_pylist())
+        assert len(dataset) <= len(added) + 1  # the member whose part could not be written
+        complete(dataset, 2)
+    assert content(tmp_path / "x").equals(content(tmp_path / "whole"))
+    assert not list((tmp_path / "x").rglob("_*tmp"))
+
+
+def test_who_reads_while_a_study_runs_misses_nothing_that_was_there_before(tmp_path, small):
+    """Whatever moves from the journal into a part just then."""
+    with opened(tmp_path, COUNT) as dataset:
+        read = storage.Folder.read
+        numbers = iter(range(COUNT))
+
+        def reading(folder, name):
+            found = read(folder, name)
+            if name == dataset_module.JOURNAL:  # the writer goes on
+                add(dataset, [next(numbers) for _ in range(12)])
+            return found
+
+        for count in (0, 12, 24, 36):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(storage.Folder, "read", reading)
+                study = StudyDataset.open(tmp_path)
+            found = study.read(["member"])["member"].to_pylist()
+            assert found == sorted(set(found))
+            assert set(range(count)) <= set(found) <= set(range(count + 12))
+        earlier = cosim.open_study(tmp_path)
+        complete(dataset, 0)
+        assert earlier.table(["member"])["member"].to_pylist() == list(range(48))
+
+
+def test_two_studies_cannot_write_one_dataset_at_once(folder):
+    """The second is refused while the first writes; who reads is not."""
+    with opened(folder, 30):
+        with pytest.raises(DatasetError, match=rf"is writing there \(process {os.getpid()}\)"):
+            opened(folder, 30, new=True)
+        assert len(StudyDataset.open(folder)) == 25
+    opened(folder, 30).close()
+
+
+# --- damage ---
+
+
+@pytest.mark.parametrize("stride", [41, pytest.param(1, marks=pytest.mark.campaign)])
+def test_a_flipped_bit_is_named_or_harmless(folder, stride):
+    """Anywhere in any file: never is anything read that was not written."""
+    expected = content(folder)
+    rows = {row["member"]: row for row in expected.to_pylist()}
+    named = 0
+    for path in [*folder.glob("*.json*"), *folder.glob("parts/*")]:
+        whole = path.read_bytes()
+        for place in range(0, len(whole), stride):
+            flipped = whole[place] ^ (1 << place // stride % 8)
+            path.write_bytes(whole[:place] + bytes([flipped]) + whole[place + 1 :])
+            try:
+                found = content(folder)
+            except DatasetError as error:
+                named += 1
+                assert str(path) in str(error)
+            else:
+                assert all(rows[row["member"]] == row for row in found.to_pylist())
+                assert len(found) >= 24  # the last line of a journal, as one that was cut
+        path.write_bytes(whole)
+    assert named > 100
+
+
+def test_what_is_damaged_is_removed_and_run_again(folder):
+    """A part, and a line of the journal; one that a kill has cut is dropped by itself."""
+    expected = content(folder)
+    journal = folder / "_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([lines[0], b"[1, 2\n", *lines[1:]]))
+    with pytest.raises(DatasetError, match=r"_journal.jsonl: line 2 is damaged; remove that line"):
+        StudyDataset.open(folder)
+    journal.write_bytes(b"".join(lines)[:-9])
+    part = min((folder / "parts").iterdir())
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(DatasetError, match=r"part-0000000000-.*damaged.* remove it and run the st"):
+        StudyDataset.open(folder).read()
+    part.unlink()
+    with opened(folder, 30) as dataset:
+        assert dataset.missing() == [range(10), range(24, 30)]
+        add(dataset, [*range(10), 24])
+    assert content(folder).equals(expected)
+
+
+def test_files_of_another_dataset_are_none_of_this_one(folder, tmp_path):
+    """Though it is one of the same study; overlapping ones are named, other names left alone."""
+    shutil.copytree(folder, tmp_path / "y")
+    with opened(tmp_path / "y", 30, new=True) as dataset:
+        add(dataset, range(25), seed=1)
+    path = min((folder / "parts").iterdir())
+    other = min((tmp_path / "y" / "parts").iterdir())
+    shutil.copy(other, folder / "parts")
+    with pytest.raises(DatasetError, match="not a part of this dataset; remove it"):
+        StudyDataset.open(folder)
+    (folder / "parts" / other.name).unlink()
+    whole = path.read_bytes()
+    path.write_bytes(other.read_bytes())
+    with pytest.raises(DatasetError, match=f"{path.name}: damaged"):
+        StudyDataset.open(folder).read()
+    path.write_bytes(whole)
+    (folder / "parts" / "mine.parquet").touch()
+    (folder / "_journal.jsonl").write_bytes((tmp_path / "y" / "_journal.jsonl").read_bytes())
+    with pytest.raises(DatasetError, match="line 1 is damaged"):
+        StudyDataset.open(folder)
+
+
+def test_a_part_that_is_removed_while_it_is_read_is_named(folder):
+    """As by a study that begins anew."""
     dataset = StudyDataset.open(folder)
-    table = dataset.read(["log", "noise.seed"], [21, 3, 27, 11])
-    kept = [str(folder / "logs" / "3.mcap"), None, str(folder / "logs" / "21.mcap")]
-    assert table.to_pydict() == {"log": kept, "noise.seed": [3, 1, 1]}
-    with pytest.raises(DatasetError, match=r"no column 'noise.sed'; did you mean 'noise.seed'"):
-        dataset.read(["noise.sed"])
+    min((folder / "parts").iterdir()).unlink()
+    with pytest.raises(DatasetError, match=r"parquet: removed while it was read"):
+        dataset.read()
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"format": 1, "cosim": "0.1.0"}, "expected dataset format 3, got 1; read it with cosim 0"),
+        ({"format": 2, "cosim": "0.2.0"}, r"format 3, got 2; read it with cosim 0\.2\.0"),
+        ({"format": 4}, r"format 3, got 4; read it with cosim 1\.0"),
+        ({"members": 31}, "study.json is damaged; .* new=True"),
+    ],
+)
+def test_other_formats_and_damaged_descriptions_are_refused(folder, changes, text):
+    """Those that were written before have the version as ``cosim``."""
+    path = folder / "study.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    for call in (StudyDataset.open, lambda place: opened(place, 30)):
+        with pytest.raises(DatasetError, match=text):
+            call(folder)
+    with opened(folder, 30, new=True) as dataset:
+        assert dataset.missing() == [range(30)]
 
 
 # --- whose dataset it is ---
 
 SCENARIO = {
     "scenario": {"stop": 1.0, "step": 0.1},
+    "components": {"a": {"kind": "lag"}, "b": {"kind": "sine"}},
     "connections": {"a.u": "b.y"},
     "actions": [{"at": 1.0}],
     "record": {},
@@ -212,12 +496,15 @@ SCENARIO = {
     ("changes", "text"),
     [
         ({}, ""),
-        ({"scenario": {"step": 0.1, "stop": 1.0}}, ""),
+        ({"components": {"b": {"kind": "sine"}, "a": {"kind": "lag"}}}, ""),
+        ({"scenario": {"stop": 2.0, "step": 0.1}}, "key scenario.stop changed"),
         ({"scenario": {"stop": 1, "step": 0.1}}, "key scenario.stop changed"),
         ({"scenario": {"stop": 1.0}}, "key scenario.step is no longer part of it"),
         ({"scenario": {"stop": 1.0, "step": 0.1, "until": "t > 1"}}, "key scenario.until is new"),
+        ({"connections": {"a": {"u": "b.y"}}}, "key connections.a.u is no longer part of it; "),
         ({"actions": []}, "key actions changed"),
-        ({"components": {f"c{i}": {} for i in range(20)}}, "; and 12 other differences"),
+        ({"record": {"every": 2}}, "key record is no longer part of it; key record.every is new"),
+        ({"components": {f"c{i}": {} for i in range(20)}}, "; and 14 other differences"),
     ],
 )
 def test_every_key_of_a_scenario_tells_studies_apart(changes, text):
@@ -229,286 +516,130 @@ def test_every_key_of_a_scenario_tells_studies_apart(changes, text):
 
 
 def test_another_study_is_refused_by_what_differs(folder):
-    """Everything that outcomes depend on; a new beginning removes files of a dataset only."""
+    """A new beginning removes the files of the dataset, and no others."""
     (folder / "notes.txt").touch()
     (folder / "parts" / "mine.parquet").touch()
-    digests = {"key scenario.stop": "00" * 32, "the metrics": "00" * 32}
-    of = (parameter_column("noise.seed", [0.5]), *columns()[2:])
+    before = content(folder)
+    of = (parameter_column("noise.seed", [0.5]), *COLUMNS[2:])
+    digests = {"key scenario.stop": "00", "the metrics": "00"}
     other = identity(5, digests=digests, version="2.0", of=of)
-    with pytest.raises(DatasetError) as caught:
-        StudyDataset.open_or_create(folder, other)
-    for text in (
-        "cosim 1.0, this is 2.0",
-        "key scenario.stop changed",
-        "FMU plant.fmu is no longer part of it",
-        "the metrics changed",
-        "observer.filter_rate is no longer varied",
-        "noise.seed were of type int64, are double",
-        "new=True",
-    ):
-        assert text in str(caught.value)
-    assert len(StudyDataset.open(folder)) == 25
+    for call in (StudyDataset.check, StudyDataset.open_or_create):
+        with pytest.raises(DatasetError) as caught:
+            call(folder, other)
+        assert str(caught.value) == (
+            f"{folder} holds the dataset of another study: it was made by cosim 1.0, this is 2.0; "
+            "key scenario.stop changed; FMU plant.fmu is no longer part of it; the metrics "
+            "changed; observer.filter_rate is no longer varied; the values of noise.seed were of "
+            "type int64, are double; choose another folder, or use new=True to delete it and "
+            "start over"
+        )
+    assert content(folder).equals(before)
     with StudyDataset.open_or_create(folder, other, new=True) as dataset:
         assert dataset.missing() == [range(5)]
     assert [path.name for path in (folder / "parts").iterdir()] == ["mine.parquet"]
     assert (folder / "notes.txt").exists()
 
 
-def test_files_that_a_study_is_grown_by_are_no_difference(tmp_path):
-    """As another plant among the values of the first key; from then on it belongs to it."""
-    opened(tmp_path, 5).close()
-    more = DIGESTS | {"FMU other.fmu": "12" * 32}
-    StudyDataset.open_or_create(tmp_path, identity(8, digests=more)).close()
+def test_files_that_a_study_is_grown_by_belong_to_it(folder):
+    """From then on."""
+    more = DIGESTS | {"FMU other.fmu": "12"}
+    StudyDataset.open_or_create(folder, identity(40, digests=more)).close()
     with pytest.raises(DatasetError, match=r"another study: FMU other.fmu is no longer part of it"):
-        opened(tmp_path, 8)
+        opened(folder, 40)
 
 
-def test_members_that_were_renumbered_are_refused_by_the_first(tmp_path):
-    """Bit for bit: a zero of another sign is another value."""
-    with opened(tmp_path) as dataset:
-        add(dataset, [*range(2, 12), 21])
-    planned = design(25)
+def test_members_that_were_renumbered_are_refused_by_the_first(folder):
+    """Bit for bit; of those that are recorded."""
+    planned = design(30)
     planned["noise.seed"][21] = 4
+    planned["observer.filter_rate"][29] = 0.0  # not recorded yet
     with pytest.raises(DatasetError, match=r"member 21 was noise.seed = 1, is 4; members keep"):
-        opened(tmp_path, design=planned)
+        StudyDataset.open_or_create(folder, identity(30), design=planned)
     planned["observer.filter_rate"][7] += 2**-40
     with pytest.raises(DatasetError, match=r"member 7 was observer.filter_rate = 19.487171"):
-        opened(tmp_path, design=planned)
-    planned = design(25)
-    planned["observer.filter_rate"][13] = 0.0  # not recorded yet
-    opened(tmp_path, design=planned).close()
-    of = (parameter_column("plant.x", [0.0]),)
-    with StudyDataset.open_or_create(tmp_path, identity(1, of=of), new=True) as dataset:
-        dataset.add(StudyMember(0, {"plant.x": -0.0}), MemberOutcome(0, "complete"))
-    planned = Planned({"plant.x": [0.0]})
-    with pytest.raises(DatasetError, match=r"member 0 was plant.x = -0.0, is 0.0"):
-        StudyDataset.open_or_create(tmp_path, identity(1, of=of), design=planned)
+        StudyDataset.open_or_create(folder, identity(30), design=planned)
+    one = identity(1, of=(parameter_column("x", [0.0]),))
+    with StudyDataset.open_or_create(folder, one, new=True) as dataset:
+        dataset.add(StudyMember(0, {"x": -0.0}), MemberOutcome(0, "complete"))
+    with pytest.raises(DatasetError, match=r"member 0 was x = -0.0, is 0.0"):
+        StudyDataset.open_or_create(folder, one, design=Planned({"x": [0.0]}))
 
 
-def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
-    """The second is refused while the first writes; who reads is not."""
-    with opened(tmp_path) as dataset:
-        add(dataset, [0])
-        for new in (False, True):
-            with pytest.raises(DatasetError, match=rf"writing there \(process {os.getpid()}\)"):
-                opened(tmp_path, new=new)
-        assert len(StudyDataset.open(tmp_path)) == 1
-    assert len(opened(tmp_path)) == 1
-
-
-@pytest.mark.parametrize("name", ["steps", "log", "noise.seed"])
-def test_two_columns_of_one_name_are_refused(tmp_path, name):
-    """A metric with the name of a parameter, or of a column that every dataset has."""
-    of = (*columns(), metric_column(name))
-    with pytest.raises(DatasetError, match=f"metric '{name}': a column of the dataset already"):
-        StudyDataset.open_or_create(tmp_path / "x", identity(5, of=of))
-    assert not (tmp_path / "x").exists()
-
-
-def test_places_that_hold_no_dataset_are_refused(tmp_path):
-    """A folder without its description, a file, an empty path, another program's study.json."""
-    with pytest.raises(DatasetError, match=r"no study.json there"):
-        StudyDataset.open(tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(DatasetError, match=r"file: .*; expected a writable folder"):
-        opened(tmp_path / "file")
-    with pytest.raises(UsageError, match="got an empty path"):
-        opened("")
-    (tmp_path / "study.json").write_text('{"a": 1}')
-    with pytest.raises(DatasetError, match=r"study\.json is not that of a dataset"):
-        opened(tmp_path, new=True)
-    assert (tmp_path / "study.json").read_text() == '{"a": 1}'
-
-
-@pytest.mark.parametrize("older", [1, 2])
-def test_older_formats_are_refused_with_the_version_that_reads_them(folder, older):
-    """As their description names it."""
-    content = {**json.loads((folder / "study.json").read_text()), "format": older}
-    content["cosim"] = "0.3.0"
-    (folder / "study.json").write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match=f"format 3, got {older}; read it with cosim 0.3.0"):
-        StudyDataset.open(folder)
-
-
-# --- damage, full disks ---
-
-
-def flips(content, most):
-    """Yield contents with a byte changed, and two that are cut."""
-    for place in range(0, len(content), max(len(content) // most, 1)):
-        yield content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :]
-    yield content[: len(content) // 2]
-    yield b""
-
-
-def read_or_problem(folder):
-    """Return the rows of a dataset, or why it cannot be read."""
-    try:
-        return StudyDataset.open(folder).read().to_pylist(), ""
-    except DatasetError as error:
-        return [], str(error)
-
-
-@pytest.mark.parametrize("most", [60, pytest.param(10**6, marks=pytest.mark.campaign)])
-@pytest.mark.parametrize("name", ["study.json", "_journal.jsonl", "parts"])
-def test_what_is_damaged_is_named_and_never_read(folder, name, most):
-    """Whatever byte it is; of the journal, a last line that is cut was never written."""
-    path = min((folder / name).iterdir()) if name == "parts" else folder / name
-    whole = StudyDataset.open(folder).read().to_pylist()
-    content = path.read_bytes()
-    named = 0
-    for damaged in flips(content, most):
-        path.write_bytes(damaged)
-        rows, problem = read_or_problem(folder)
-        if problem:
-            assert path.name in problem
-            named += 1
-            continue
-        assert name == "_journal.jsonl"
-        assert rows == whole[: len(rows)]
-        assert len(rows) >= 20
-    assert named >= min(most, len(content)) - 10
-    path.unlink()
-    if name == "parts":
-        with opened(folder, 30) as dataset:
-            assert dataset.missing() == [range(10), range(25, 30)]
-            add(dataset, range(10))
-            assert dataset.read().to_pylist() == whole
-
-
-def test_a_part_of_another_study_is_refused(tmp_path):
-    """Though it has the name of one of this study."""
-    for name, version in (("a", "1"), ("b", "2")):
-        with StudyDataset.open_or_create(tmp_path / name, identity(5, version=version)) as dataset:
-            add(dataset, range(5))
-    (part,) = (tmp_path / "a" / "parts").iterdir()
-    (own,) = (tmp_path / "b" / "parts").iterdir()
-    own.unlink()
-    part.rename(tmp_path / "b" / "parts" / part.name)
-    with pytest.raises(DatasetError, match="or a part of another study"):
-        StudyDataset.open(tmp_path / "b").read()
-
-
-def test_parts_that_belong_nowhere_are_refused(folder):
-    """Of another plan; or without a description that says of which study they are."""
-    name = folder / "parts" / "part-0000000020-0000000033-00000000.parquet"
-    name.touch()
-    with pytest.raises(DatasetError, match=r"0033-0{8}.parquet: not a part of this dataset"):
-        StudyDataset.open(folder)
-    name.unlink()
+def test_what_is_no_dataset_is_left_alone(folder, tmp_path):
+    """Parts of nobody, a file of another program, two columns of one name, no dataset, no path."""
     (folder / "study.json").unlink()
-    with pytest.raises(DatasetError, match=r"belongs to a dataset, but no study.json says"):
+    with pytest.raises(DatasetError, match=r"belongs to a dataset, but no study.json says to wh"):
         opened(folder, 30)
     assert len(parts(folder)) == 2
+    (folder / "study.json").write_text('{"a": 1}')
+    with pytest.raises(DatasetError, match=r"study\.json is not that of a dataset; choose another"):
+        opened(folder, 30, new=True)
+    assert (folder / "study.json").read_text() == '{"a": 1}'
+    for of in ([metric_column("status")], [metric_column("y"), metric_column("y")]):
+        with pytest.raises(DatasetError, match="already has this name"):
+            StudyDataset.open_or_create(tmp_path / "y", identity(3, of=tuple(of)))
+    with pytest.raises(DatasetError, match=r"no study.json there; expected the dataset of a stud"):
+        cosim.open_study(tmp_path / "y")
+    with pytest.raises(UsageError, match="got an empty path"):
+        opened("", 3)
+    assert not (tmp_path / "y").exists()
 
 
-@pytest.mark.parametrize("line", ["[1, 2", "{}", "[99]", "7", '["00000000", [1]]', "[" * 100_000])
-def test_a_damaged_line_of_the_journal_is_named(folder, line):
-    """But for the last one, which a kill may have cut: that is dropped."""
-    path = folder / "_journal.jsonl"
-    lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join([lines[0], line + "\n", *lines[1:]]))
-    with pytest.raises(DatasetError, match=r"_journal.jsonl: line 2 is damaged; remove that line"):
-        StudyDataset.open(folder)
-    path.write_text("".join([*lines, line]))
-    assert len(StudyDataset.open(folder)) == 25
+# --- readers ---
+
+
+def test_pandas_and_pyarrow_read_the_parts(folder):
+    """By their folder; what a kill has left of a part is none."""
     with opened(folder, 30) as dataset:
-        add(dataset, [29])
-    assert len(StudyDataset.open(folder)) == 26
-
-
-class FullDisk:
-    """Writes take so many bytes, a part of the last one, and then none."""
-
-    def __init__(self, room):
-        self.room = room
-        self.write = os.write
-
-    def __call__(self, descriptor, content):
-        if self.room == 0:
-            raise OSError(28, os.strerror(28))
-        written = self.write(descriptor, content[: self.room])
-        self.room -= written
-        return written
-
-
-@pytest.mark.parametrize("room", [1, 150, 1500, 4000, 9000, 20_000])
-def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, monkeypatch, room):
-    """Wherever it is noticed: in the journal, or in a part; nothing that was added is lost."""
-    with opened(tmp_path / "whole", 60) as dataset:
-        add(dataset, range(60))
-    added = []
-    dataset = opened(tmp_path / "x", 60)
-    with monkeypatch.context() as patch:
-        patch.setattr(storage.os, "write", FullDisk(room))
-        with pytest.raises(DatasetWriteError, match=r"No space left on device; all outcomes so"):
-            add(dataset, range(60), added.append)
-        dataset.close()
-    with opened(tmp_path / "x", 60) as dataset:
-        left = dataset.read(["member"])["member"].to_pylist()
-        assert added == left[: len(added)]
-        assert len(left) <= len(added) + 1  # the member whose part could not be written
-        for absent in dataset.missing():
-            add(dataset, absent)
-        assert dataset.read().equals(StudyDataset.open(tmp_path / "whole").read())
-    assert not [path for path in tmp_path.rglob("*.tmp")]
-
-
-# --- other readers, and Python ---
-
-
-def test_others_read_the_parts(folder):
-    """By their folder, or a pattern; what a kill has left of a part has no name of one."""
-    (folder / "parts" / "_part.parquet.00ff.tmp").write_bytes(b"PAR1")
-    frame = pandas.read_parquet(sorted((folder / "parts").glob("*.parquet")))
-    assert frame["error"].isna().tolist() == [number in FAILED for number in range(20)]
-    table = pyarrow.dataset.dataset(folder / "parts", exclude_invalid_files=False).to_table()
-    assert table.equals(cosim.open_study(folder).table(members=range(20)).drop_columns("log"))
+        complete(dataset, 0)
+    (folder / "parts" / "_part-0000000030-0000000039-0.parquet.cosim-tmp").write_bytes(b"PAR1")
+    frame = pandas.read_parquet(folder / "parts")
+    assert frame["observer.filter_rate"].tolist() == design(30)["observer.filter_rate"]
+    assert frame["member"][frame["status"] == "failed"].tolist() == FAILED
+    whole = pyarrow.dataset.dataset(folder / "parts", ignore_prefixes=["_"]).to_table()
+    assert whole.equals(cosim.open_study(folder).table().drop_columns("log"))
+    assert whole.schema.field("late").metadata[b"unit"] == b"s"
 
 
 @pytest.mark.slow
-def test_duckdb_and_polars_read_the_parts(folder):
-    """In one line; the names of the columns are those of the study."""
+def test_polars_and_duckdb_read_the_parts(folder):
+    """By a pattern; the names of columns are those of the study."""
     import duckdb
     import polars
 
-    pattern = folder / "parts" / "*.parquet"
-    query = f"""select member, "observer.filter_rate" from '{pattern}' where error < 0.06"""
-    found = [outcome(number).metrics.get("error", 1.0) for number in range(20)]
-    wanted = [number for number, error in enumerate(found) if error < 0.06]
-    rows = duckdb.sql(f"{query} order by member").fetchall()
-    assert [number for number, _ in rows] == wanted
-    assert polars.read_parquet(pattern)["member"].to_list() == list(range(20))
-    assert cosim.open_study(folder).to_polars()["member"].to_list() == list(range(25))
+    with opened(folder, 30) as dataset:
+        complete(dataset, 0)
+    (folder / "parts" / "_part-0000000030-0000000039-0.parquet.cosim-tmp").write_bytes(b"PAR1")
+    frame = polars.read_parquet(folder / "parts" / "*.parquet")
+    errors = [None if number in FAILED else 1.0 / (number + 1) for number in range(30)]
+    assert frame["error"].to_list() == errors
+    assert cosim.open_study(folder).to_polars()["error"].to_list() == errors
+    parts = folder / "parts" / "*.parquet"
+    query = f"""select member, "noise.seed" from '{parts}' where error < 0.04 order by member"""
+    assert duckdb.sql(query).fetchall() == [(n, n % 5) for n in range(25, 30)]
 
 
-def test_a_study_says_what_it_holds(folder):
-    """Its names, units and failures, its members, and frames of them."""
+def test_a_study_says_what_it_holds(folder, monkeypatch):
+    """Its names, units and failures; as a frame of pandas by member."""
     study = cosim.open_study(str(folder))
     assert (len(study), study.planned) == (25, 30)
+    assert study.name == "tolerances"
     assert study.parameters == ("observer.filter_rate", "noise.seed")
     assert study.metrics == ("error", "late")
+    assert study.columns[0] == "member"
     assert study.units == {"observer.filter_rate": "rad/s", "late": "s", "wall_time": "s"}
     assert study.failures == {n: f"NaN at {n} s" for n in FAILED}
-    assert study.logs == {}
+    assert (study.logs, study.warnings) == ({}, {})
     assert repr(study) == "<Study 'tolerances': 25 of 30 members>"
-    assert study.member(7) == member(7)
-    with pytest.raises(UsageError, match="no outcome of member 27; available: 25 of 30"):
-        study.member(27)
     frame = study.to_pandas(["error"])
-    assert (frame.index.tolist(), frame.columns.tolist()) == (list(range(25)), ["error"])
-
-
-@pytest.mark.parametrize("name", ["pandas", "polars", "pyarrow"])
-def test_a_library_that_is_missing_is_named(folder, monkeypatch, name):
-    """With the command that installs it."""
-    study = cosim.open_study(folder)
-    monkeypatch.setitem(__import__("sys").modules, name, None)
-    with pytest.raises(UsageError, match=rf"need.* {name}, .* pip install {name}"):
-        opened(folder) if name == "pyarrow" else getattr(study, f"to_{name}")()
-
-
-def test_numbers_of_parts_stand_in_their_names(folder):
-    """With a checksum of the content."""
-    names = sorted(path.name for path in (folder / "parts").iterdir())
-    assert all(re.fullmatch(r"part-\d{10}-\d{10}-[0-9a-f]{8}\.parquet", name) for name in names)
+    assert frame.index.tolist() == list(range(25))
+    assert frame.columns.tolist() == ["error"]
+    assert [member.number for member in study.members([7, 5, 29])] == [5, 7]
+    with pytest.raises(UsageError, match="no outcome of member 29; available: 25 of 30"):
+        study.member(29)
+    monkeypatch.setitem(sys.modules, "polars", None)
+    with pytest.raises(UsageError, match=r"to_polars needs polars, .* pip install polars"):
+        study.to_polars()
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(UsageError, match="studies need pyarrow, which is not installed: pip inst"):
+        cosim.open_study(folder)

@@ -1,6 +1,6 @@
-"""Datasets at URLs of fsspec: an S3 server on loopback, and what is in this process."""
+"""Datasets at URLs of fsspec are those of folders."""
 
-import socket
+import os
 import sys
 
 import fsspec
@@ -8,11 +8,10 @@ import pytest
 
 import cosim
 from cosim.errors import DatasetError, DatasetWriteError
-from cosim.studies import storage
+from cosim.studies import dataset as dataset_module
 from cosim.studies.dataset import StudyDataset
-from tests.studies.outcomes import add, design, identity
-
-pytestmark = pytest.mark.usefixtures("parts_of_ten")
+from cosim.studies.storage import Folder, open_storage
+from tests.studies.test_dataset import add, content, identity, opened
 
 
 @pytest.fixture
@@ -23,59 +22,68 @@ def memory():
 
 
 @pytest.fixture(params=[pytest.param("bucket", marks=pytest.mark.slow), "memory"])
-def place(request):
-    """Return a place of each kind."""
+def place(request, monkeypatch):
+    """Return a place of each kind, for parts of ten members."""
+    monkeypatch.setattr(dataset_module, "PART_SIZE", 10)
     return f"{request.getfixturevalue(request.param)}/{request.node.name.partition('[')[0]}"
 
 
 def test_a_dataset_elsewhere_is_that_of_a_folder(place, tmp_path):
-    """The same table; it goes on where it was, with its journal, and grows."""
-    with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
-        add(dataset, range(23))
-    with StudyDataset.open_or_create(place, identity(13), design=design(25)) as dataset:
-        add(dataset, range(13))
-    with StudyDataset.open_or_create(place, identity(25), design=design(25)) as dataset:
-        assert dataset.missing() == [range(13, 25)]
-        add(dataset, range(13, 23))
-    assert StudyDataset.open(place).read().equals(StudyDataset.open(tmp_path).read())
-    study = cosim.open_study(place)
-    assert len(study) == 23
-    assert study.failures == {3: "NaN at 3 s", 10: "NaN at 10 s", 17: "NaN at 17 s"}
-
-
-def test_logs_are_put_whole_and_belong_to_the_dataset(place, tmp_path):
-    """The file here is gone then; to begin anew removes them, and nothing of others."""
-    log = tmp_path / "3.mcap"
-    with StudyDataset.open_or_create(place, identity(25)) as dataset:
-        for content in (b"one", b"two"):
-            log.write_bytes(content)
-            dataset.storage.put("logs/3.mcap", log)
-    assert not log.exists()
+    """The same table; it goes on where it was, with its journal; it grows."""
+    for count, numbers in [(25, range(23)), (25, [24, 23]), (33, range(25, 30))]:
+        for where in (place, tmp_path):
+            with opened(where, count) as dataset:
+                assert numbers[0] in [n for absent in dataset.missing() for n in absent]
+                add(dataset, numbers)
+    assert content(place).equals(content(tmp_path))
     files, root = fsspec.core.url_to_fs(place)
-    assert files.cat_file(f"{root}/logs/3.mcap") == b"two"
+    assert len(files.ls(f"{root}/parts")) == 4
+    assert len(cosim.open_study(place)) == 30
+    assert cosim.open_study(place).failures[24] == "NaN at 24 s"
+    name = min(path.rpartition("/")[2] for path in files.ls(f"{root}/parts", detail=False))
+    whole = files.cat_file(f"{root}/parts/{name}")
+    files.pipe_file(f"{root}/parts/{name}", whole[:-1])
+    with pytest.raises(DatasetError, match=f"{name}: damaged"):
+        content(place)
+
+
+def test_a_new_beginning_removes_the_objects_of_a_dataset_only(place, tmp_path):
+    """Logs are put whole; the file here is gone then."""
+    with opened(place, 20) as dataset:
+        add(dataset, range(15))
+        (tmp_path / "3.mcap").write_bytes(b"log")
+        dataset.storage.write("logs/3.mcap", tmp_path / "3.mcap")
+        assert not (tmp_path / "3.mcap").exists()
+    files, root = fsspec.core.url_to_fs(place)
     files.pipe_file(f"{root}/notes.txt", b"mine")
     assert StudyDataset.open(place).logs() == {3: f"{place}/logs/3.mcap"}
     with pytest.raises(DatasetError, match=f"{place} holds the dataset of another study: it was"):
-        StudyDataset.open_or_create(place, identity(25, version="2.0"))
-    with StudyDataset.open_or_create(place, identity(25, version="2.0"), new=True) as dataset:
+        StudyDataset.open_or_create(place, identity(20, version="2.0"))
+    with StudyDataset.open_or_create(place, identity(20, version="2.0"), new=True) as dataset:
+        assert dataset.missing() == [range(20)]
         assert dataset.logs() == {}
-        assert dataset.missing() == [range(25)]
     assert files.cat_file(f"{root}/notes.txt") == b"mine"
 
 
+def test_a_journal_elsewhere_is_put_now_and_then(memory, monkeypatch):
+    """With the first member after ten seconds, and in the end."""
+    clock = [0.0]
+    monkeypatch.setattr(dataset_module, "monotonic", lambda: clock[0])
+    found = []
+    with opened(f"{memory}/x", 100) as dataset:
+        for number in range(35):
+            clock[0] = float(number)
+            add(dataset, [number])
+            found.append(len(StudyDataset.open(f"{memory}/x")))
+    assert found == [0] * 10 + [11] * 10 + [21] * 10 + [31] * 5
+    assert len(StudyDataset.open(f"{memory}/x")) == 35
+
+
 @pytest.mark.slow
-def test_storage_that_is_not_there_is_said(bucket, monkeypatch):
-    """A bucket that is missing, a server that does not answer: at once, with its URL."""
+def test_storage_that_is_not_there_is_said(bucket):
+    """A bucket that is missing, with its URL."""
     with pytest.raises(DatasetWriteError, match=r"s3://nowhere/x/study.json: .*bucket"):
-        StudyDataset.open_or_create("s3://nowhere/x", identity(5))
-    with socket.socket() as unused:
-        unused.bind(("127.0.0.1", 0))
-        port = unused.getsockname()[1]
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
-    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
-    fsspec.get_filesystem_class("s3").clear_instance_cache()
-    with pytest.raises(DatasetError, match=r"s3://studies/x/study.json: .*onnect"):
-        StudyDataset.open("s3://studies/x")
+        opened("s3://nowhere/x", 5)
 
 
 def test_kinds_of_storage_that_are_unknown_are_refused(tmp_path, monkeypatch):
@@ -85,19 +93,42 @@ def test_kinds_of_storage_that_are_unknown_are_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(DatasetError, match=r"s3://x: .* needs fsspec, which is not installed"):
         StudyDataset.open("s3://x")
-    with StudyDataset.open_or_create(f"file://{tmp_path}/x%20y", identity(5)) as dataset:
+    with opened(f"file://{tmp_path}/x%20y", 5) as dataset:
         add(dataset, range(5))
     assert len(StudyDataset.open(tmp_path / "x y")) == 5
 
 
-def test_a_journal_elsewhere_is_put_now_and_then(memory, monkeypatch):
-    """Not for every member, but at the latest with the first after a few seconds."""
-    clock = [0.0]
-    monkeypatch.setattr(storage.time, "monotonic", lambda: clock[0])
-    with StudyDataset.open_or_create(f"{memory}/x", identity(9)) as dataset:
-        for number, seen in enumerate([0, 0, 3, 3, 5, 5]):
-            clock[0] = 5.0 * number
-            add(dataset, [number])
-            assert len(StudyDataset.open(f"{memory}/x")) == seen
-        add(dataset, [6])
-    assert len(StudyDataset.open(f"{memory}/x")) == 7
+def test_files_that_cannot_be_used_are_said(tmp_path, monkeypatch):
+    """A folder in place of a file, a file in place of a folder, a folder that is not writable."""
+    (tmp_path / "study.json").mkdir()
+    with pytest.raises(DatasetError, match=r"study.json: Is a directory"):
+        Folder(tmp_path).read("study.json")
+    (tmp_path / "file").touch()
+    file = open_storage(str(tmp_path / "file"))
+    assert file.read("study.json") is None
+    assert file.names("parts") == []
+    with pytest.raises(DatasetWriteError, match=r"x: (Not a directory|File exists)"):
+        file.write("x", b"")
+    with pytest.raises(DatasetError, match="expected a writable folder"):
+        file.lock()
+    if os.getuid():  # all is allowed to root
+        tmp_path.chmod(0o500)
+        with pytest.raises(DatasetError, match="Permission denied; expected a writable folder"):
+            Folder(tmp_path).lock()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks")
+def test_a_file_system_without_locks_is_written_all_the_same(tmp_path, monkeypatch):
+    """What a killed writer has left there is removed, and nothing of others."""
+    for name in ("_x.cosim-tmp", "parts/_y.cosim-tmp", "_mine.tmp", "parts/_mine"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+
+    def refuse(*_):
+        raise OSError(38, os.strerror(38))
+
+    monkeypatch.setattr("cosim.studies.storage.fcntl.flock", refuse)
+    with opened(tmp_path, 5) as dataset:
+        add(dataset, range(5))
+    left = {path.name for path in tmp_path.rglob("_*") if path.is_file()}
+    assert left == {"_mine.tmp", "_mine", "_lock", "_journal.jsonl"}
