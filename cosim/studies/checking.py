@@ -230,8 +230,8 @@ def _listed(column: DesignColumn) -> list[Any]:
         is_drawn = isinstance(column, SampleColumn) and column.indices is None
         if is_drawn or len(values) > MOST_CHECKED:
             values = np.array([values[0], values.min(), values.max()])
-        return list(dict.fromkeys(values.tolist()))
-    distinct = {repr(value): value for value in values if value is not None}
+    listed = values.tolist() if isinstance(values, np.ndarray) else values
+    distinct = {repr(value): value for value in listed if value is not None}
     return list(distinct.values())[:MOST_CHECKED]
 
 

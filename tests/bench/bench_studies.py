@@ -2,7 +2,8 @@
 
 ``members`` runs members of ``academic`` of 0.2 s and of 10 s simulated as a study, with one worker
 and with two, beside a loop of ``cosim.run`` and ``cosim.metrics`` in this process: ratios of wall
-times, the start of workers included. ``--members N`` of 10 s (default 60; five times as many of 0.2 s).
+times, the start of workers included. ``--members N`` of 10 s (default 60; five times as many of
+0.2 s).
 
 ``plan`` prints by how much the memory of a process grows that plans 100 000 members and begins to
 run them, against 100 members.
