@@ -1,21 +1,22 @@
 """Check a study before anything runs: that its members can be built, and what they are made of.
 
-A value that is given for a key is refused where the scenario does not take it, beside a member
-that it takes. Of what is drawn a part may be refused: these members fail, and their share is told
-before.
+A value that is given for a key is refused where a member that has it cannot be built; what is drawn
+is left out for that. Of the draws of a key a part may be refused: these members fail, and their
+share is told before. Code of others (FMUs, classes of users) is run in a worker only, for the first
+member, and for the first with each text.
 """
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 
@@ -25,19 +26,10 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
 from cosim.scenario.document.document import Document
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.scenario.running.replay import Replays, replays_of
-from cosim.studies.contracts import RECORDING, MemberOutcome, StudyMember
-from cosim.studies.design import (
-    DesignColumn,
-    GridColumn,
-    SampleColumn,
-    StudyDesign,
-    edited_scenario,
-    plain_values,
-)
+from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember
+from cosim.studies.design import StudyDesign, ValueColumn, edited_scenario, member_of
 from cosim.studies.members import MemberSources, OpenedSubject, inspect_member
 from cosim.studies.study_file import STUDY
 from cosim.studies.variations import SampledVariation
@@ -45,219 +37,241 @@ from cosim.studies.workers import LocalExecutor
 
 MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does
-MOST_NAMED: Final = 3  # values of a key that are refused
+MOST_INSPECTED: Final = 100  # texts of a key, which may be files
+MOST_NAMED: Final = 5  # members that are refused
 PROBES: Final = 9  # draws, from the smallest to the largest, once one is refused
-MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
-MOST_DRAWN: Final = 10  # samples that are tried where the first one is refused
+_SAMPLES: Final = 10  # that are tried, once the first one is refused
+_EDITED, _BUILT, _RUN = range(3)  # by text; if no code of others is run for that; in any case
+
+Inspected: TypeAlias = MemberSources | MemberOutcome  # the latter: it could not be found out
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedDesign:
-    """A member that is not refused, whose values need not be those of one member; and notices."""
+    """A design that is not refused.
 
-    member: StudyMember
+    Parameters
+    ----------
+    trial : StudyMember
+        One that can be built; its values need not be those of one member.
+    found : sequence of (int, Inspected)
+        What members are made of, by number.
+    notices : tuple of str
+        Which draws are refused.
+    """
+
+    trial: StudyMember
+    found: Sequence[tuple[int, Inspected]]
     notices: tuple[str, ...]
 
 
-def check_design(
-    design: StudyDesign, scenario: Scenario, *, allow_code: bool = False
-) -> CheckedDesign:
+def check_design(design: StudyDesign, scenario: Scenario) -> CheckedDesign:
     """Check that the scenario has every varied key, and takes its values.
 
-    Every value that is listed is checked, of very many the first, the smallest and the largest
-    number, else the first 2000. With some of these, a scenario of components of this package is
-    built, and so is the replay of a log; every log is opened. Code of others is not run here: it
-    belongs into the processes of the members.
+    Of each key 2000 values are checked by the scenario's text, every log among them is opened, and
+    some are built.
 
     Raises
     ------
     UsageError
-        If it does not; names the key and the value.
+        If a value is refused, or all draws of a key are; names the key and the value.
     """
-    return _DesignCheck(design, _MemberCheck(design, scenario, allow_code=allow_code)).run()
+    with ExitStack() as resources:
+        return _Check(design, scenario, resources).run()
 
 
-class _MemberCheck:
-    """Says why members are refused."""
+@final
+class _Check:
+    """Builds members of a design."""
 
-    def __init__(self, design: StudyDesign, scenario: Scenario, *, allow_code: bool) -> None:
+    def __init__(self, design: StudyDesign, scenario: Scenario, resources: ExitStack) -> None:
+        self._design = design
         self._study = design.study
         self._scenario = scenario
-        self._allow_code = allow_code
-        self._known: dict[tuple[str, bool], str] = {}
-        self._replays = cache(self._opened)
-        first = design.member(0)
-        edited_scenario(self._study, scenario, first.swap)  # what all have is no member's fault
-        _check_files(self._study.settings.swap)
-        if first.recording is not None:
-            self._replays_of(first)
-
-    def problem(self, member: StudyMember, *, is_built: bool = True) -> str:
-        """Return why a member is refused; empty: it is not."""
-        key = repr(replace(member, number=0)), is_built
-        if key not in self._known:
-            self._known[key] = self._problem(member, is_built=is_built)
-        return self._known[key]
-
-    def _problem(self, member: StudyMember, *, is_built: bool) -> str:
-        try:
-            edited = edited_scenario(self._study, self._scenario, member.swap, member.set)
-            _check_files(member.swap)
-            if is_built and member.recording is not None:
-                replays = self._replays_of(member)
-                if replays is not None:
-                    replays.check(member.set)
-            elif is_built and is_own_code(edited):
-                with ExitStack() as resources:
-                    experiment = build_experiment(edited, resources, None)
-                    if experiment.plan is None:
-                        experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
-        except UsageError as error:
-            text = str(error)
-            for key in member.set:
-                text = text.replace(option("set", key), key)
-            return text
-        return ""
-
-    def _replays_of(self, member: StudyMember) -> Replays | None:
-        """Open the log of a member; None: a replay of it may run the code of others."""
-        settings = self._study.settings
-        has_class = any(key.endswith(".class") for key in (*settings.set, *member.set))
-        runs_code = self._allow_code or bool(settings.swap or member.swap) or has_class
-        return self._replays(str(member.recording), is_read=not runs_code)
-
-    def _opened(self, path: str, *, is_read: bool) -> Replays | None:
-        is_of_other_tool = is_foreign(Path(path))
-        if not is_of_other_tool:
-            check_is_of_scenario(path, self._scenario)
-        if not is_read:
-            return None
-        settings = self._study.settings
-        scenario = self._scenario if is_of_other_tool else None
-        return replays_of(path, set=settings.set, map=settings.map, scenario=scenario)
-
-
-class _DesignCheck:
-    """Checks the values of one key after the other, beside values of the others that are taken."""
-
-    def __init__(self, design: StudyDesign, check: _MemberCheck) -> None:
-        self._design = design
-        self._problem = check.problem
-        self._member = design.member(0)
+        self._resources = resources
         self._drawn = {item.key: item for item in design.study.sampled if not item.values}
-        self._notices: list[str] = []
+        self._given: Mapping[str, Any] = {}  # for what is drawn
+        self._found: dict[str, tuple[int, Inspected]] = {}
+        self._recordings: set[str] = set()  # of this scenario
 
     def run(self) -> CheckedDesign:
-        columns = self._design.columns
-        names = [n for n, c in columns.items() if isinstance(c, GridColumn | SampleColumn)]
-        names.sort(key=lambda name: name == RECORDING)  # logs are not to blame for a value
-        if self._problem(self._member):
-            self._take_medians()
-        if self._problem(self._member):
-            # what is wrong by itself comes first, as beside it all others are wrong, too
-            names.sort(key=lambda name: bool(self._problem(_without(self._member, name))))
-            if names and self._problem(_without(self._member, names[0])):  # several are
-                self._member = replace(self._member, set={})
-        problems: list[str] = []
-        for name in names:
-            column = columns[name]
-            if name in self._drawn:
-                self._check_drawn(name, np.asarray(getattr(column, "values", ())))
-                continue
-            problems += self._value_problems(name, column)
-            if problems and self._problem(self._member):
-                break  # beside a value that is refused all others are, too
-        problem = "\n".join(problems) or self._problem(self._member)
-        if problem:
-            raise UsageError(problem)
-        return CheckedDesign(self._member, tuple(self._notices))
-
-    def _take_medians(self) -> None:
-        for name in self._drawn:
-            values = np.sort(np.asarray(getattr(self._design.columns[name], "values", ())))
-            self._member = _with_value(self._member, name, float(values[len(values) // 2]))
-
-    def _check_drawn(self, name: str, values: np.ndarray[Any, Any]) -> None:
-        def attempt(value: float) -> str:
-            return without_key(self._problem(_with_value(self._member, name, value)), name)
-
-        layout = self._design.layout
-        found = check_draws(self._drawn[name], values, attempt, layout.seeds * layout.grid)
-        if found is not None:
-            notice, accepted = found
-            self._notices.append(notice)
-            if self._problem(self._member):
-                self._member = _with_value(self._member, name, accepted)
-
-    def _value_problems(self, name: str, column: DesignColumn) -> list[str]:
-        """Return what is wrong with the first values of a key that are refused.
-
-        The keys after it are checked beside one that is taken.
-        """
-        values = _listed(column)
-        count = len(values)
-        built = set(np.linspace(0, count - 1, min(count, MOST_BUILT)).astype(int).tolist())
-        accepted: StudyMember | None = None
-        problems: list[str] = []
-        for number, value in enumerate(values):
-            member = _with_value(self._member, name, value)
-            problem = self._problem(member, is_built=number in built)
-            if not problem:
-                accepted = accepted or member
-                continue
-            if name != RECORDING or not problem.startswith(str(value)):
-                problem = f"{name} = {quoted(value)}: {without_key(problem, name)}"
-            problems.append(f"{self._place(column, value)}{problem}")
-            if len(problems) == MOST_NAMED:
+        first = self._design.member(0)
+        own = {key: first.set[key] for key in self._drawn}
+        middle = {key: float(np.median(self._draws(key))) for key in self._drawn}
+        for self._given in ({}, own, middle):  # the scenario's own values first
+            if not self._problem(self._member(0), _RUN):
                 break
-        if problems and accepted is not None:
-            self._member = accepted
-        return problems
+        else:
+            self._given = {}
+        problems = list(dict.fromkeys(self._refusals()))
+        if problems:
+            raise UsageError("\n".join(problems))
+        notices = [notice for key in self._drawn if (notice := self._refused_draws(key))]
+        if self._drawn and not notices:
+            notices += self._refused_samples()
+        return CheckedDesign(self._member(0), [*self._found.values()], tuple(notices))
 
-    def _place(self, column: DesignColumn, value: Any) -> str:
+    # --- values that are given ---
+
+    def _refusals(self) -> Iterator[str]:
+        """Yield what is wrong with the members that have the values to be checked."""
+        refused = 0
+        for number, level in self._chosen().items():
+            if self._problem(self._member(number), level):
+                yield from self._blame(number, level)
+                refused += 1
+            if refused == MOST_NAMED:
+                break
+
+    def _chosen(self) -> dict[int, int]:
+        """Return the first member with each value, and how it is checked."""
+        levels = {0: _RUN}
+        for key, column in self._design.values.items():
+            if key in self._drawn:
+                continue
+            firsts = list(_firsts(column).items())[:MOST_CHECKED]
+            built = np.linspace(0, len(firsts) - 1, min(len(firsts), MOST_BUILT)).astype(int)
+            for count, (text, position) in enumerate(firsts):
+                level = _BUILT if count in built else _EDITED
+                if text[0] in "'\"" and count < MOST_INSPECTED:
+                    level = _RUN
+                number = position * column.stride
+                levels[number] = max(levels.get(number, level), level)
+        return levels
+
+    def _member(self, number: int) -> StudyMember:
+        """Return a member, with other values of what is drawn."""
+        member = self._design.member(number)
+        set_ = {key: value for key, value in member.set.items() if key not in self._drawn}
+        return replace(member, set={**set_, **self._given})
+
+    def _blame(self, number: int, level: int) -> list[str]:
+        """Return what is wrong with a member, by the keys without which it is not."""
+        member = self._member(number)
+        problem = self._problem(member, level)
+        swaps = {f"{SWAP}{name}": path for name, path in member.swap.items()}
+        around = {**swaps, RECORDING: member.recording}
+        values = {**member.set, **around}
+        lines = []
+        for key, value in values.items():
+            others = member_of(number, {k: v for k, v in values.items() if k != key})
+            if value is None or self._problem(others, level) == problem:
+                continue
+            alone = self._problem(member_of(number, {**around, key: value}), level)
+            line = without_key(alone or problem, key)
+            if not line.startswith(str(value)):
+                line = f"{key} = {quoted(value)}: {line}"
+            lines.append(f"{self._place(key, number)}{line}")
+        return lines or [problem]
+
+    def _place(self, key: str, number: int) -> str:
         """Return where a value stands in the table of cases, before a message; empty: nowhere."""
-        cases = self._design.study.settings.cases
-        if cases is None or not isinstance(column, SampleColumn):
+        if key not in self._design.cases:
             return ""
-        rows = map(repr, plain_values(column.values))
-        return f"file {cases!r}, row {list(rows).index(repr(value)) + 1}: "
+        row = number // (self._design.layout.seeds * self._design.layout.grid) + 1
+        return f"file {self._study.settings.cases!r}, row {row}: "
+
+    # --- values that are drawn ---
+
+    def _draws(self, key: str) -> np.ndarray[Any, Any]:
+        return np.asarray(self._design.values[key].values)
+
+    def _refused_draws(self, key: str) -> str:
+        member = self._member(0)
+
+        def reason(value: float) -> str:
+            changed = replace(member, set={**member.set, key: value})
+            return without_key(self._problem(changed, _BUILT), key)
+
+        each = self._design.values[key].stride
+        return refused_draws(self._drawn[key], self._draws(key), reason, each)
+
+    def _refused_samples(self) -> list[str]:
+        """Try whole samples, if the first one is refused, such as by an FMU."""
+        layout = self._design.layout
+        if not self._problem(self._design.member(0), _RUN):
+            return []
+        samples = np.unique(np.linspace(0, layout.samples - 1, _SAMPLES).astype(int)).tolist()
+        members = [self._design.member(sample * layout.seeds * layout.grid) for sample in samples]
+        reasons = [self._problem(member, _RUN) for member in members]
+        count = len(reasons) - reasons.count("")
+        text = f"{count} of {len(samples)} samples that were tried: member 0: {reasons[0]}"
+        if count == len(samples):
+            raise UsageError(f"the scenario refuses {text}; choose other distributions")
+        return [f"members will fail in {text}"]
+
+    # --- members ---
+
+    def _problem(self, member: StudyMember, level: int) -> str:
+        """Return why a member is refused; empty: it is not, as far as is known."""
+        try:
+            edited = edited_scenario(self._study, self._scenario, member.swap, member.set)
+            self._check_recording(member.recording)
+            is_built = level == _RUN or (level == _BUILT and self._is_safe(member, edited))
+            found = self._inspected(member, edited) if is_built else None
+            text = found.refused if isinstance(found, MemberSources) else ""
+        except UsageError as error:
+            text = str(error)
+        for key in member.set:
+            text = text.replace(option("set", key), key)
+        for name in member.swap:
+            text = text.replace(option("swap", name), f"{SWAP}{name}")
+        return text
+
+    def _check_recording(self, path: str | None) -> None:
+        if path is not None and path not in self._recordings and not is_foreign(Path(path)):
+            check_is_of_scenario(path, self._scenario)
+            self._recordings.add(path)
+
+    def _is_safe(self, member: StudyMember, edited: Scenario) -> bool:
+        """Return whether a member is built without code of others."""
+        settings = self._study.settings
+        if member.recording is None or is_foreign(Path(member.recording)):
+            return is_own_code(edited)
+        has_class = any(key.endswith(".class") for key in (*settings.set, *member.set))
+        return not (settings.allow_code or settings.swap or member.swap or has_class)
+
+    def _inspected(self, member: StudyMember, edited: Scenario) -> Inspected:
+        key = repr(replace(member, number=0))
+        if key not in self._found:
+            if self._is_safe(member, edited):
+                found: Inspected = self._opened.inspect(member)
+            else:
+                ((_, found),) = self._executor.run([member], inspect_member)
+            self._found[key] = member.number, found
+        return self._found[key][1]
+
+    @cached_property
+    def _opened(self) -> OpenedSubject:
+        return self._resources.enter_context(closing(OpenedSubject(self._study.subject)))
+
+    @cached_property
+    def _executor(self) -> LocalExecutor:
+        limit = self._study.settings.timeout
+        executor = LocalExecutor(self._study.subject, 1, timeout=limit)
+        return self._resources.enter_context(executor)
 
 
-def _listed(column: DesignColumn) -> list[Any]:
-    """Return the values of a column that are checked, each once."""
-    values = getattr(column, "values", ())
-    if isinstance(values, np.ndarray):
-        is_drawn = isinstance(column, SampleColumn) and column.indices is None
-        if is_drawn or len(values) > MOST_CHECKED:
-            values = np.array([values[0], values.min(), values.max()])
-    listed = values.tolist() if isinstance(values, np.ndarray) else values
-    distinct = {repr(value): value for value in listed if value is not None}
-    return list(distinct.values())[:MOST_CHECKED]
-
-
-def _with_value(member: StudyMember, name: str, value: Any) -> StudyMember:
-    if name == RECORDING:
-        return replace(member, recording=value)
-    kind, dot, component = name.partition(".")
-    if kind + dot == "swap.":
-        return replace(member, swap={**member.swap, component: value})
-    return replace(member, set={**member.set, name: value})
-
-
-def _without(member: StudyMember, name: str) -> StudyMember:
-    return replace(member, set={key: v for key, v in member.set.items() if key != name})
+def _firsts(column: ValueColumn) -> dict[str, int]:
+    """Return the first place of each value that is to be checked, by its text."""
+    values = column.values
+    places: Sequence[int] = range(len(values) if column.indices is None else len(column.indices))
+    if column.indices is None and isinstance(values, np.ndarray) and len(values) > MOST_CHECKED:
+        places = [0, int(values.argmin()), int(values.argmax())]
+    elif column.indices is not None:
+        places = np.unique(column.indices, return_index=True)[1].tolist()
+    firsts: dict[str, int] = {}
+    for place in places:
+        value = values[place if column.indices is None else column.indices[place]]
+        if value is not None:
+            firsts.setdefault(repr(value), place)
+    return firsts
 
 
 def without_key(problem: str, key: str) -> str:
     """Return a problem without the place that a scenario has for a key that is varied."""
     rest = re.sub(rf"^\S+:\d+ \(with {re.escape(key)}\): ", "", problem)
     return rest.removeprefix(f"{key}: ").removeprefix(f"components.{key}: ")
-
-
-def _check_files(swaps: Mapping[str, str]) -> None:
-    for name, path in swaps.items():
-        if not (os.path.exists(path) or os.path.exists(path.rpartition("#")[0])):
-            raise UsageError(f"{option('swap', name)}: {path}: no such file")
 
 
 def is_own_code(scenario: Scenario) -> bool:
@@ -268,36 +282,15 @@ def is_own_code(scenario: Scenario) -> bool:
     return not any(file_type(text.partition("#")[0]) == "FMU" for text in texts)
 
 
-# --- drawn values ---
-
-
-def check_draws(
+def refused_draws(
     variation: SampledVariation,
     values: np.ndarray[Any, Any],
-    attempt: Callable[[float], str],
+    reason: Callable[[float], str],
     members_each: int,
-) -> tuple[str, float] | None:
-    """Check what was drawn for a key.
+) -> str:
+    """Return how many of the draws of a key are refused; empty: the outermost two are not.
 
-    Parameters
-    ----------
-    variation : SampledVariation
-    values : array
-        A draw for each sample.
-    attempt : callable
-        Returns why a value is refused; empty: it is not.
-    members_each : int
-        Of a sample.
-
-    Returns
-    -------
-    notice : str
-        How many draws are refused, about: from one that is taken to the next that is refused the
-        change is searched by bisection.
-    accepted : float
-        A draw that is taken.
-
-    None: neither the first, nor the smallest, nor the largest draw is refused.
+    From one that is taken to the next that is refused the change is searched by bisection.
 
     Raises
     ------
@@ -305,53 +298,39 @@ def check_draws(
         If all are that were tried.
     """
     distinct, counts = np.unique(values, return_counts=True)
-    reason = cache(lambda index: attempt(float(distinct[index])))
+    why = cache(lambda index: reason(float(distinct[index])))
     last = len(distinct) - 1
     first = int(np.searchsorted(distinct, values[0]))
-    if not (reason(first) or reason(0) or reason(last)):
-        return None
-    probes = np.linspace(0, last, min(len(distinct), PROBES)).astype(int).tolist()
-    probes = sorted({first, *probes})
-    wrong = [index for index in probes if reason(index)]
-    example = first if reason(first) else wrong[0]
+    if not (why(first) or why(0) or why(last)):
+        return ""
+    probes = sorted({first, *np.linspace(0, last, min(last + 1, PROBES)).astype(int).tolist()})
+    wrong = [index for index in probes if why(index)]
+    example = first if why(first) else wrong[0]
     value = float(distinct[example])
-    number = int(np.flatnonzero(values == distinct[example])[0]) * members_each
-    if len(wrong) == len(probes):
-        tried = (
-            "the only draw is" if last == 0 else f"so are all {len(probes)} draws that were tried"
-        )
+    number = int(np.flatnonzero(values == value)[0]) * members_each
+    if wrong == probes:
+        tried = f"so are all {len(probes)} draws that were tried" if last else "the only draw is"
         raise UsageError(
             f"{variation.key} = {quoted(value)}, drawn from {variation} for member {number}: "
-            f"{reason(example)}; {tried}; choose another distribution"
+            f"{why(example)}; {tried}; choose another distribution"
         )
-    is_wrong = np.zeros(len(distinct), bool)
+    is_wrong = np.zeros(last + 1, bool)
     for low, high in pairwise(probes):
-        change = _change(low, high, reason)
-        is_wrong[low:change] = bool(reason(low))
-        is_wrong[change : high + 1] = bool(reason(high))
-    way_out = "use a bounded distribution, such as uniform"
-    if variation.distribution == "normal":
-        way_out = "truncate the distribution with 'lower' and 'upper'"
-    notice = (
+        end = bool(why(high))
+        change = high
+        if bool(why(low)) != end:
+            ends = cache(lambda index, end=end: bool(why(index)) == end)
+            change = bisect_left(range(high), True, low + 1, key=ends)
+        is_wrong[low:change] = bool(why(low))
+        is_wrong[change : high + 1] = end
+    is_normal = variation.distribution == "normal"
+    bounds = "truncate the distribution with 'lower' and 'upper'"
+    return (
         f"{variation.key}: about {int(counts[is_wrong].sum())} of {len(values)} draws of "
         f"{variation} are invalid, and members that draw them will fail: {value!r} of member "
-        f"{number}: {reason(example)}; {way_out}"
+        f"{number}: {why(example)}; "
+        f"{bounds if is_normal else 'use a bounded distribution, such as uniform'}"
     )
-    return notice, float(distinct[next(index for index in probes if not reason(index))])
-
-
-def _change(low: int, high: int, reason: Callable[[int], str]) -> int:
-    """Return the first of some draws that is taken where the first is not, or the reverse."""
-    is_wrong = bool(reason(low))
-    if bool(reason(high)) == is_wrong:
-        return high
-    while high - low > 1:
-        middle = (low + high) // 2
-        if bool(reason(middle)) == is_wrong:
-            low = middle
-        else:
-            high = middle
-    return high
 
 
 # --- recordings ---
@@ -393,90 +372,3 @@ def _differing(one: Mapping[str, Any], two: Mapping[str, Any], prefix: str = "")
             yield from _differing(first, second, f"{prefix}{key}.")
         elif first != second:
             yield f"{prefix}{key}"
-
-
-# --- what members are made of ---
-
-Inspected: TypeAlias = MemberSources | MemberOutcome  # the latter: it could not be found out
-
-
-@dataclass(frozen=True)
-class Inspection:
-    """What members are made of, by number; one that is not refused; and which are."""
-
-    members: Mapping[int, StudyMember]
-    found: Mapping[int, Inspected]
-    trial: StudyMember
-    notices: Sequence[str]
-
-
-def inspect_members(design: StudyDesign, scenario: Scenario, checked: CheckedDesign) -> Inspection:
-    """Build the first member, and the first with each text that is varied.
-
-    Numbers that are drawn are those that were checked; where the member is refused with these, it
-    is built with those of other samples.
-    """
-    drawn = [item.key for item in design.study.sampled if not item.values]
-    values = {name: checked.member.set[name] for name in drawn}
-    members = {n: _with_drawn(design.member(n), values) for n in _with_texts(design)}
-    found = dict(_inspect(design, scenario, members.values()))
-    samples = np.linspace(0, design.layout.samples - 1, MOST_DRAWN).astype(int)
-    each = design.layout.seeds * design.layout.grid
-    trial = members[0]
-    notices = []
-    for number, member in members.items() if drawn else ():
-        first = found[number]
-        if isinstance(first, MemberOutcome) or not first.refused:
-            continue
-        others = {}
-        for sample in np.unique(samples).tolist():
-            of_sample = design.member(sample * each).set
-            other = _with_drawn(member, {name: of_sample[name] for name in drawn})
-            others[sample] = replace(other, number=sample)
-        for sample, again in _inspect(design, scenario, others.values()):
-            if isinstance(again, MemberOutcome) or not again.refused:
-                is_real = member == design.member(number)
-                with_these = "cannot be built with the values that were tried"
-                will = "will fail" if is_real else with_these
-                notices.append(f"member {number} {will}: {first.refused}")
-                found[number] = again
-                trial = others[sample] if number == 0 else trial
-                break
-    return Inspection(members, found, trial, notices)
-
-
-def _with_drawn(member: StudyMember, values: Mapping[str, Any]) -> StudyMember:
-    return replace(member, set={**member.set, **values})
-
-
-def _inspect(
-    design: StudyDesign, scenario: Scenario, members: Iterable[StudyMember]
-) -> Iterator[tuple[int, Inspected]]:
-    """Build members; in a worker where code of others may be run."""
-    study = design.study
-    members = list(members)
-    edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
-    if all(map(is_own_code, edited)):
-        with closing(OpenedSubject(study.subject)) as opened:
-            for member in members:
-                yield member.number, opened.inspect(member)
-        return
-    with LocalExecutor(study.subject, 1, timeout=study.settings.timeout) as executor:
-        for member, found in executor.run(members, inspect_member):
-            yield member.number, found
-
-
-def _with_texts(design: StudyDesign) -> list[int]:
-    """Return the first member, and the first with each text that is varied."""
-    numbers = {0}
-    for name in design.names:
-        column = design.column(name)
-        if isinstance(column, list):
-            first: dict[str, int] = {}
-            for number, value in enumerate(column):
-                if isinstance(value, str):
-                    first.setdefault(value, number)
-                if len(first) == MOST_INSPECTED:
-                    break
-            numbers |= set(first.values())
-    return sorted(numbers)

@@ -10,12 +10,12 @@ from __future__ import annotations
 import glob
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final, Literal, Protocol, TypeAlias, final
+from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 import numpy as np
 from pydantic import Field
@@ -35,10 +35,7 @@ from cosim.studies.variations import GridVariation, SampledVariation, chosen, qu
 MemberIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.int64]]
 SampleKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
 _Count: TypeAlias = Annotated[int, Field(ge=1, le=MOST_MEMBERS)]  # where it is read from a file
-MOST_DIMENSIONS: Final = 21_201  # of a Sobol sequence in scipy
 _BLOCK: Final = 2**16  # samples whose temporary arrays stay small
-_BITS: Final = 30  # of a point of a Sobol sequence
-_SMALLEST: Final = 2.0**-54
 
 
 # --- members by number ---
@@ -81,39 +78,25 @@ class MemberLayout(MemberNumbering):
         return self.samples_of(numbers) % self.noises * self.seeds + seeds
 
 
-class DesignColumn(Protocol):
-    """The values of a key."""
-
-    def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
-        """Return those of some members."""
-        ...
-
-
 @final
 @dataclass(frozen=True, slots=True)
-class GridColumn:
-    """The values of a key of the grid; ``stride`` members in a row have the same."""
+class ValueColumn:
+    """Values of a key in turn, each of ``stride`` members; ``indices``: which of the values."""
 
     values: ColumnValues
-    stride: int
-
-    def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
-        """Return the values of some members."""
-        return _taken(self.values, numbers % layout.grid // self.stride % len(self.values))
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class SampleColumn:
-    """A value for each sample, or for each case; ``indices``: which of the values it is."""
-
-    values: ColumnValues
+    stride: int = 1
     indices: np.ndarray[Any, np.dtype[np.intp]] | None = None
 
     def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
         """Return the values of some members."""
-        samples = layout.samples_of(numbers)
-        return _taken(self.values, samples if self.indices is None else self.indices[samples])
+        turns: np.ndarray[Any, Any] = numbers // self.stride
+        if self.indices is None:
+            turns = turns % len(self.values)
+        else:
+            turns = self.indices[turns % len(self.indices)]
+        if isinstance(self.values, np.ndarray):
+            return np.asarray(self.values[turns])
+        return [self.values[index] for index in turns.tolist()]
 
 
 @final
@@ -133,19 +116,11 @@ class NoiseSeedColumn:
         stream = np.random.PCG64(_sequence(self.study_seed, self.name))
         stream.advance(begin)
         raw = np.asarray(stream.random_raw(int(indices.max()) + 1 - begin), np.uint64)
-        seeds: ColumnValues = (raw >> np.uint64(11)).astype(np.int64)[indices - begin]
-        return seeds
+        return np.asarray((raw >> np.uint64(11)).astype(np.int64)[indices - begin])
 
 
-def _sequence(seed: int, name: str) -> np.random.SeedSequence:
+def _sequence(seed: int, name: str = "") -> np.random.SeedSequence:
     return np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
-
-
-def _taken(values: ColumnValues, indices: np.ndarray[Any, Any]) -> ColumnValues:
-    if isinstance(values, np.ndarray):
-        some: np.ndarray[Any, Any] = values[indices]
-        return some
-    return [values[index] for index in indices.tolist()]
 
 
 def plain_values(values: ColumnValues) -> list[Any]:
@@ -163,7 +138,7 @@ class StudyDesign:
     kind : str
         How samples came about.
     layout : MemberLayout
-    columns : mapping of key to DesignColumn
+    columns : mapping of key to ValueColumn or NoiseSeedColumn
         In the order of the dataset.
     sampled : tuple of str
         The keys that are drawn.
@@ -172,7 +147,7 @@ class StudyDesign:
     study: StudyFile
     kind: SampleKind
     layout: MemberLayout
-    columns: Mapping[str, DesignColumn] = field(repr=False)
+    columns: Mapping[str, ValueColumn | NoiseSeedColumn] = field(repr=False)
     sampled: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -183,14 +158,27 @@ class StudyDesign:
         """The keys."""
         return tuple(self.columns)
 
+    @property
+    def values(self) -> dict[str, ValueColumn]:
+        """The columns of all but seeds of noise."""
+        return {n: c for n, c in self.columns.items() if isinstance(c, ValueColumn)}
+
+    @property
+    def cases(self) -> dict[str, ValueColumn]:
+        """Those of the table of cases."""
+        settings = self.study.settings
+        others = {item.key for item in self.study.variations}
+        others |= set() if settings.replay is None else {RECORDING}
+        columns = {} if settings.cases is None else self.values
+        return {name: column for name, column in columns.items() if name not in others}
+
     def column(self, name: str, begin: int = 0, end: int | None = None) -> ColumnValues:
         """Return the values of a key, from one member to another (not included)."""
         return self.columns[name].take(self.layout, self._numbers(begin, end))
 
     def texts(self) -> set[str]:
         """Return all texts among the values: some are paths."""
-        lists = [getattr(column, "values", None) for column in self.columns.values()]
-        return set().union(*(texts_in(values) for values in lists if isinstance(values, list)))
+        return texts_in([c.values for c in self.values.values() if isinstance(c.values, list)])
 
     def member(self, number: int) -> StudyMember:
         """Return a member."""
@@ -237,22 +225,33 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     _check_sampling(study)
     cases = {} if settings.cases is None else read_cases(Path(settings.cases))
     recordings = find_recordings(settings.replay)
-    if not recordings and RECORDING not in cases:
-        _check_swapped(study, scenario, cases)
+    is_replay = bool(recordings) or RECORDING in cases
     grid = list(study.grid)
     if recordings:
         grid.insert(0, GridVariation(RECORDING, recordings))
-    names = [item.key for item in grid] + [item.key for item in study.sampled] + list(cases)
-    sources = _noise_sources(study, scenario, names)
+    names = [item.key for item in (*grid, *study.sampled)] + list(cases)
+    swapped = {name.removeprefix(SWAP) for name in names if name.startswith(SWAP)}
+    for name in sorted(swapped - {*scenario.specs}):
+        if f"{SWAP}{name}" in cases and not is_replay:
+            raise UsageError(
+                f"file {settings.cases!r}, column {name!r}: no component {name!r} to swap, and "
+                f"keys have a dot, such as 'scenario.stop'; {nearest(name, scenario.specs)}"
+            )
+    firsts = {item.key: item.values[0] for item in study.variations if item.key.startswith(SWAP)}
+    edited = edited_scenario(study, scenario, member_of(0, firsts).swap)
+    sources = {} if settings.seeds is None else _noise_sources(edited, swapped, is_replay)
     _check_keys(study, [*names, *sources])
+
     layout = _layout(study, grid, len(next(iter(cases.values()))) if cases else 1)
-    columns: dict[str, DesignColumn] = {}
+    columns: dict[str, ValueColumn | NoiseSeedColumn] = {}
     stride = layout.grid
     for item in grid:
         stride //= len(item.values)
-        columns[item.key] = GridColumn(packed(item.values), stride)
-    columns |= _sampled_columns(study, scenario)
-    columns |= {key: SampleColumn(values) for key, values in cases.items()}
+        columns[item.key] = ValueColumn(packed(item.values), stride)
+    each = layout.grid * layout.seeds
+    for drawn, points in zip(study.sampled, _unit_points(study), strict=True):
+        columns[drawn.key] = _drawn_column(drawn, points, each, edited)
+    columns |= {key: ValueColumn(values, each) for key, values in cases.items()}
     columns |= {key: NoiseSeedColumn(settings.seed, name) for key, name in sources.items()}
     kind: SampleKind = "cases" if cases else "grid"
     if study.sampled:
@@ -293,37 +292,22 @@ def find_recordings(patterns: str | Iterable[str] | None) -> tuple[str, ...]:
 
 def _check_sampling(study: StudyFile) -> None:
     settings = study.settings
-    if study.sampled:
+    if not study.sampled:
+        for name in ("samples", "sampling"):
+            if getattr(settings, name) is not None:
+                seeds = f"; the runs of a noise source are {option('seeds')}"
+                raise UsageError(
+                    f"{option(name)}: nothing is drawn: no key has a distribution, such as "
+                    f"{{ uniform = [0.0, 1.0] }}{seeds if name == 'samples' else ''}"
+                )
+    elif settings.samples is None:
+        raise UsageError(
+            f"{option('samples')}: expected the number of draws, such as 100, as "
+            f"{study.sampled[0].key!r} has a distribution; got none"
+        )
+    elif settings.cases is not None:
         key = study.sampled[0].key
-        if settings.samples is None:
-            raise UsageError(
-                f"{option('samples')}: expected the number of draws, such as 100, as {key!r} has a "
-                "distribution; got none"
-            )
-        if settings.cases is not None:
-            raise UsageError(
-                f"expected either {option('cases')} or distributions ({key!r}), got both"
-            )
-        return
-    for name in ("samples", "sampling"):
-        if getattr(settings, name) is not None:
-            seeds = (
-                f"; the runs of a noise source are {option('seeds')}" if name == "samples" else ""
-            )
-            raise UsageError(
-                f"{option(name)}: nothing is drawn: no key has a distribution, such as "
-                f"{{ uniform = [0.0, 1.0] }}{seeds}"
-            )
-
-
-def _check_swapped(study: StudyFile, scenario: Scenario, cases: Mapping[str, object]) -> None:
-    for key in cases:
-        name = key.removeprefix(SWAP)
-        if key.startswith(SWAP) and name not in scenario.specs:
-            raise UsageError(
-                f"file {study.settings.cases!r}, column {name!r}: no component {name!r} to swap, "
-                f"and keys have a dot, such as 'scenario.stop'; {nearest(name, scenario.specs)}"
-            )
+        raise UsageError(f"expected either {option('cases')} or distributions ({key!r}), got both")
 
 
 def _check_keys(study: StudyFile, names: Iterable[str]) -> None:
@@ -342,72 +326,48 @@ def _check_keys(study: StudyFile, names: Iterable[str]) -> None:
 def _layout(study: StudyFile, grid: Sequence[GridVariation], cases: int) -> MemberLayout:
     settings = study.settings
     noises = settings.samples or 0
-    samples = cases
-    if noises:
-        samples = noises * (len(study.sampled) + 2 if settings.sampling == "saltelli" else 1)
+    blocks = len(study.sampled) + 2 if settings.sampling == "saltelli" else 1
+    samples = noises * blocks or cases
     counts = [len(item.values) for item in grid]
-    layout = MemberLayout(
-        samples=samples, seeds=settings.seeds or 1, grid=math.prod(counts), noises=noises
-    )
+    seeds = settings.seeds or 1
+    layout = MemberLayout(samples=samples, seeds=seeds, grid=math.prod(counts), noises=noises)
     if layout.members > MOST_MEMBERS:
-        factors = [count for count in (samples, layout.seeds, *counts) if count > 1]
+        product = " x ".join(str(count) for count in (samples, seeds, *counts) if count > 1)
         raise UsageError(
-            f"{study.source}: expected at most {MOST_MEMBERS} members, got "
-            f"{' x '.join(map(str, factors))} = {layout.members}"
+            f"{study.source}: expected at most {MOST_MEMBERS} members, got {product} = "
+            f"{layout.members}"
         )
     return layout
 
 
-def _sampled_columns(study: StudyFile, scenario: Scenario) -> dict[str, DesignColumn]:
-    settings = study.settings
-    if not study.sampled or settings.samples is None:
-        return {}
-    keys = [item.key for item in study.sampled]
-    points = unit_points(settings.sampling or "random", keys, settings.samples, seed=settings.seed)
-    columns: dict[str, DesignColumn] = {}
-    for item, p in zip(study.sampled, points, strict=True):
-        if item.distribution == "choice":
-            columns[item.key] = SampleColumn(packed(item.values), chosen(item, p))
-            continue
-        own = math.nan
-        if item.distribution.startswith("tolerance"):
-            own = _own_number(edited_scenario(study, scenario, _first_swaps(study)), item.key)
-        for begin in range(0, len(p), _BLOCK):
-            block = p[begin : begin + _BLOCK]
-            block[:] = quantiles(item, block, own)
-        _check_finite(item, p)
-        columns[item.key] = SampleColumn(p)
-    return columns
-
-
-def _check_finite(item: SampledVariation, values: np.ndarray[Any, Any]) -> None:
-    wrong = values[~np.isfinite(values)]
+def _drawn_column(item: SampledVariation, p: Any, each: int, scenario: Scenario) -> ValueColumn:
+    """Return what is drawn at probabilities, which are overwritten."""
+    if item.distribution == "choice":
+        return ValueColumn(packed(item.values), each, chosen(item, p))
+    is_tolerance = item.distribution.startswith("tolerance")
+    own = _own_number(scenario, item.key) if is_tolerance else math.nan
+    for begin in range(0, len(p), _BLOCK):
+        block = p[begin : begin + _BLOCK]
+        block[:] = quantiles(item, block, own)
+    wrong = p[~np.isfinite(p)]
     if len(wrong):
         raise UsageError(
             f"{option('vary', item.key)}: {item.distribution} of {quoted(list(item.numbers))} "
             f"gives {wrong[0]}; expected numbers below {np.finfo(float).max:g}"
         )
+    return ValueColumn(p, each)
 
 
-def _first_swaps(study: StudyFile) -> dict[str, str]:
-    varied = [item for item in study.variations if item.key.startswith(SWAP)]
-    return {item.key.removeprefix(SWAP): item.values[0] for item in varied}
-
-
-def _noise_sources(study: StudyFile, scenario: Scenario, names: Sequence[str]) -> dict[str, str]:
+def _noise_sources(scenario: Scenario, swapped: set[str], is_replay: bool) -> dict[str, str]:
     """Return the noise sources that get seeds, by the keys of their seeds."""
-    if study.settings.seeds is None:
-        return {}
-    edited = edited_scenario(study, scenario, _first_swaps(study))
     sources = {}
-    for name, table in edited.tree["components"].items():
-        if table.get("seed") is not None and f"{SWAP}{name}" not in names:
+    for name, table in scenario.tree["components"].items():
+        if table.get("seed") is not None and name not in swapped:
             sources[short(f"{COMPONENTS}.{name}.seed")] = name
-    if study.settings.replay is None and RECORDING not in names:  # a replay has them recorded
-        for number, action in edited.actions.items():
-            loses = action.drop is not None and not isinstance(action.drop, bool)
-            if action.noise is not None or loses:
-                sources[f"{ACTIONS}.{number}.seed"] = f"{ACTIONS}.{number}"
+    for number, action in scenario.actions.items():
+        loses = action.drop is not None and not isinstance(action.drop, bool)
+        if not is_replay and (action.noise is not None or loses):  # a replay has them recorded
+            sources[f"{ACTIONS}.{number}.seed"] = f"{ACTIONS}.{number}"
     if not sources:
         raise UsageError(
             f"{option('seeds')}: nothing in the scenario has a seed; add a component with noise, "
@@ -436,17 +396,16 @@ def _own_number(scenario: Scenario, key: str) -> float:
 
 def own_value(scenario: Scenario, key: str) -> Any:
     """Return what the scenario has for a key, a default included; None: nothing."""
-    component = component_in(key)
     first, _, rest = key.removeprefix(f"{COMPONENTS}.").partition(".")
-    if component is None and first in FLAT:
-        return scenario.tree.get(first, {}).get(rest)
     parts = address(rest).split(".")
-    path = (first, *parts) if component is None else (COMPONENTS, first, *parts)
-    value = _inner(scenario.tree, path)
-    if value is None and component is not None:
-        value = _inner(scenario.specs.get(first), parts)
-    if value is None and component is None and first == "scenario":
-        value = getattr(scenario.file.scenario, rest, None)
+    if component_in(key) is not None:
+        value = _inner(scenario.tree, (COMPONENTS, first, *parts))
+        return _inner(scenario.specs.get(first), parts) if value is None else value
+    if first in FLAT:
+        return scenario.tree.get(first, {}).get(rest)
+    value = _inner(scenario.tree, (first, *parts))
+    if value is None and first == "scenario":
+        return getattr(scenario.file.scenario, rest, None)
     return value
 
 
@@ -466,6 +425,14 @@ def _inner(value: Any, path: Iterable[str]) -> Any:
 # --- points between 0 and 1 ---
 
 
+def _unit_points(study: StudyFile) -> Matrix:
+    settings = study.settings
+    keys = [item.key for item in study.sampled]
+    if not keys or settings.samples is None:
+        return np.empty((0, 0))
+    return unit_points(settings.sampling or "random", keys, settings.samples, seed=settings.seed)
+
+
 def unit_points(method: SamplingMethod, keys: Sequence[str], samples: int, *, seed: int) -> Matrix:
     """Return points of the unit cube, a row for each key: inside it, never on its faces.
 
@@ -474,41 +441,39 @@ def unit_points(method: SamplingMethod, keys: Sequence[str], samples: int, *, se
     UsageError
         If the method has not so many dimensions, or needs another number of samples.
     """
-    methods: dict[str, Callable[[], Matrix]] = {
-        "random": lambda: _random(keys, samples, seed),
-        "latin-hypercube": lambda: _latin_hypercube(len(keys), samples, seed),
-        "sobol": lambda: _sobol(len(keys), samples, seed),
-        "saltelli": lambda: _saltelli(len(keys), samples, seed),
-    }
-    points = methods[method]()
-    return np.clip(points, _SMALLEST, 1.0 - 2 * _SMALLEST, out=points)
+    dimensions = len(keys)
+    match method:
+        case "random":
+            points = np.empty((dimensions, samples))
+            for row, key in zip(points, keys, strict=True):
+                np.random.Generator(np.random.PCG64(_sequence(seed, key))).random(out=row)
+        case "latin-hypercube":
+            from scipy.stats.qmc import LatinHypercube
 
-
-def _random(keys: Sequence[str], samples: int, seed: int) -> Matrix:
-    streams = [np.random.Generator(np.random.PCG64(_sequence(seed, key))) for key in keys]
-    return np.stack([stream.random(samples) for stream in streams])
-
-
-def _latin_hypercube(dimensions: int, samples: int, seed: int) -> Matrix:
-    from scipy.stats.qmc import LatinHypercube
-
-    generator = np.random.default_rng(np.random.SeedSequence(seed))
-    return np.ascontiguousarray(LatinHypercube(dimensions, rng=generator).random(samples).T)
+            drawn = LatinHypercube(dimensions, rng=np.random.default_rng(_sequence(seed)))
+            points = np.ascontiguousarray(drawn.random(samples).T)
+        case "sobol":
+            points = _sobol(dimensions, samples, seed)
+        case "saltelli":
+            points = _saltelli(dimensions, samples, seed)
+    smallest = 2.0**-54
+    return np.clip(points, smallest, 1.0 - 2 * smallest, out=points)
 
 
 def _sobol(dimensions: int, samples: int, seed: int) -> Matrix:
-    if dimensions > MOST_DIMENSIONS:
-        raise UsageError(
-            f"{option('sampling')}: a Sobol sequence has at most {MOST_DIMENSIONS} dimensions, "
-            f"and the study has {dimensions}"
-        )
     from scipy.stats.qmc import Sobol
 
-    generator = np.random.default_rng(np.random.SeedSequence(seed))
-    sequence = Sobol(dimensions, scramble=True, bits=_BITS, rng=generator)
+    if dimensions > Sobol.MAXDIM:
+        raise UsageError(
+            f"{option('sampling')}: a Sobol sequence has at most {Sobol.MAXDIM} dimensions, "
+            f"and the study has {dimensions}"
+        )
+    bits = 30
+    generator = np.random.default_rng(_sequence(seed))
+    sequence = Sobol(dimensions, scramble=True, bits=bits, rng=generator)
     points = sequence.random_base2((samples - 1).bit_length())[:samples]
-    rows = np.ascontiguousarray(points.T)
-    rows += 2.0 ** -(_BITS + 1)
+    rows: Matrix = np.ascontiguousarray(points.T)
+    rows += 2.0 ** -(bits + 1)
     return rows
 
 

@@ -176,6 +176,8 @@ class OpenedSubject:
             with ExitStack() as resources:
                 experiment = self._experiment(member, resources)
                 self._metrics.check({c.name: c for c in experiment.graph.layout.channels})
+                if experiment.plan is None:
+                    experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
                 files, modules = (
                     {path: self._digests.of(path) for path in sorted(map(str, paths))}
                     for paths in (experiment.files, experiment.modules)

@@ -23,7 +23,7 @@ from cosim.log.mcap_file.rotation import part_paths
 from cosim.scenario.document.edits import parse_value
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.studies.checking import Inspected, check_design, inspect_members
+from cosim.studies.checking import Inspected, check_design
 from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
 from cosim.studies.dataset import (
     OF_METRICS,
@@ -33,7 +33,7 @@ from cosim.studies.dataset import (
     result_columns,
     scenario_digests,
 )
-from cosim.studies.design import SampleColumn, StudyDesign, plain_values, plan_design
+from cosim.studies.design import StudyDesign, plain_values, plan_design
 from cosim.studies.layout import StudyLayout, count_text
 from cosim.studies.metrics import parse_metrics
 from cosim.studies.study import Study
@@ -173,12 +173,7 @@ def plan_study(study: StudyFile) -> StudyPlan:
 
 
 def plan_members(
-    study: StudyFile,
-    scenario: Scenario,
-    design: StudyDesign,
-    *,
-    files: Mapping[str, str],
-    refused: Callable[[StudyMember, str], str] | None = None,
+    study: StudyFile, scenario: Scenario, design: StudyDesign, *, files: Mapping[str, str]
 ) -> StudyPlan:
     """Plan the members of a design.
 
@@ -190,50 +185,37 @@ def plan_members(
     design : StudyDesign
     files : mapping of path to SHA-256
         The scenario, as it was before it was read.
-    refused : callable, optional
-        Returns the message for a member that cannot be built.
 
     Raises
     ------
     UsageError
         If a member cannot be built, or has not the signals of the metrics.
     """
-    checked = check_design(design, scenario, allow_code=study.subject.allow_code)
     named = _named_files(_texts(design, scenario), scenario.document.folder)
-    inspection = inspect_members(design, scenario, checked)
-    for number, found in inspection.found.items():
-        if not isinstance(found, MemberOutcome) and found.refused:
-            text = f"member {number}: {found.refused}"
-            if refused is not None:
-                text = refused(inspection.members[number], found.refused)
-            raise UsageError(text)
-    sources = _sources({**named, **files}, inspection.found)
+    checked = check_design(design, scenario)
+    sources = _sources({**named, **files}, checked.found)
     settings = study.settings
     edited = scenario
     if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
     warnings = [f"warning: {text}" for text in sources.warnings]
-    notices = (*checked.notices, *_empty_cells(design), *inspection.notices, *warnings)
-    return StudyPlan(study, edited, design, sources, inspection.trial, notices)
+    notices = (*checked.notices, *_empty_cells(design), *warnings)
+    return StudyPlan(study, edited, design, sources, checked.trial, notices)
 
 
 def _empty_cells(design: StudyDesign) -> list[str]:
     """Return a notice where a table of cases has empty cells."""
-    columns = [c.values for c in design.columns.values() if isinstance(c, SampleColumn)]
-    if design.kind != "cases" or all(isinstance(values, np.ndarray) for values in columns):
-        return []
-    rows = list(zip(*map(plain_values, columns), strict=True))
-    count = sum(value is None for row in rows for value in row)
-    if not count:
+    columns = [plain_values(column.values) for column in design.cases.values()]
+    is_empty = np.array([[value is None for value in values] for values in columns])
+    if not is_empty.any():
         return []
     text = (
-        f"file {design.study.settings.cases!r}: {count_text(count, 'empty cell')}, where members "
-        "have the scenario's own value"
+        f"file {design.study.settings.cases!r}: {count_text(int(is_empty.sum()), 'empty cell')}, "
+        "where members have the scenario's own value"
     )
-    empty = [str(n) for n, row in enumerate(rows, 1) if all(value is None for value in row)]
-    if empty:
-        are = "is row" if len(empty) == 1 else "are rows"
-        text += f"; all empty {are} {listing(empty, 5)}"
+    rows = [str(row + 1) for row in np.flatnonzero(is_empty.all(axis=0))]
+    if rows:
+        text += f"; all empty {'is row' if len(rows) == 1 else 'are rows'} {listing(rows, 5)}"
     return [text]
 
 
@@ -264,33 +246,28 @@ def _texts(design: StudyDesign, scenario: Scenario) -> set[str]:
 
 
 def _named_files(texts: Iterable[str], folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of the files that texts may name, under the paths that are opened."""
     files: dict[str, str] = {}
-    for path in _possible_files(texts, folder):
-        if path in files or not os.path.isfile(path):
-            continue
-        try:
-            real = os.path.realpath(path)
-            files[path] = files[real] = files.get(real) or sha256_of(path)
-        except OSError as error:
-            raise UsageError(
-                f"{path}: cannot be read ({error.strerror or error}); expected a readable file"
-            ) from error
+    for text in {*texts, *(text.rpartition("#")[0] for text in texts if "#" in text)}:
+        path = os.path.join(folder, text)
+        parts = map(str, part_paths(Path(path))) if file_type(path) == "log" else [path]
+        for part in filter(os.path.isfile, parts):
+            real = os.path.realpath(part)
+            try:
+                files[part] = files[real] = files.get(real) or sha256_of(part)
+            except OSError as error:
+                raise UsageError(
+                    f"{part}: cannot be read ({error.strerror or error}); expected a readable file"
+                ) from error
     return files
 
 
-def _possible_files(texts: Iterable[str], folder: Path) -> Iterator[str]:
-    for text in texts:
-        paths = (os.path.join(folder, text), os.path.join(folder, text.rpartition("#")[0]))
-        for path in paths if "#" in text else paths[:1]:
-            yield from map(str, part_paths(Path(path))) if file_type(path) == "log" else [path]
-
-
-def _sources(files: Mapping[str, str], found: Mapping[int, Inspected]) -> StudySources:
+def _sources(files: Mapping[str, str], found: Iterable[tuple[int, Inspected]]) -> StudySources:
     known = dict(files)
     modules: dict[str, str] = {}
     codes: dict[str, str] = {}
     lost: dict[str, list[str]] = {}
-    for number, one in found.items():
+    for number, one in found:
         if isinstance(one, MemberOutcome):
             lost.setdefault(one.reason, []).append(str(number))
             continue
@@ -298,9 +275,7 @@ def _sources(files: Mapping[str, str], found: Mapping[int, Inspected]) -> StudyS
         codes |= one.codes
         for path, digest in one.files.items():
             if known.setdefault(path, digest) != digest:
-                raise RunError(
-                    f"{path} has changed while the study was being planned; run it again"
-                )
+                raise RunError(f"{path} has changed while the study was being planned; run again")
     warnings = [
         f"member{'s' if len(numbers) > 1 else ''} {listing(numbers, 5)} could not be built when "
         f"the study was planned: {reason}; the files that are named are known, but not whether "

@@ -20,8 +20,8 @@ from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, St
 from cosim.studies.dataset import OF_METRICS, StudyDataset, StudyIdentity, json_value
 from cosim.studies.design import (
     MemberLayout,
-    SampleColumn,
     StudyDesign,
+    ValueColumn,
     edited_scenario,
     find_recordings,
     own_value,
@@ -426,12 +426,11 @@ def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
                 text = str(error).removeprefix(f"{option('set', key.key)}: ")
                 raise UsageError(f"{key.key} = {quoted(value)}: {text}") from error
 
-    def refused(member: StudyMember, reason: str) -> str:
-        swaps = [f"{SWAP}{key} = {quoted(path)}: " for key, path in member.swap.items()]
-        return f"{''.join(swaps)}{_of_objective(reason, search)}"
-
     design = _checked_points(study, search, recording)
-    planned = plan_members(study, scenario, design, files=files, refused=refused)
+    try:
+        planned = plan_members(study, scenario, design, files=files)
+    except UsageError as error:
+        raise UsageError(_of_objective(str(error), search)) from error
     return TuningPlan(planned, search, recording)
 
 
@@ -457,14 +456,14 @@ def _checked_points(study: StudyFile, search: Search, recording: str | None) -> 
         lists[key.key] = [first] if recording is None else [first, middle]
     count = max(map(len, lists.values()))
     repeated = {name: [v[n % len(v)] for n in range(count)] for name, v in lists.items()}
-    columns = {name: SampleColumn(values) for name, values in repeated.items()}
+    columns = {name: ValueColumn(values) for name, values in repeated.items()}
     return StudyDesign(study, "cases", MemberLayout(samples=count), columns)
 
 
 def _of_objective(text: str, search: Search) -> str:
     """Return problems of the metrics as those of the objective, each once."""
     name = option("maximize" if search.maximize else "minimize")
-    lines = [re.sub(r"^metrics\.\w+: ", f"{name}: ", line) for line in text.splitlines()]
+    lines = [re.sub(r"\bmetrics\.\w+: ", f"{name}: ", line) for line in text.splitlines()]
     return "\n".join(dict.fromkeys(lines))
 
 
