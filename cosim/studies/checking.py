@@ -150,19 +150,17 @@ class _Check:
         member = self._member(number)
         problem = self._problem(member, level)
         swaps = {f"{SWAP}{name}": path for name, path in member.swap.items()}
-        around = {**swaps, RECORDING: member.recording}
-        values = {**member.set, **around}
-        lines = []
+        values = {**member.set, **swaps, RECORDING: member.recording}
+        blamed = []
         for key, value in values.items():
             others = member_of(number, {k: v for k, v in values.items() if k != key})
-            if value is None or self._problem(others, level) == problem:
-                continue
-            alone = self._problem(member_of(number, {**around, key: value}), level)
-            line = without_key(alone or problem, key)
-            if not line.startswith(str(value)):
-                line = f"{key} = {quoted(value)}: {line}"
-            lines.append(f"{self._place(key, number)}{line}")
-        return lines or [problem]
+            rest = self._problem(others, level).splitlines()
+            lines = [without_key(line, key) for line in problem.splitlines() if line not in rest]
+            if lines:
+                text = "\n".join(lines)
+                own = "" if text.startswith(str(value)) else f"{key} = {quoted(value)}: "
+                blamed.append(f"{self._place(key, number)}{own}{text}")
+        return blamed or [problem]
 
     def _place(self, key: str, number: int) -> str:
         """Return where a value stands in the table of cases, before a message; empty: nowhere."""

@@ -229,7 +229,7 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     grid = list(study.grid)
     if recordings:
         grid.insert(0, GridVariation(RECORDING, recordings))
-    names = [item.key for item in (*grid, *study.sampled)] + list(cases)
+    names = [*(item.key for item in grid), *(item.key for item in study.sampled), *cases]
     swapped = {name.removeprefix(SWAP) for name in names if name.startswith(SWAP)}
     for name in sorted(swapped - {*scenario.specs}):
         if f"{SWAP}{name}" in cases and not is_replay:

@@ -45,77 +45,35 @@ STUDY: Final = "study"
 VARY: Final = "vary"
 METRICS: Final = "metrics"
 SamplingMethod: TypeAlias = Literal["random", "latin-hypercube", "sobol", "saltelli"]
-MOST_DRAWN: Final = 10_000_000  # samples, and seeds
+_Drawn: TypeAlias = Annotated[Whole, Field(ge=1, le=10_000_000)]
 
 
 class StudySettings(TomlTable):
     """The table [study]."""
 
-    name: NameOfStudy | None = Field(
-        None, description="name of the study; default: that of its file or scenario"
-    )
-    scenario: str | None = Field(
-        None,
-        description="scenario to run: the name of a shipped one, or a path relative to this file; "
-        "of a log: its scenario, as a replay",
-    )
-    set: dict[str, Any] = Field(
-        {}, description='values of all members: { "observer.filter_rate" = 300.0 }'
-    )
-    swap: dict[str, str] = Field({}, description="swaps of all members")
-    map: dict[str, str | list[str]] = Field({}, description="ports of swapped components")
-    replay: str | tuple[str, ...] | None = Field(
-        None, description='logs that each member replays, such as ["field-*.mcap"]'
-    )
-    allow_code: Flag | None = Field(
-        None,
-        description="whether replays also compute components of user classes; this runs the code "
-        "that the logs name",
-    )
-    cases: str | None = Field(
-        None,
-        description="table of members (.csv, .xlsx, ...): a column for each key, a row per case",
-    )
-    sampling: SamplingMethod | None = Field(
-        None,
-        description='how distributions are drawn: "random" (default), "latin-hypercube", "sobol", '
-        'or "saltelli" for Sobol indices',
-    )
-    samples: Annotated[Whole, Field(ge=1, le=MOST_DRAWN)] | None = Field(
-        None, description="number of draws from all distributions"
-    )
-    seed: Annotated[Whole, Field(ge=0, le=LARGEST_SEED)] = Field(
-        0, description="seed of all random numbers of the study"
-    )
-    seeds: Annotated[Whole, Field(ge=1, le=MOST_DRAWN)] | None = Field(
-        None, description="number of seeds for each noise source; default: only its own"
-    )
-    timeout: Annotated[Number, Field(gt=0.0)] | None = Field(
-        None,
-        description="wall time limit of a member [s]; default: ten times the longest of the first "
-        "ones, at least 60 s; one hour until a member completes",
-    )
-    keep: str | tuple[Whole, ...] | None = Field(
-        None,
-        description='members whose logs are kept: "failed", "all", "worst 5 of METRIC", '
-        '"best 5 of METRIC", or their numbers',
-    )
-    results: Flag | None = Field(
-        None,
-        description="also keep the results of each run (estimates, errors, verdicts); default: "
-        "only if there are no metrics",
-    )
+    name: NameOfStudy | None = None  # left out: that of its file or scenario
+    scenario: str | None = None  # a shipped one, a path relative to the file, or a log to replay
+    set: dict[str, Any] = Field({})  # of all members, as the next two
+    swap: dict[str, str] = Field({})
+    map: dict[str, str | list[str]] = Field({})
+    replay: str | tuple[str, ...] | None = None  # logs and patterns of logs
+    allow_code: Flag | None = None  # replays compute components of user classes, too
+    cases: str | None = None  # table with a column for each key and a row for each case
+    sampling: SamplingMethod | None = None  # left out: random
+    samples: _Drawn | None = None  # draws from all distributions
+    seed: Annotated[Whole, Field(ge=0, le=LARGEST_SEED)] = 0  # of all random numbers of the study
+    seeds: _Drawn | None = None  # of each noise source; left out: only its own
+    timeout: Annotated[Number, Field(gt=0.0)] | None = None  # wall time of a member [s]
+    keep: str | tuple[Whole, ...] | None = None  # members whose logs are kept
+    results: Flag | None = None  # keep what a run says; left out: only without metrics
 
 
 class StudyTables(TomlTable):
     """The tables of a study."""
 
     study: StudySettings
-    vary: dict[str, Any] = Field({}, description="what is varied, by dotted key")
-    metrics: dict[str, str] = Field({}, description="expressions over signals, by name")
-
-
-# --- which logs are kept ---
+    vary: dict[str, Any] = Field({})  # by dotted key
+    metrics: dict[str, str] = Field({})  # expressions over signals, by name
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,26 +94,22 @@ def read_keep(value: str | tuple[int, ...] | None) -> KeptLogs:
     UsageError
         If it says something else.
     """
-    if value is None:
-        return KeptLogs()
-    needed = (
-        'expected "failed", "all", "worst 5 of METRIC", "best 5 of METRIC", or a list of numbers'
-    )
-    if not isinstance(value, str):
-        if not value or min(value) < 0:
-            raise UsageError(f"{needed} from 0, got {quoted(list(value))}")
-        return KeptLogs("numbers", numbers=tuple(sorted(set(value))))
-    match value.strip().split(maxsplit=3):
+    words = value.strip().split(maxsplit=3) if isinstance(value, str) else []
+    match words:
         case ["failed" | "all" as which]:
             return KeptLogs(which)
         case ["worst" | "best" as which, count, "of", metric] if re.fullmatch(
             "[1-9][0-9]{0,6}", count
         ):
             return KeptLogs(which, int(count), metric)
-    raise UsageError(f"{needed}, got {quoted(value)}")
-
-
-# --- a study ---
+    if value is None:
+        return KeptLogs()
+    if not isinstance(value, str) and value and min(value) >= 0:
+        return KeptLogs("numbers", numbers=tuple(sorted(set(value))))
+    raise UsageError(
+        'expected "failed", "all", "worst 5 of METRIC", "best 5 of METRIC", or a list of numbers '
+        f"from 0, got {quoted(value if isinstance(value, str) else list(value))}"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,10 +159,10 @@ class StudyFile:
         settings = self.settings
         return StudySubject(
             self.scenario,
-            set=settings.set,
-            swap=settings.swap,
-            map=settings.map,
-            metrics=self.metrics,
+            settings.set,
+            settings.swap,
+            settings.map,
+            self.metrics,
             with_results=not self.metrics if settings.results is None else settings.results,
             allow_code=bool(settings.allow_code),
         )
@@ -250,7 +204,7 @@ class StudyFile:
         UsageError
             With everything that is wrong with them.
         """
-        settings = {
+        given = {
             "replay": replay if replay is None or isinstance(replay, str) else list(replay),
             "allow_code": allow_code,
             "cases": None if cases is None else str(cases),
@@ -261,37 +215,32 @@ class StudyFile:
             "timeout": timeout,
             "keep": keep if keep is None or isinstance(keep, str) else list(keep),
             "results": results,
+            "set": _plain("set", set) or None,
+            "swap": _plain("swap", swap_argument(swap)) or None,
+            "map": _plain("map", map) or None,
         }
-        given: dict[str, Any] = {key: item for key, item in settings.items() if item is not None}
-        for name, value in (("set", set), ("swap", swap_argument(swap)), ("map", map)):
-            entries = mapping_argument(name, value)
-            if entries:
-                given[name] = _plain_entries(name, entries)
-        options, _ = normal_tables(
-            {
-                STUDY: given,
-                VARY: _plain_entries(VARY, mapping_argument(VARY, vary)),
-                METRICS: dict(mapping_argument(METRICS, metrics)),
-            }
-        )
-        options = _with_absolute_paths(options, Path.cwd())
+        options = {
+            STUDY: {key: value for key, value in given.items() if value is not None},
+            VARY: _plain(VARY, vary),
+            METRICS: dict(mapping_argument(METRICS, metrics)),
+        }
+        options, _ = normal_tables(options, Path.cwd())
         merged = self.to_dict()
-        for name in (VARY, METRICS):
-            merged[name] = {**merged.get(name, {}), **options[name]}
         for key, value in options[STUDY].items():
             before = merged[STUDY].get(key)
             both = isinstance(value, dict) and isinstance(before, dict)
             merged[STUDY][key] = {**before, **value} if both else value
+        for name in (VARY, METRICS):
+            merged[name] = {**merged.get(name, {}), **options[name]}
         study, problems = study_of(merged, self.source)
         if study is None:
-            lines = dict.fromkeys(f"{_label(key)}: {text}" for key, text in problems)
-            raise UsageError("\n".join(lines))
+            raise UsageError("\n".join(dict.fromkeys(f"{_label(k)}: {t}" for k, t in problems)))
         return study
 
 
-def _plain_entries(name: str, entries: Mapping[str, Any]) -> dict[str, Any]:
+def _plain(name: str, argument: object) -> dict[str, Any]:
     found = {}
-    for key, value in entries.items():
+    for key, value in mapping_argument(name, argument).items():
         try:
             found[key] = str(value) if isinstance(value, Path) else plain(value)
         except UsageError as error:
@@ -301,16 +250,11 @@ def _plain_entries(name: str, entries: Mapping[str, Any]) -> dict[str, Any]:
 
 def _label(key: Key) -> str:
     """Return the name of the option that a key of the tables comes from."""
-    match key:
-        case ("study", "set" | "swap" | "map" as name, entry, *inner):
-            label = option(name, str(entry))
-        case ("study", name, *inner):
-            label = option(str(name))
-        case ("vary" | "metrics" as name, entry, *inner):
-            label = option(name, str(entry))
-        case _:
-            return ".".join(map(str, key))
-    return ": ".join([label, *map(str, inner)])
+    name, *inner = map(str, key[key[0] == STUDY :] or key)
+    label = option(name)
+    if inner and name in ("set", "swap", "map", VARY, METRICS):
+        label = option(name, inner.pop(0))
+    return ": ".join([label, *inner])
 
 
 def study_of(
@@ -364,17 +308,22 @@ def varied_key(key: str) -> str:
     return key if "." in name else f"{SWAP}{name}"
 
 
-def normal_tables(tables: Mapping[str, Any]) -> tuple[dict[str, Any], dict[Key, Key]]:
-    """Return tables with dotted keys, and how each entry was written."""
-    normal = dict(tables)
+def normal_tables(tables: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], dict[Key, Key]]:
+    """Return tables with dotted keys and absolute paths, and how each entry was written."""
+    normal = deepcopy(dict(tables))
     places: dict[Key, Key] = {}
-    vary, settings = tables.get(VARY), tables.get(STUDY)
-    if isinstance(vary, Mapping):
-        normal[VARY] = _flat(vary, (VARY,), places, varied_key, _is_varied)
-    if isinstance(settings, Mapping) and isinstance(settings.get("set"), Mapping):
-        place = (STUDY, "set")
-        entries = _flat(settings["set"], place, places, short, lambda _, level: level == 1)
-        normal[STUDY] = {**settings, "set": entries}
+    vary, settings = normal.get(VARY), normal.get(STUDY)
+    if isinstance(vary, dict):
+        entries = _flat(vary, (VARY,), places, varied_key, _is_varied)
+        normal[VARY] = {
+            key: absolute(_paths(value), folder) if key.startswith(SWAP) else value
+            for key, value in entries.items()
+        }
+    if isinstance(settings, dict):
+        paths = {name: settings[name] for name in ("cases", "replay", "swap") if name in settings}
+        settings |= absolute(paths, folder)
+        if isinstance(settings.get("set"), dict):
+            settings["set"] = _flat(settings["set"], (STUDY, "set"), places, short, _is_set)
     return normal, places
 
 
@@ -393,12 +342,16 @@ def _flat(
         is_whole = not path and "." in name
         if isinstance(value, Mapping) and not is_whole and not is_entry(value, len(path)):
             found |= _flat(value, place, places, form, is_entry, inner)
-            continue
-        key = form(".".join(map(str, inner)))
-        is_nested = isinstance(value, list) and len(value) == 1 and isinstance(value[0], list)
-        found[key] = value[0] if key.startswith(SWAP) and is_nested else value  # a list of paths
-        places[*place, key] = (*place, *inner)
+        else:
+            key = form(".".join(map(str, inner)))
+            found[key] = value
+            places[*place, key] = (*place, *inner)
     return found
+
+
+def _is_set(_: Any, level: int) -> bool:
+    """Return whether a table is a value, not one of keys of a component."""
+    return level == 1
 
 
 def _is_varied(value: Any, _: int) -> bool:
@@ -407,31 +360,22 @@ def _is_varied(value: Any, _: int) -> bool:
     return any(not isinstance(entry, Mapping) and entry is not None for entry in entries)
 
 
-def absolute(text: Any, folder: Path) -> Any:
-    """Return an absolute path; what is no text stays as it is."""
-    return os.path.normpath(folder / expanded(text)) if isinstance(text, str) and text else text
+def _paths(value: Any) -> Any:
+    """Return a list of paths that may be the only value of a list."""
+    is_nested = isinstance(value, list) and len(value) == 1 and isinstance(value[0], list)
+    return value[0] if is_nested else value
 
 
-def _with_absolute_paths(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    def each(value: Any) -> Any:
-        is_list = isinstance(value, list | tuple)
-        return [absolute(path, folder) for path in value] if is_list else absolute(value, folder)
-
-    changed = deepcopy(dict(tables))
-    settings, vary = changed.get(STUDY), changed.get(VARY, {})
-    if isinstance(settings, dict):
-        settings |= {name: each(settings[name]) for name in ("cases", "replay") if name in settings}
-        if isinstance(settings.get("swap"), dict):
-            settings["swap"] = {n: absolute(path, folder) for n, path in settings["swap"].items()}
-    for key, value in list(vary.items()) if isinstance(vary, dict) else ():
-        if not key.startswith(SWAP):
-            continue
-        if isinstance(value, list):
-            vary[key] = each(value)
-        elif isinstance(value, dict):
-            lists = {n: each(value[n]) for n in ("values", "choice") if n in value}
-            vary[key] = {**value, **lists}
-    return changed
+def absolute(value: Any, folder: Path) -> Any:
+    """Return a path, or those in lists and tables, absolute; what is no text stays as it is."""
+    match value:
+        case str():
+            return os.path.normpath(folder / expanded(value)) if value else value
+        case list() | tuple():
+            return [absolute(item, folder) for item in value]
+        case dict():
+            return {key: absolute(item, folder) for key, item in value.items()}
+    return value
 
 
 # --- reading ---
@@ -477,87 +421,72 @@ def read_study(name: str | Path) -> StudyFile:
     """
     if is_log(str(name)):
         path = str(expanded(name).absolute())
-        tables = {STUDY: {"scenario": path, "replay": [path]}}
-        study, problems = study_of(tables, path, load_scenario(path).name)
-        assert study is not None, problems
+        log = {STUDY: {"scenario": path, "replay": [path]}}
+        study, found = study_of(log, path, load_scenario(path).name)
+        assert study is not None, found
         return study
     document = find(name)
     tree, _ = document.tree()
-    is_scenario = "components" in tree or isinstance(tree.get("scenario"), Mapping)
-    return _of_scenario(document, tree) if is_scenario else _of_file(document, tree)
-
-
-def _of_file(document: Document, tree: Mapping[str, Any]) -> StudyFile:
-    tables, places = normal_tables(tree)
-    problems: list[Problem] = []
-    settings = tables.get(STUDY)
-    if settings is None:
+    is_inside = "components" in tree or isinstance(tree.get("scenario"), Mapping)
+    tables = {STUDY: tree.get(STUDY, {})} if is_inside else dict(tree)
+    if STUDY not in tables:
         raise UsageError(
             f"{document.source}: neither a study nor a scenario; expected the table [study], or "
             "[scenario] and [components]"
         )
-    if isinstance(settings, Mapping):
-        scenario = settings.get("scenario")
-        own: dict[str, Any] = {}
-        if scenario is None:
-            text = (
-                "'scenario' is missing; expected the name of a shipped scenario, or a path to a "
-                "scenario or a log"
-            )
-            problems.append(((STUDY,), text))
-        elif isinstance(scenario, str):
-            own = {"replay": scenario} if is_log(scenario) else {}
-            is_shipped = file_type(scenario) is None and scenario in shipped()
-            scenario = scenario if is_shipped else absolute(scenario, document.folder)
-        tables[STUDY] = {**own, **settings, "scenario": scenario}
-    return _checked(document, tables, places, problems, Path(document.source).stem)
-
-
-def _of_scenario(document: Document, tree: Mapping[str, Any]) -> StudyFile:
-    inside = tree.get(STUDY, {})
-    if not isinstance(inside, Mapping):
-        text = f"expected a table, got {quoted(inside)}"
-        raise UsageError(_report(document, {}, [((STUDY,), text)]))
-    settings = dict(inside)
-    tables = {name: settings.pop(name) for name in (VARY, METRICS) if name in settings}
     problems: list[Problem] = []
-    if "scenario" in settings:
-        problems.append(((STUDY, "scenario"), "it is the scenario of this file; remove this key"))
-    source = document.source
-    settings["scenario"] = str(Path(source).absolute()) if Path(source).is_file() else source
-    normal, places = normal_tables({**tables, STUDY: settings})
-    for name in (VARY, METRICS):  # which stand behind [study]
-        places[name,] = (STUDY, name)
-        entries = normal.get(name)
-        for key in entries if isinstance(entries, Mapping) else ():
-            places[name, key] = (STUDY, *places.get((name, key), (name, key)))
-    own = tree.get("scenario")
-    name = str(own.get("name", "")) if isinstance(own, Mapping) else ""
-    return _checked(document, normal, places, problems, name)
-
-
-def _checked(
-    document: Document,
-    tables: Mapping[str, Any],
-    places: Mapping[Key, Key],
-    problems: list[Problem],
-    name: str,
-) -> StudyFile:
-    tables = _with_absolute_paths(tables, document.folder)
-    study, own_problems = study_of(tables, document.source, name)
+    if isinstance(tables[STUDY], Mapping):
+        settings = dict(tables[STUDY])
+        if is_inside:
+            tables |= {key: settings.pop(key) for key in (VARY, METRICS) if key in settings}
+            problems += _of_this_file(settings, document)
+        else:
+            problems += _of_another_file(settings, document)
+        tables[STUDY] = settings
+    own = tree.get("scenario") if is_inside else {"name": Path(document.source).stem}
+    own_name = str(own.get("name", "")) if isinstance(own, Mapping) else ""
+    normal, places = normal_tables(tables, document.folder)
+    study, found = study_of(normal, document.source, own_name)
     if study is None or problems:
-        raise UsageError(_report(document, places, [*problems, *own_problems]))
+        written = [(_written(key, places, is_inside), text) for key, text in (*problems, *found)]
+        lines = key_lines(document.text)
+        report = Places(document.source, lines, changes=(), swaps=(), maps=(), swapped=()).report
+        raise UsageError(report(written))
     return study
 
 
-def _report(document: Document, places: Mapping[Key, Key], problems: Sequence[Problem]) -> str:
-    """Return problems by the lines where their keys are written."""
-    written: list[Problem] = []
-    for key, text in problems:
-        for length in range(len(key), 0, -1):
-            if key[:length] in places:
-                key = (*places[key[:length]], *key[length:])
-                break
-        written.append((key, text))
-    lines = key_lines(document.text)
-    return Places(document.source, lines, changes=(), swaps=(), maps=(), swapped=()).report(written)
+def _of_this_file(settings: dict[str, Any], document: Document) -> list[Problem]:
+    """Set the scenario of a study that is written inside of it."""
+    problem = ((STUDY, "scenario"), "it is the scenario of this file; remove this key")
+    problems: list[Problem] = [problem] if "scenario" in settings else []
+    path = Path(document.source)
+    settings["scenario"] = str(path.absolute()) if path.is_file() else document.source
+    return problems
+
+
+def _of_another_file(settings: dict[str, Any], document: Document) -> list[Problem]:
+    """Make the path of the scenario absolute; a log is also replayed."""
+    scenario = settings.get("scenario")
+    if scenario is None:
+        return [
+            (
+                (STUDY,),
+                "'scenario' is missing; expected the name of a shipped scenario, or a path to a "
+                "scenario or a log",
+            )
+        ]
+    if isinstance(scenario, str):
+        if is_log(scenario):
+            settings.setdefault("replay", scenario)
+        is_shipped = file_type(scenario) is None and scenario in shipped()
+        settings["scenario"] = scenario if is_shipped else absolute(scenario, document.folder)
+    return []
+
+
+def _written(key: Key, places: Mapping[Key, Key], is_inside: bool) -> Key:
+    """Return how a key of the tables of a study is written in its file."""
+    for length in range(len(key), 0, -1):
+        if key[:length] in places:
+            key = (*places[key[:length]], *key[length:])
+            break
+    return (STUDY, *key) if is_inside and key[0] != STUDY else key

@@ -13,7 +13,7 @@ from cosim.cli.options import read_edits, read_unique_pairs
 from cosim.errors import ChangedFileError, DatasetError, RunError
 from cosim.scenario.document.edits import parse_value
 from cosim.scenario.document.swap import port_names
-from cosim.studies.checking import check_design, inspect_members
+from cosim.studies.checking import check_design
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design
 from cosim.studies.plan import RecordedStudy, plan_study, run_command, toml_text
@@ -138,11 +138,11 @@ def write_table(path, value):
 def test_a_file_that_changes_while_a_study_is_planned_is_named(scenario, monkeypatch):
     """Nothing has begun that could go on."""
 
-    def inspected(*given):
+    def checked(*given):
         write_table(scenario.with_name("u.csv"), 2.0)
-        return inspect_members(*given)
+        return check_design(*given)
 
-    monkeypatch.setattr("cosim.studies.plan.inspect_members", inspected)
+    monkeypatch.setattr("cosim.studies.plan.check_design", checked)
     with pytest.raises(RunError, match=r"u\.csv has changed while the study was being planned"):
         plan_study(read_study(scenario).with_options(metrics=METRICS))
 
