@@ -36,43 +36,28 @@ from cosim.scenario.document.schema import Number, NumberRow, TomlTable, Whole
 from cosim.scenario.document.value_lists import read_values
 from cosim.studies.contracts import SWAP
 
-MOST_POINTS: Final = 100_000  # of a key of the grid
-_SIGMAS: Final = 3.0  # standard deviations that the tolerance of a normal distribution is
-
 
 class VariationTable(TomlTable):
-    """An entry of [vary] that is a table: one of its forms."""
+    """An entry of [vary] that is a table: one of its forms, and what belongs to it."""
 
-    values: list[Any] | None = Field(None, description="each of these values")
-    linear: NumberRow | None = Field(None, description="from the first to the last, linearly")
-    log: NumberRow | None = Field(None, description="from the first to the last, logarithmically")
-    points: Annotated[Whole, Field(ge=2, le=MOST_POINTS)] | None = Field(
-        None, description="number of values of 'linear' and 'log'"
-    )
-    uniform: NumberRow | None = Field(None, description="[lower, upper]")
-    log_uniform: NumberRow | None = Field(
-        None, alias="log-uniform", description="[lower, upper] of a uniform logarithm"
-    )
-    normal: NumberRow | None = Field(None, description="[mean, deviation]; may have bounds")
-    lognormal: NumberRow | None = Field(
-        None, description="[median, deviation of the natural logarithm]"
-    )
-    triangular: NumberRow | None = Field(None, description="[lower, mode, upper]")
-    exponential: Number | NumberRow | None = Field(None, description="the mean")
-    beta: NumberRow | None = Field(None, description="[alpha, beta]; bounds are 0 and 1 unless set")
-    weibull: NumberRow | None = Field(None, description="[scale, shape]")
-    choice: list[Any] | None = Field(None, description="one of these values, at random")
-    weights: NumberRow | None = Field(None, description="of the values of 'choice'")
-    tolerance: Number | None = Field(
-        None, description="relative to the scenario's own value, such as 0.05"
-    )
-    distribution: Literal["uniform", "normal"] | None = Field(
-        None,
-        description='of a tolerance: "uniform" (default), or "normal" with a third of it as '
-        "deviation, truncated at the tolerance",
-    )
-    lower: Number | None = Field(None, description="bound of 'normal' and 'beta'")
-    upper: Number | None = Field(None, description="bound of 'normal' and 'beta'")
+    values: list[Any] | None = None
+    linear: NumberRow | None = None
+    log: NumberRow | None = None
+    points: Annotated[Whole, Field(ge=2, le=100_000)] | None = None
+    uniform: NumberRow | None = None
+    log_uniform: NumberRow | None = Field(None, alias="log-uniform")
+    normal: NumberRow | None = None
+    lognormal: NumberRow | None = None
+    triangular: NumberRow | None = None
+    exponential: Number | NumberRow | None = None
+    beta: NumberRow | None = None
+    weibull: NumberRow | None = None
+    choice: list[Any] | None = None
+    weights: NumberRow | None = None
+    tolerance: Number | None = None
+    distribution: Literal["uniform", "normal"] | None = None  # of a tolerance
+    lower: Number | None = None
+    upper: Number | None = None
 
 
 _BELONGS: Final = {
@@ -126,29 +111,25 @@ def read_variation(key: str, value: Any) -> Variation:
     try:
         value = plain(value)
     except UsageError as error:
-        raise TableProblems([((), str(error))]) from error
+        raise _problem(str(error)) from error
     if isinstance(value, list):
         return GridVariation(key, _values(key, value))
     if not isinstance(value, Mapping):
-        raise _problem(
-            "expected a list of values, or a table such as { uniform = [0.0, 1.0] }; got "
-            f"{quoted(value)}"
-        )
+        needed = "expected a list of values, or a table such as { uniform = [0.0, 1.0] }"
+        raise _problem(f"{needed}; got {quoted(value)}")
     try:
         table = VariationTable.model_validate(value)
     except ValidationError as error:
         raise TableProblems(problems_of(error, VariationTable, value, ())) from error
     form = _form(value)
-    if form in ("values", "choice"):
+    if form == "values":
+        return GridVariation(key, _values(key, value[form], form))
+    if form == "choice":
         values = _values(key, value[form], form)
-        if form == "values":
-            return GridVariation(key, values)
-        return SampledVariation(key, form, _weights(table, len(values)), values)
+        return SampledVariation(key, form, _weights(table.weights, len(values)), values)
     if key.startswith(SWAP):
         raise _problem(f"expected a list of paths for a component, got '{form}'")
-    if form in ("linear", "log"):
-        return GridVariation(key, _points(form, table))
-    return _distribution(key, form, table)
+    return _of_numbers(key, form, table)
 
 
 def _form(value: Mapping[str, Any]) -> str:
@@ -157,59 +138,26 @@ def _form(value: Mapping[str, Any]) -> str:
     if len(forms) != 1:
         found = " and ".join(f"'{name}'" for name in forms) or "none of them"
         raise _problem(f"expected one of: {', '.join(FORMS)}; got {found}")
+    form = forms[0]
     for name, homes in _BELONGS.items():
-        if name in value and forms[0] not in homes:
+        if name in value and form not in homes:
             of = " or ".join(f"'{home}'" for home in homes)
-            raise _problem(f"'{name}' belongs to {of}, got it beside '{forms[0]}'", name)
-    return forms[0]
+            raise _problem(f"'{name}' belongs to {of}, got it beside '{form}'", name)
+    return form
 
 
-def _values(key: str, values: Sequence[Any], *place: str) -> tuple[Any, ...]:
-    if not values:
-        raise _problem("expected at least one value, got none", *place)
-    if key.startswith(SWAP):
-        for number, value in enumerate(values):
-            if not isinstance(value, str):
-                text = f"expected a path, or a key with a dot, got {quoted(value)}"
-                raise _problem(text, *place, number)
-    return tuple(values)
-
-
-def _points(form: str, table: VariationTable) -> tuple[float, ...]:
-    """Return the values of a grid of numbers; the first and the last are those that were given."""
-    numbers: tuple[float, ...] = getattr(table, form)
-    if table.points is None:
-        raise _problem(f"'points' is missing; expected the number of values of '{form}'")
-    is_right = len(numbers) == 2 and numbers[0] != numbers[1]
-    if form == "linear":
-        _need(is_right, form, numbers, "[first, last], two different numbers")
-        return tuple(np.linspace(numbers[0], numbers[1], table.points).tolist())
-    _need(is_right and min(numbers) > 0.0, form, numbers, "[first, last], two positive numbers")
-    return tuple(np.geomspace(numbers[0], numbers[1], table.points).tolist())
-
-
-def _weights(table: VariationTable, count: int) -> tuple[float, ...]:
-    weights = table.weights
-    if weights is None:
-        return (1.0,) * count
-    _need(len(weights) == count, "weights", weights, f"a weight for each of the {count} values")
-    is_right = min(weights) >= 0.0 and 0.0 < sum(weights) < math.inf
-    _need(is_right, "weights", weights, "weights of at least 0, and one above it")
-    return tuple(weights)
-
-
-def _distribution(key: str, form: str, table: VariationTable) -> SampledVariation:
-    if form == "tolerance":
-        tolerance = table.tolerance or 0.0
-        if not 0.0 < tolerance < 1.0:
-            text = f"expected a fraction between 0 and 1, such as 0.05, got {tolerance!r}"
-            raise _problem(text, form)
-        name = "tolerance-normal" if table.distribution == "normal" else form
-        return SampledVariation(key, name, (tolerance,))
+def _of_numbers(key: str, form: str, table: VariationTable) -> Variation:
     given = getattr(table, form.replace("-", "_"))
     numbers: tuple[float, ...] = given if isinstance(given, tuple) else (given,)
-    _, size, is_right, needed = _DISTRIBUTIONS[form]
+    size, is_right, needed, _ = _KINDS[form]
     _need(len(numbers) == size and is_right(*numbers), form, numbers, needed)
+    if form in ("linear", "log"):
+        if table.points is None:
+            raise _problem(f"'points' is missing; expected the number of values of '{form}'")
+        space: Any = np.linspace if form == "linear" else np.geomspace
+        return GridVariation(key, tuple(space(*numbers, table.points).tolist()))
+    if form == "tolerance" and table.distribution == "normal":
+        form = "tolerance-normal"
     if form in ("normal", "beta"):
         first, last = (-math.inf, math.inf) if form == "normal" else (0.0, 1.0)
         lower = first if table.lower is None else table.lower
@@ -218,6 +166,25 @@ def _distribution(key: str, form: str, table: VariationTable) -> SampledVariatio
             raise _problem(f"expected bounds with lower < upper, got {lower!r} and {upper!r}")
         numbers = (*numbers, lower, upper)
     return SampledVariation(key, form, numbers)
+
+
+def _values(key: str, values: Sequence[Any], *place: str) -> tuple[Any, ...]:
+    if not values:
+        raise _problem("expected at least one value, got none", *place)
+    for number, value in enumerate(values if key.startswith(SWAP) else ()):
+        if not isinstance(value, str):
+            text = f"expected a path, or a key with a dot, got {quoted(value)}"
+            raise _problem(text, *place, number)
+    return tuple(values)
+
+
+def _weights(weights: Sequence[float] | None, count: int) -> tuple[float, ...]:
+    if weights is None:
+        return (1.0,) * count
+    _need(len(weights) == count, "weights", weights, f"a weight for each of the {count} values")
+    is_right = min(weights) >= 0.0 and 0.0 < sum(weights) < math.inf
+    _need(is_right, "weights", weights, "weights of at least 0, and one above it")
+    return tuple(weights)
 
 
 def _need(is_right: bool, form: str, numbers: Sequence[float], needed: str) -> None:
@@ -245,13 +212,16 @@ def quantiles(variation: SampledVariation, p: Vector, own_value: float) -> Vecto
         The scenario's own, that a tolerance is of.
     """
     numbers = variation.numbers
-    if not variation.distribution.startswith("tolerance"):
-        return _DISTRIBUTIONS[variation.distribution].quantiles(p, *numbers)
-    width = abs(own_value) * numbers[0]
-    bounds = (own_value - width, own_value + width)
-    if variation.distribution == "tolerance":
-        return _uniform(p, *bounds)
-    return _normal(p, own_value, width / _SIGMAS, *bounds)
+    form = variation.distribution
+    if form.startswith("tolerance"):
+        width = abs(own_value) * numbers[0]
+        numbers = (own_value - width, own_value + width)
+        if form == "tolerance-normal":
+            numbers = (own_value, width / 3.0, *numbers)
+        form = "uniform" if form == "tolerance" else "normal"
+    with np.errstate(over="ignore"):  # the planning refuses what is not finite
+        values: Vector = _KINDS[form].quantiles(p, *numbers)
+    return values
 
 
 def chosen(variation: SampledVariation, p: Vector) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
@@ -263,95 +233,84 @@ def chosen(variation: SampledVariation, p: Vector) -> np.ndarray[tuple[int], np.
     return np.minimum(indices, last)
 
 
-def _uniform(p: Vector, lower: float, upper: float) -> Vector:
-    values: Vector = lower * (1.0 - p) + upper * p  # their difference could overflow
-    return np.clip(values, lower, upper)
+def _uniform(p: Any, lower: float, upper: float) -> Any:
+    return np.clip(lower * (1.0 - p) + upper * p, lower, upper)  # their difference could overflow
 
 
-def _log_uniform(p: Vector, lower: float, upper: float) -> Vector:
-    values: Vector = np.exp(_uniform(p, math.log(lower), math.log(upper)))
-    return np.clip(values, lower, upper)
-
-
-def _normal(p: Vector, mean: float, deviation: float, lower: float, upper: float) -> Vector:
+def _normal(
+    p: Any, mean: float, deviation: float, lower: float = -math.inf, upper: float = math.inf
+) -> Any:
     if lower == -math.inf and upper == math.inf:
         from scipy.special import ndtri
 
-        values: Vector = mean + deviation * ndtri(p)
-        return values
+        return mean + deviation * ndtri(p)
     from scipy.stats import truncnorm
 
     below, above = ((bound - mean) / deviation for bound in (lower, upper))
-    truncated: Vector = mean + deviation * truncnorm.ppf(p, below, above)
-    return np.clip(truncated, lower, upper)
+    return np.clip(mean + deviation * truncnorm.ppf(p, below, above), lower, upper)
 
 
-def _lognormal(p: Vector, median: float, deviation: float) -> Vector:
-    from scipy.special import ndtri
-
-    with np.errstate(over="ignore"):  # the planning refuses what is not finite
-        values: Vector = median * np.exp(deviation * ndtri(p))
-    return values
-
-
-def _triangular(p: Vector, lower: float, mode: float, upper: float) -> Vector:
+def _triangular(p: Any, lower: float, mode: float, upper: float) -> Any:
     width = upper - lower
     rising = lower + np.sqrt(p * width * (mode - lower))
     falling = upper - np.sqrt((1.0 - p) * width * (upper - mode))
-    values: Vector = np.where(p * width < mode - lower, rising, falling)
-    return np.clip(values, lower, upper)
+    return np.clip(np.where(p * width < mode - lower, rising, falling), lower, upper)
 
 
-def _exponential(p: Vector, mean: float) -> Vector:
-    values: Vector = -mean * np.log1p(-p)
-    return values
-
-
-def _beta(p: Vector, alpha: float, beta: float, lower: float, upper: float) -> Vector:
+def _beta(p: Any, alpha: float, beta: float, lower: float, upper: float) -> Any:
     from scipy.special import betaincinv
 
     return _uniform(betaincinv(alpha, beta, p), lower, upper)
 
 
-def _weibull(p: Vector, scale: float, shape: float) -> Vector:
-    with np.errstate(over="ignore"):
-        values: Vector = scale * (-np.log1p(-p)) ** (1.0 / shape)
-    return values
+class _Kind(NamedTuple):
+    """What a form of numbers needs, and its values at probabilities."""
 
-
-class _Distribution(NamedTuple):
-    quantiles: Callable[..., Vector]
-    size: int  # of its numbers, without bounds
+    size: int
     is_right: Callable[..., bool]
     needed: str
+    quantiles: Callable[..., Any] = _uniform
 
 
-_DISTRIBUTIONS: Final = {
-    "uniform": _Distribution(
-        _uniform, 2, lambda low, high: low < high, "[lower, upper] with lower < upper"
+def _both(a: float, b: float) -> bool:
+    return min(a, b) > 0.0
+
+
+_KINDS: Final = {
+    "linear": _Kind(2, lambda a, b: a != b, "[first, last], two different numbers"),
+    "log": _Kind(
+        2, lambda a, b: a != b and _both(a, b), "[first, last], two different positive numbers"
     ),
-    "log-uniform": _Distribution(
-        _log_uniform, 2, lambda low, high: 0.0 < low < high, "[lower, upper] with 0 < lower < upper"
-    ),
-    "normal": _Distribution(
-        _normal, 2, lambda _, s: s > 0.0, "[mean, deviation] with a deviation above 0"
-    ),
-    "lognormal": _Distribution(
-        _lognormal,
+    "tolerance": _Kind(1, lambda x: 0.0 < x < 1.0, "a fraction between 0 and 1, such as 0.05"),
+    "uniform": _Kind(2, lambda a, b: a < b, "[lower, upper] with lower < upper"),
+    "log-uniform": _Kind(
         2,
-        lambda median, s: min(median, s) > 0.0,
+        lambda a, b: 0.0 < a < b,
+        "[lower, upper] with 0 < lower < upper",
+        lambda p, a, b: np.clip(np.exp(_uniform(p, math.log(a), math.log(b))), a, b),
+    ),
+    "normal": _Kind(2, lambda _, s: s > 0.0, "[mean, deviation] with a deviation above 0", _normal),
+    "lognormal": _Kind(
+        2,
+        _both,
         "[median, deviation of the natural logarithm], both above 0",
+        lambda p, median, s: median * np.exp(_normal(p, 0.0, s)),
     ),
-    "triangular": _Distribution(
-        _triangular,
+    "triangular": _Kind(
         3,
-        lambda low, mode, high: low <= mode <= high and low < high,
+        lambda a, mode, b: a <= mode <= b and a < b,
         "[lower, mode, upper] with lower <= mode <= upper",
+        _triangular,
     ),
-    "exponential": _Distribution(_exponential, 1, lambda mean: mean > 0.0, "a mean above 0"),
-    "beta": _Distribution(_beta, 2, lambda a, b: min(a, b) > 0.0, "[alpha, beta], both above 0"),
-    "weibull": _Distribution(
-        _weibull, 2, lambda a, b: min(a, b) > 0.0, "[scale, shape], both above 0"
+    "exponential": _Kind(
+        1, lambda mean: mean > 0.0, "a mean above 0", lambda p, mean: -mean * np.log1p(-p)
+    ),
+    "beta": _Kind(2, _both, "[alpha, beta], both above 0", _beta),
+    "weibull": _Kind(
+        2,
+        _both,
+        "[scale, shape], both above 0",
+        lambda p, scale, shape: scale * (-np.log1p(-p)) ** (1.0 / shape),
     ),
 }
 
