@@ -9,12 +9,10 @@ member, and for the first with each text.
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from itertools import pairwise
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
 
@@ -32,15 +30,14 @@ from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember
 from cosim.studies.design import StudyDesign, ValueColumn, edited_scenario, member_of
 from cosim.studies.members import MemberSources, OpenedSubject, inspect_member
 from cosim.studies.study_file import STUDY
-from cosim.studies.variations import SampledVariation
 from cosim.studies.workers import LocalExecutor
 
 MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does
 MOST_INSPECTED: Final = 100  # texts of a key, which may be files
-MOST_NAMED: Final = 5  # members that are refused
-PROBES: Final = 9  # draws, from the smallest to the largest, once one is refused
-_SAMPLES: Final = 10  # that are tried, once the first one is refused
+MOST_NAMED: Final = 5  # problems
+MOST_TRIED: Final = 100  # samples, once one is refused
+MOST_RUN: Final = 10  # of these, where code of others is run for that
 _EDITED, _BUILT, _RUN = range(3)  # by text; if no code of others is run for that; in any case
 
 Inspected: TypeAlias = MemberSources | MemberOutcome  # the latter: it could not be found out
@@ -89,77 +86,94 @@ class _Check:
         self._study = design.study
         self._scenario = scenario
         self._resources = resources
-        self._drawn = {item.key: item for item in design.study.sampled if not item.values}
-        self._given: Mapping[str, Any] = {}  # for what is drawn
+        self._drawn = [item.key for item in design.study.sampled if not item.values]
         self._found: dict[str, tuple[int, Inspected]] = {}
         self._recordings: set[str] = set()  # of this scenario
 
     def run(self) -> CheckedDesign:
         first = self._design.member(0)
         own = {key: first.set[key] for key in self._drawn}
-        middle = {key: float(np.median(self._draws(key))) for key in self._drawn}
-        for self._given in ({}, own, middle):  # the scenario's own values first
-            if not self._problem(self._member(0), _RUN):
+        for given in ({}, own):  # for what is drawn: the scenario's own values, if they are right
+            trial = self._member(0, given)
+            if not self._problem(trial, _RUN):
                 break
-        else:
-            self._given = {}
-        problems = list(dict.fromkeys(self._refusals()))
-        if problems:
-            raise UsageError("\n".join(problems))
-        notices = [notice for key in self._drawn if (notice := self._refused_draws(key))]
-        if self._drawn and not notices:
-            notices += self._refused_samples()
-        return CheckedDesign(self._member(0), [*self._found.values()], tuple(notices))
-
-    # --- values that are given ---
-
-    def _refusals(self) -> Iterator[str]:
-        """Yield what is wrong with the members that have the values to be checked."""
-        refused = 0
+        refused: list[str] = []
         for number, level in self._chosen().items():
-            if self._problem(self._member(number), level):
-                yield from self._blame(number, level)
-                refused += 1
-            if refused == MOST_NAMED:
-                break
+            member = self._member(number, given)
+            if len(refused) < MOST_NAMED and self._problem(member, level):
+                refused += self._blame(member, level)
+        if refused:
+            raise UsageError("\n".join(dict.fromkeys(refused)))
+        notices = self._refused_samples() if self._drawn else ()
+        return CheckedDesign(trial, [*self._found.values()], tuple(notices))
+
+    def _member(self, number: int, given: Mapping[str, Any]) -> StudyMember:
+        """Return a member, with other values of what is drawn."""
+        member = self._design.member(number)
+        listed = {key: value for key, value in member.set.items() if key not in self._drawn}
+        return replace(member, set={**listed, **given})
 
     def _chosen(self) -> dict[int, int]:
         """Return the first member with each value, and how it is checked."""
         levels = {0: _RUN}
         for key, column in self._design.values.items():
-            if key in self._drawn:
-                continue
-            firsts = list(_firsts(column).items())[:MOST_CHECKED]
+            firsts = [] if key in self._drawn else _firsts(column)[:MOST_CHECKED]
             built = np.linspace(0, len(firsts) - 1, min(len(firsts), MOST_BUILT)).astype(int)
-            for count, (text, position) in enumerate(firsts):
+            for count, place in enumerate(firsts):
                 level = _BUILT if count in built else _EDITED
-                if text[0] in "'\"" and count < MOST_INSPECTED:
+                if isinstance(column.at(place), str) and count < MOST_INSPECTED:
                     level = _RUN
-                number = position * column.stride
+                number = place * column.stride
                 levels[number] = max(levels.get(number, level), level)
         return levels
 
-    def _member(self, number: int) -> StudyMember:
-        """Return a member, with other values of what is drawn."""
-        member = self._design.member(number)
-        set_ = {key: value for key, value in member.set.items() if key not in self._drawn}
-        return replace(member, set={**set_, **self._given})
+    def _refused_samples(self) -> list[str]:
+        """Return how many of the samples are refused, if the first or an extreme one is."""
+        layout = self._design.layout
+        each = layout.seeds * layout.grid
+        draws = [np.asarray(self._design.values[key].values) for key in self._drawn]
+        extremes = [int(find(values)) for values in draws for find in (np.argmin, np.argmax)]
+        first = self._design.member(0)
+        is_first = bool(self._problem(first, _RUN))
+        level = _RUN if is_first and not self._problem(first, _BUILT) else _BUILT
+        if not is_first and not any(self._reasons(extremes, each, _BUILT).values()):
+            return []
+        most = MOST_TRIED if level == _BUILT else MOST_RUN
+        tried = np.unique(np.linspace(0, layout.samples - 1, most).astype(int)).tolist()
+        reasons = self._reasons(tried, each, level)
+        count = sum(map(bool, reasons.values()))
+        reasons |= self._reasons(extremes, each, level)
+        number = next(sample * each for sample, reason in reasons.items() if reason)
+        example = "; ".join(self._blame(self._design.member(number), level))
+        example = f"such as member {number}: {example}"
+        if count == len(tried):
+            raise UsageError(f"all {count} samples that were tried are invalid, {example}")
+        of = "" if len(tried) == layout.samples else f" that were tried, of {layout.samples},"
+        return [
+            f"{count or 'fewer than 1'} of {len(tried)} samples{of} are invalid, and their members "
+            f"will fail, {example}; draw from a bounded distribution: uniform, or normal with "
+            "'lower' and 'upper'"
+        ]
 
-    def _blame(self, number: int, level: int) -> list[str]:
+    def _reasons(self, samples: Sequence[int], each: int, level: int) -> dict[int, str]:
+        """Return why samples are refused, by number."""
+        return {n: self._problem(self._design.member(n * each), level) for n in samples}
+
+    def _blame(self, member: StudyMember, level: int) -> list[str]:
         """Return what is wrong with a member, by the keys without which it is not."""
-        member = self._member(number)
         problem = self._problem(member, level)
         swaps = {f"{SWAP}{name}": path for name, path in member.swap.items()}
         values = {**member.set, **swaps, RECORDING: member.recording}
         blamed = []
         for key, value in values.items():
-            others = member_of(number, {k: v for k, v in values.items() if k != key})
+            others = member_of(member.number, {k: v for k, v in values.items() if k != key})
             rest = self._problem(others, level).splitlines()
             lines = [without_key(line, key) for line in problem.splitlines() if line not in rest]
             if lines:
                 text = "\n".join(lines)
-                own = "" if text.startswith(str(value)) else f"{key} = {quoted(value)}: "
-                blamed.append(f"{self._place(key, number)}{own}{text}")
+                is_path = key == RECORDING and text.startswith(value)
+                own = "" if is_path else f"{key} = {quoted(value)}: "
+                blamed.append(f"{self._place(key, member.number)}{own}{text}")
         return blamed or [problem]
 
     def _place(self, key: str, number: int) -> str:
@@ -168,35 +182,6 @@ class _Check:
             return ""
         row = number // (self._design.layout.seeds * self._design.layout.grid) + 1
         return f"file {self._study.settings.cases!r}, row {row}: "
-
-    # --- values that are drawn ---
-
-    def _draws(self, key: str) -> np.ndarray[Any, Any]:
-        return np.asarray(self._design.values[key].values)
-
-    def _refused_draws(self, key: str) -> str:
-        member = self._member(0)
-
-        def reason(value: float) -> str:
-            changed = replace(member, set={**member.set, key: value})
-            return without_key(self._problem(changed, _BUILT), key)
-
-        each = self._design.values[key].stride
-        return refused_draws(self._drawn[key], self._draws(key), reason, each)
-
-    def _refused_samples(self) -> list[str]:
-        """Try whole samples, if the first one is refused, such as by an FMU."""
-        layout = self._design.layout
-        if not self._problem(self._design.member(0), _RUN):
-            return []
-        samples = np.unique(np.linspace(0, layout.samples - 1, _SAMPLES).astype(int)).tolist()
-        members = [self._design.member(sample * layout.seeds * layout.grid) for sample in samples]
-        reasons = [self._problem(member, _RUN) for member in members]
-        count = len(reasons) - reasons.count("")
-        text = f"{count} of {len(samples)} samples that were tried: member 0: {reasons[0]}"
-        if count == len(samples):
-            raise UsageError(f"the scenario refuses {text}; choose other distributions")
-        return [f"members will fail in {text}"]
 
     # --- members ---
 
@@ -250,20 +235,16 @@ class _Check:
         return self._resources.enter_context(executor)
 
 
-def _firsts(column: ValueColumn) -> dict[str, int]:
-    """Return the first place of each value that is to be checked, by its text."""
+def _firsts(column: ValueColumn) -> list[int]:
+    """Return the first place of each value that is to be checked."""
     values = column.values
-    places: Sequence[int] = range(len(values) if column.indices is None else len(column.indices))
-    if column.indices is None and isinstance(values, np.ndarray) and len(values) > MOST_CHECKED:
-        places = [0, int(values.argmin()), int(values.argmax())]
-    elif column.indices is not None:
-        places = np.unique(column.indices, return_index=True)[1].tolist()
-    firsts: dict[str, int] = {}
-    for place in places:
-        value = values[place if column.indices is None else column.indices[place]]
-        if value is not None:
-            firsts.setdefault(repr(value), place)
-    return firsts
+    if column.indices is not None:
+        return list(map(int, np.unique(column.indices, return_index=True)[1]))
+    if isinstance(values, np.ndarray) and len(values) > MOST_CHECKED:
+        return [0, int(values.argmin()), int(values.argmax())]
+    texts = {repr(value): place for place, value in reversed([*enumerate(values)])}
+    texts.pop("None", None)
+    return sorted(texts.values())
 
 
 def without_key(problem: str, key: str) -> str:
@@ -278,57 +259,6 @@ def is_own_code(scenario: Scenario) -> bool:
         return False
     texts = texts_in(scenario.tree.get("components", {}))
     return not any(file_type(text.partition("#")[0]) == "FMU" for text in texts)
-
-
-def refused_draws(
-    variation: SampledVariation,
-    values: np.ndarray[Any, Any],
-    reason: Callable[[float], str],
-    members_each: int,
-) -> str:
-    """Return how many of the draws of a key are refused; empty: the outermost two are not.
-
-    From one that is taken to the next that is refused the change is searched by bisection.
-
-    Raises
-    ------
-    UsageError
-        If all are that were tried.
-    """
-    distinct, counts = np.unique(values, return_counts=True)
-    why = cache(lambda index: reason(float(distinct[index])))
-    last = len(distinct) - 1
-    first = int(np.searchsorted(distinct, values[0]))
-    if not (why(first) or why(0) or why(last)):
-        return ""
-    probes = sorted({first, *np.linspace(0, last, min(last + 1, PROBES)).astype(int).tolist()})
-    wrong = [index for index in probes if why(index)]
-    example = first if why(first) else wrong[0]
-    value = float(distinct[example])
-    number = int(np.flatnonzero(values == value)[0]) * members_each
-    if wrong == probes:
-        tried = f"so are all {len(probes)} draws that were tried" if last else "the only draw is"
-        raise UsageError(
-            f"{variation.key} = {quoted(value)}, drawn from {variation} for member {number}: "
-            f"{why(example)}; {tried}; choose another distribution"
-        )
-    is_wrong = np.zeros(last + 1, bool)
-    for low, high in pairwise(probes):
-        end = bool(why(high))
-        change = high
-        if bool(why(low)) != end:
-            ends = cache(lambda index, end=end: bool(why(index)) == end)
-            change = bisect_left(range(high), True, low + 1, key=ends)
-        is_wrong[low:change] = bool(why(low))
-        is_wrong[change : high + 1] = end
-    is_normal = variation.distribution == "normal"
-    bounds = "truncate the distribution with 'lower' and 'upper'"
-    return (
-        f"{variation.key}: about {int(counts[is_wrong].sum())} of {len(values)} draws of "
-        f"{variation} are invalid, and members that draw them will fail: {value!r} of member "
-        f"{number}: {why(example)}; "
-        f"{bounds if is_normal else 'use a bounded distribution, such as uniform'}"
-    )
 
 
 # --- recordings ---

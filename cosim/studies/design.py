@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix
-from cosim.errors import UsageError, nearest, option, quoted
+from cosim.errors import UsageError, option, quoted
 from cosim.files import file_type
 from cosim.scenario.document.edits import ACTIONS, COMPONENTS, FLAT, component_in, short
 from cosim.scenario.document.elements import address
@@ -97,6 +97,10 @@ class ValueColumn:
         if isinstance(self.values, np.ndarray):
             return np.asarray(self.values[turns])
         return [self.values[index] for index in turns.tolist()]
+
+    def at(self, place: int) -> Any:
+        """Return the value of a turn."""
+        return self.values[place if self.indices is None else self.indices[place]]
 
 
 @final
@@ -231,12 +235,6 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
         grid.insert(0, GridVariation(RECORDING, recordings))
     names = [*(item.key for item in grid), *(item.key for item in study.sampled), *cases]
     swapped = {name.removeprefix(SWAP) for name in names if name.startswith(SWAP)}
-    for name in sorted(swapped - {*scenario.specs}):
-        if f"{SWAP}{name}" in cases and not is_replay:
-            raise UsageError(
-                f"file {settings.cases!r}, column {name!r}: no component {name!r} to swap, and "
-                f"keys have a dot, such as 'scenario.stop'; {nearest(name, scenario.specs)}"
-            )
     firsts = {item.key: item.values[0] for item in study.variations if item.key.startswith(SWAP)}
     edited = edited_scenario(study, scenario, member_of(0, firsts).swap)
     sources = {} if settings.seeds is None else _noise_sources(edited, swapped, is_replay)

@@ -6,7 +6,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,34 +35,13 @@ from cosim.studies.dataset import (
 )
 from cosim.studies.design import StudyDesign, plain_values, plan_design
 from cosim.studies.layout import StudyLayout, count_text
+from cosim.studies.members import MemberSources
 from cosim.studies.metrics import parse_metrics
 from cosim.studies.study import Study
 from cosim.studies.study_file import STUDY, StudyFile, load_scenario, study_of
 from cosim.version import __version__
 
 RECORD: Final = "record"  # the table of a scenario, and the first word of its keys
-
-
-@dataclass(frozen=True, slots=True)
-class StudySources:
-    """What members are made of.
-
-    Parameters
-    ----------
-    files : mapping of path to SHA-256
-        That they read: under their paths as they are named, and under their real ones.
-    modules : mapping of path to SHA-256
-        Of the classes of users.
-    codes : mapping of name to SHA-256
-        The classes of users, wherever their files are: ``code of relay:Relay``.
-    warnings : tuple of str
-        What could not be found out.
-    """
-
-    files: Mapping[str, str] = field(default_factory=dict)
-    modules: Mapping[str, str] = field(default_factory=dict)
-    codes: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,7 +54,10 @@ class StudyPlan:
     scenario : Scenario
         As all members have it.
     design : StudyDesign
-    sources : StudySources
+    sources : MemberSources
+        Of all members. Files are under their paths as they are named, and under their real ones.
+    warnings : tuple of str
+        What could not be found out of them.
     trial : StudyMember
         One that can be built.
     notices : tuple of str
@@ -85,7 +67,8 @@ class StudyPlan:
     study: StudyFile
     scenario: Scenario
     design: StudyDesign
-    sources: StudySources
+    sources: MemberSources
+    warnings: tuple[str, ...]
     trial: StudyMember
     notices: tuple[str, ...] = ()
 
@@ -110,31 +93,20 @@ class StudyPlan:
         with_results = subject.with_results
         others = {STUDY} if with_results else {STUDY, RECORD}  # metrics are of all signals
         tree = {name: table for name, table in self.scenario.tree.items() if name not in others}
-        digests = {
-            **scenario_digests(tree),
-            OF_METRICS: digest_of([dict(study.metrics), with_results]),
-        }
+        digests = scenario_digests(tree)
+        digests[OF_METRICS] = digest_of([dict(study.metrics), with_results])
         if _is_edited_later(study):
-            edits = {
-                key: value
-                for key, value in subject.set.items()
-                if with_results or not key.startswith(f"{RECORD}.")
-            }
+            own = "" if with_results else f"{RECORD}."
+            edits = {k: v for k, v in subject.set.items() if not own or not k.startswith(own)}
             common = [edits, dict(subject.swap), dict(subject.map), study.settings.allow_code]
             digests["what all members have"] = digest_of(common)
         columns = [parameter_column(n, self.design.column(n)) for n in self.design.names]
         columns += [metric_column(name, text) for name, text in study.metrics.items()]
         columns += result_columns(results, [column.name for column in columns])
         layout = StudyLayout.of(self.design)
-        warnings = self.sources.warnings
-        recorded = RecordedStudy(study, layout, own_environment(), warnings=warnings)
-        return StudyIdentity(
-            study.name,
-            recorded.to_text(),
-            digests | self._file_digests(),
-            tuple(columns),
-            len(self.design),
-        )
+        text = RecordedStudy(study, layout, own_environment(), warnings=self.warnings).to_text()
+        digests |= self._file_digests()
+        return StudyIdentity(study.name, text, digests, tuple(columns), len(self.design))
 
     def _file_digests(self) -> dict[str, str]:
         """Return the SHA-256 of everything but the scenario, by names for messages."""
@@ -163,12 +135,10 @@ def plan_study(study: StudyFile) -> StudyPlan:
     files = scenario_digest(study.subject)
     scenario = load_scenario(study.scenario)
     design = plan_design(study, scenario)
-    for number in study.kept_logs.numbers:
-        if number >= len(design):
-            raise UsageError(
-                f"{option('keep')}: no member {number}; the study has {len(design)}, numbered "
-                "from 0"
-            )
+    last = max(study.kept_logs.numbers, default=0)
+    if last >= len(design):
+        text = f"no member {last}; the study has {len(design)}, numbered from 0"
+        raise UsageError(f"{option('keep')}: {text}")
     return plan_members(study, scenario, design, files=files)
 
 
@@ -193,14 +163,14 @@ def plan_members(
     """
     named = _named_files(_texts(design, scenario), scenario.document.folder)
     checked = check_design(design, scenario)
-    sources = _sources({**named, **files}, checked.found)
+    sources, warnings = _sources({**named, **files}, checked.found)
     settings = study.settings
     edited = scenario
     if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
-    warnings = [f"warning: {text}" for text in sources.warnings]
-    notices = (*checked.notices, *_empty_cells(design), *warnings)
-    return StudyPlan(study, edited, design, sources, checked.trial, notices)
+    told = [f"warning: {text}" for text in warnings]
+    notices = (*checked.notices, *_empty_cells(design), *told)
+    return StudyPlan(study, edited, design, sources, warnings, checked.trial, notices)
 
 
 def _empty_cells(design: StudyDesign) -> list[str]:
@@ -262,7 +232,10 @@ def _named_files(texts: Iterable[str], folder: Path) -> dict[str, str]:
     return files
 
 
-def _sources(files: Mapping[str, str], found: Iterable[tuple[int, Inspected]]) -> StudySources:
+def _sources(
+    files: Mapping[str, str], found: Iterable[tuple[int, Inspected]]
+) -> tuple[MemberSources, tuple[str, ...]]:
+    """Return what members are made of, all in all, and what could not be found out."""
     known = dict(files)
     modules: dict[str, str] = {}
     codes: dict[str, str] = {}
@@ -282,7 +255,7 @@ def _sources(files: Mapping[str, str], found: Iterable[tuple[int, Inspected]]) -
         "more are read, and the metrics were not checked"
         for reason, numbers in lost.items()
     ]
-    return StudySources(known, modules, codes, tuple(warnings))
+    return MemberSources("", known, modules, codes), tuple(warnings)
 
 
 # --- what a dataset says of its study ---
@@ -324,14 +297,8 @@ class RecordedStudy:
 
     def to_text(self) -> str:
         """Return it as JSON."""
-        described = {
-            "tables": self.study.to_dict(),
-            "source": self.study.source,
-            "layout": asdict(self.layout),
-            "environment": dict(self.environment),
-            "search": None if self.search is None else asdict(self.search),
-            "warnings": self.warnings,
-        }
+        described = asdict(self) | {"tables": self.study.to_dict(), "source": self.study.source}
+        del described["study"]
         return json.dumps(described, ensure_ascii=False)
 
     @classmethod
@@ -345,10 +312,7 @@ class RecordedStudy:
         """
         try:
             described = read_json(text)
-            source = described.pop("source")
-            if not isinstance(source, str):
-                raise TypeError(f"source: expected a text, got {source!r}")
-            study, problems = study_of(described.pop("tables"), source)
+            study, problems = study_of(described.pop("tables"), str(described.pop("source")))
             problem = "; ".join(text for _, text in problems)
             if study is not None:
                 return TypeAdapter(cls).validate_python({**described, "study": study})

@@ -202,7 +202,7 @@ def tune(
         timeout=timeout,
     )
     plan = plan_tuning(study, search)
-    warnings = plan.study.sources.warnings
+    warnings = plan.study.warnings
     if notice is None:
         warn(warnings)
         notice = _ignore
@@ -375,7 +375,7 @@ class TuningPlan:
                 keys=[asdict(key) for key in keys],
                 **{name: getattr(search, name) for name in _RECORDED},
             ),
-            self.study.sources.warnings,
+            self.study.warnings,
         )
         chosen = {
             "the objective": search.expression,

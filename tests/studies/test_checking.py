@@ -9,6 +9,7 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.studies.checking import check_design, is_own_code
+from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design
 from cosim.studies.members import MemberSources
 from cosim.studies.study_file import load_scenario, read_study
@@ -43,9 +44,13 @@ def test_values_that_the_scenario_accepts_pass(tmp_path):
         (
             {RATE: {"normal": [-10.0, 1.0]}},
             {"samples": 100},
-            rf"\A{RATE} = -\S+, drawn from normal \[-10.0, 1.0\] for member 0: .*; so are all \d+",
+            rf"\Aall 100 samples .*, such as member 0: {RATE} = -.*positive",
         ),
-        ({**OTHER, RATE: {"uniform": [-2.0, -1.0]}}, {"samples": 1}, rf"\A{RATE} = -.* only draw"),
+        (
+            {**OTHER, RATE: {"uniform": [-2.0, -1.0]}},
+            {"samples": 1},
+            rf"\Aall 1 .*member 0: {RATE} = -",
+        ),
         ({**OTHER, RATE: {"choice": [1.0, -1.0, 2.0]}}, {"samples": 9}, rf"\A{RATE} = -1.0: "),
         ({"observer.L": [[4.0, 0.0], [-50.0, 0.0]]}, {}, r"L = \[-50.0, 0.0\]: .*Hurwitz"),
         ({"plant": ["a.zip"]}, {}, r"swap\['plant'\]: .*'.*a.zip'"),
@@ -62,33 +67,25 @@ def test_values_that_the_scenario_refuses_are_refused(vary, options, message):
 
 
 def test_members_with_refused_draws_will_fail():
-    """They are counted, and named with a way out; the first one may be one of them.
-
-    A normal distribution with its mean at its deviation is below 0 in 15.9 % of all draws; where
-    exactly one interval of them is refused, the count is exact.
-    """
+    """Their share is told, of all samples or of a hundred, and one is named with its key."""
     vary = {
         "u.rate": {"normal": [1.0, 0.1]},
         RATE: {"normal": [10.0, 10.0]},
         "sensor.noise": {"triangular": [-1e-3, 0.0, 2e-3]},
     }
-    for seed in range(40):
-        study = EMPTY.with_options(vary=vary, samples=60, seeds=2, seed=seed)
+    for samples in (60, 1000):
+        study = EMPTY.with_options(vary=vary, samples=samples, seeds=2)
         design = plan_design(study, SCENARIO)
-        if design.column(RATE)[0] <= 0.0:
-            break
-    checked = check_design(design, SCENARIO)
-    assert checked.trial == replace(
-        design.member(0), set={"sensor.seed": design.member(0).set["sensor.seed"]}
-    )
-    notices = {key: text for key, _, text in (notice.partition(": ") for notice in checked.notices)}
-    assert notices.keys() == {RATE, "sensor.noise"}
-    rates = design.column(RATE)
-    assert notices[RATE].startswith(f"about {np.count_nonzero(rates[::2] <= 0.0)} of 60 draws ")
-    assert f" {float(rates[0])!r} of member 0: " in notices[RATE]
-    assert "'lower' and 'upper'" in notices[RATE]
-    value, number = re.search(r"(-\S+) of member (\d+):", notices["sensor.noise"]).groups()
-    assert design.member(int(number)).set["sensor.noise"] == float(value)
+        checked = check_design(design, SCENARIO)
+        assert checked.trial == StudyMember(0, {"sensor.seed": design.member(0).set["sensor.seed"]})
+        [notice] = checked.notices
+        is_wrong = (design.column(RATE) <= 0.0) | (design.column("sensor.noise") < 0.0)
+        tried = np.unique(np.linspace(0, samples - 1, 100).astype(int))
+        assert notice.startswith(f"{is_wrong[::2][tried].sum()} of {len(tried)} samples ")
+        number, key, value = re.search(r"member (\d+): (\S+) = (-\S+): ", notice).groups()
+        assert design.member(int(number)).set[key] == float(value)
+    [notice] = check(vary={RATE: {"normal": [10.0, 3.5]}}, samples=1000).notices
+    assert notice.startswith("fewer than 1 of 100 samples that were tried, of 1000, ")
 
 
 @pytest.mark.parametrize(
@@ -100,6 +97,7 @@ def test_members_with_refused_draws_will_fail():
         ),
         (f"{RATE}\n1.0\n2.0\n-3.0\n4.0\n", [(3, f"{RATE} = -3.0: ")]),
         ("u.rate\n1.0\nnan\n", [(2, "u.rate = nan: ")]),
+        ("u.rate,note\n1.0,good\n", [(1, "swap.note = '.*good': .*'note'")]),
         (
             'u.amplitude,u.rate\n1.0,"2,5"\n-,3.5\n3.0,abc\n1,\n2,"[1"\n3,x\n',
             [
@@ -120,7 +118,7 @@ def test_members_with_refused_draws_will_fail():
             ],
         ),
     ],
-    ids=["words", "extremes", "nan", "several", "none"],
+    ids=["words", "extremes", "nan", "swap", "several", "none"],
 )
 def test_values_of_cases_are_refused_by_their_rows(tmp_path, text, problems):
     """Every word, of numbers the extremes; no key is blamed for another."""
@@ -132,6 +130,19 @@ def test_values_of_cases_are_refused_by_their_rows(tmp_path, text, problems):
     assert len(lines) == len(problems)
     for line, (row, problem) in zip(lines, problems, strict=True):
         assert re.match(f"{row}: {problem}", line), line
+
+
+def test_the_values_of_a_row_are_checked_together(tmp_path):
+    """Each of these steps fits its own end alone."""
+    text = 'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
+    (tmp_path / "x.toml").write_text(text + 'u = { kind = "constant", value = 1.0 }\n')
+    path = tmp_path / "cases.csv"
+    path.write_text("scenario.step,scenario.stop\n0.3,0.9\n0.4,0.8\n")
+    study, scenario = read_study(tmp_path / "x.toml"), cosim.load(tmp_path / "x.toml")
+    check(study, scenario, cases=path)
+    path.write_text("scenario.step,scenario.stop\n0.3,0.9\n0.4,0.9\n")
+    with pytest.raises(UsageError, match=r"row 2: scenario.step = 0.4: .*\n.*scenario.stop = 0.9"):
+        check(study, scenario, cases=path)
 
 
 def test_code_of_others_is_run_in_a_worker(tmp_path, monkeypatch):

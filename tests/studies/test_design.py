@@ -176,9 +176,6 @@ def test_cases_are_members_in_the_order_of_their_rows(tmp_path):
         {"u.rate": 2.0, "plant.x_a0": [0.0, 1.0]},
     ]
     assert design.column("observer.filter_rate") == [100.0, 100.0, None, None]
-    path.write_text("observer.filter_rate,note\n100.0,good\n")
-    with pytest.raises(UsageError, match=r"cases\.csv', column 'note': no component 'note'"):
-        planned(cases=path)
 
 
 def test_swaps_and_recordings_are_varied(tmp_path):
