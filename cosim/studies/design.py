@@ -15,10 +15,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final, Literal, TypeAlias, final
+from typing import Any, Final, final
 
 import numpy as np
-from pydantic import Field
 
 from cosim.arrays import Matrix
 from cosim.errors import UsageError, option, quoted
@@ -29,53 +28,14 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.cases import ColumnValues, packed, read_cases
 from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember
+from cosim.studies.layout import NumberColumn, SampleKind, StudyLayout
 from cosim.studies.study_file import SamplingMethod, StudyFile
 from cosim.studies.variations import GridVariation, SampledVariation, chosen, quantiles
 
-MemberIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.int64]]
-SampleKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
-_Count: TypeAlias = Annotated[int, Field(ge=1, le=MOST_MEMBERS)]  # where it is read from a file
 _BLOCK: Final = 2**16  # samples whose temporary arrays stay small
 
 
 # --- members by number ---
-
-
-@dataclass(frozen=True, kw_only=True)
-class MemberNumbering:
-    """How members are numbered: by sample, then by seed, then by point of the grid."""
-
-    samples: _Count = 1
-    seeds: _Count = 1
-    grid: _Count = 1
-
-    @property
-    def members(self) -> int:
-        """How many there are."""
-        return self.samples * self.seeds * self.grid
-
-    def samples_of(self, numbers: MemberIndices) -> MemberIndices:
-        """Return the samples of members."""
-        return numbers // (self.grid * self.seeds)
-
-    def seeds_of(self, numbers: MemberIndices) -> MemberIndices:
-        """Return which of the seeds members have."""
-        return numbers // self.grid % self.seeds
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class MemberLayout(MemberNumbering):
-    """The numbering, and after how many samples the seeds of noise repeat (0: never)."""
-
-    noises: int = 0
-
-    def noises_of(self, numbers: MemberIndices) -> MemberIndices:
-        """Return the places of members in the streams of noise seeds."""
-        seeds = self.seeds_of(numbers)
-        if not self.noises:
-            return seeds
-        return self.samples_of(numbers) % self.noises * self.seeds + seeds
 
 
 @final
@@ -87,7 +47,7 @@ class ValueColumn:
     stride: int = 1
     indices: np.ndarray[Any, np.dtype[np.intp]] | None = None
 
-    def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
+    def take(self, layout: StudyLayout, numbers: NumberColumn) -> ColumnValues:
         """Return the values of some members."""
         turns: np.ndarray[Any, Any] = numbers // self.stride
         if self.indices is None:
@@ -111,7 +71,7 @@ class NoiseSeedColumn:
     study_seed: int
     name: str
 
-    def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
+    def take(self, layout: StudyLayout, numbers: NumberColumn) -> ColumnValues:
         """Return the seeds of some members."""
         indices = layout.noises_of(numbers)
         if not len(indices):
@@ -139,20 +99,14 @@ class StudyDesign:
     Parameters
     ----------
     study : StudyFile
-    kind : str
-        How samples came about.
-    layout : MemberLayout
+    layout : StudyLayout
     columns : mapping of key to ValueColumn or NoiseSeedColumn
         In the order of the dataset.
-    sampled : tuple of str
-        The keys that are drawn.
     """
 
     study: StudyFile
-    kind: SampleKind
-    layout: MemberLayout
+    layout: StudyLayout
     columns: Mapping[str, ValueColumn | NoiseSeedColumn] = field(repr=False)
-    sampled: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return self.layout.members
@@ -200,7 +154,7 @@ class StudyDesign:
             for number, row in zip(numbers.tolist(), rows, strict=True)
         ]
 
-    def _numbers(self, begin: int, end: int | None) -> MemberIndices:
+    def _numbers(self, begin: int, end: int | None) -> NumberColumn:
         last = len(self) if end is None else min(end, len(self))
         return np.arange(max(0, begin), last, dtype=np.int64)
 
@@ -240,7 +194,7 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     sources = {} if settings.seeds is None else _noise_sources(edited, swapped, is_replay)
     _check_keys(study, [*names, *sources])
 
-    layout = _layout(study, grid, len(next(iter(cases.values()))) if cases else 1)
+    layout = _layout(study, grid, [*sources], cases)
     columns: dict[str, ValueColumn | NoiseSeedColumn] = {}
     stride = layout.grid
     for item in grid:
@@ -251,10 +205,7 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
         columns[drawn.key] = _drawn_column(drawn, points, each, edited)
     columns |= {key: ValueColumn(values, each) for key, values in cases.items()}
     columns |= {key: NoiseSeedColumn(settings.seed, name) for key, name in sources.items()}
-    kind: SampleKind = "cases" if cases else "grid"
-    if study.sampled:
-        kind = settings.sampling or "random"
-    return StudyDesign(study, kind, layout, columns, tuple(item.key for item in study.sampled))
+    return StudyDesign(study, layout, columns)
 
 
 def edited_scenario(
@@ -321,21 +272,27 @@ def _check_keys(study: StudyFile, names: Iterable[str]) -> None:
             raise UsageError(f"expected one of {first!r} and {second!r}, got both{verbs}")
 
 
-def _layout(study: StudyFile, grid: Sequence[GridVariation], cases: int) -> MemberLayout:
+def _layout(
+    study: StudyFile, grid: Sequence[GridVariation], noise: Sequence[str], cases: Mapping[str, Any]
+) -> StudyLayout:
     settings = study.settings
-    noises = settings.samples or 0
-    blocks = len(study.sampled) + 2 if settings.sampling == "saltelli" else 1
-    samples = noises * blocks or cases
-    counts = [len(item.values) for item in grid]
-    seeds = settings.seeds or 1
-    layout = MemberLayout(samples=samples, seeds=seeds, grid=math.prod(counts), noises=noises)
-    if layout.members > MOST_MEMBERS:
-        product = " x ".join(str(count) for count in (samples, seeds, *counts) if count > 1)
+    kind: SampleKind = "cases" if cases else "grid"
+    samples = max(map(len, cases.values()), default=1)
+    if study.sampled and settings.samples is not None:
+        kind = settings.sampling or "random"
+        samples = settings.samples * (len(study.sampled) + 2 if kind == "saltelli" else 1)
+    counts = [samples, settings.seeds or 1, *(len(item.values) for item in grid)]
+    members = math.prod(counts)
+    if members > MOST_MEMBERS:
+        product = " x ".join(str(count) for count in counts if count > 1)
         raise UsageError(
-            f"{study.source}: expected at most {MOST_MEMBERS} members, got {product} = "
-            f"{layout.members}"
+            f"{study.source}: expected at most {MOST_MEMBERS} members, got {product} = {members}"
         )
-    return layout
+    drawn = tuple(item.key for item in study.sampled)
+    samples, seeds, *points = counts
+    return StudyLayout(
+        kind, drawn, tuple(noise), samples=samples, seeds=seeds, grid=math.prod(points)
+    )
 
 
 def _drawn_column(item: SampledVariation, p: Any, each: int, scenario: Scenario) -> ValueColumn:

@@ -13,22 +13,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError, nearest
-from cosim.studies.contracts import FAILED
-from cosim.studies.design import MemberNumbering, NoiseSeedColumn, SampleKind, StudyDesign
+from cosim.studies.contracts import FAILED, MOST_MEMBERS
 from cosim.units import with_unit
 
 if TYPE_CHECKING:
     from cosim.studies.study import Study
 
+SampleKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
+_Count: TypeAlias = Annotated[int, Field(ge=1, le=MOST_MEMBERS)]  # where it is read from a file
 NumberColumn: TypeAlias = NDArray[np.int64]  # of members, shape (N,)
 VariedValues: TypeAlias = NDArray[Any]  # float64, int64 or object; shape (N,)
 _ROUNDING: Final = 1e-12  # relative: values that differ by less are equal but for rounding
@@ -152,30 +154,56 @@ class MemberColumns:
 
 @final
 @dataclass(frozen=True)
-class StudyLayout(MemberNumbering):
+class StudyLayout:
     """How the members of a study are numbered, and what of them was drawn.
+
+    Members are numbered by sample (or case), then by seed of the noise, then by point of the grid.
 
     Parameters
     ----------
     kind : {"grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"}
+        How samples came about.
     parameters : tuple of str
         Keys that are drawn, in the order of their dimensions.
     noise_seeds : tuple of str
         Keys of the seeds of noise sources.
+    samples, seeds, grid : int
+        How many there are.
     """
 
     kind: SampleKind
     parameters: tuple[str, ...] = ()
     noise_seeds: tuple[str, ...] = ()
+    _: KW_ONLY
+    samples: _Count = 1
+    seeds: _Count = 1
+    grid: _Count = 1
 
-    @classmethod
-    def of(cls, design: StudyDesign) -> StudyLayout:
-        """Return the layout of a design."""
-        own = design.layout
-        columns = design.columns.items()
-        noise = tuple(name for name, column in columns if isinstance(column, NoiseSeedColumn))
-        counts = {"samples": own.samples, "seeds": own.seeds, "grid": own.grid}
-        return cls(design.kind, design.sampled, noise, **counts)
+    @property
+    def members(self) -> int:
+        """How many there are."""
+        return self.samples * self.seeds * self.grid
+
+    def samples_of(self, numbers: NumberColumn) -> NumberColumn:
+        """Return the samples of members."""
+        return numbers // (self.grid * self.seeds)
+
+    def seeds_of(self, numbers: NumberColumn) -> NumberColumn:
+        """Return which of the seeds members have."""
+        return numbers // self.grid % self.seeds
+
+    def noises_of(self, numbers: NumberColumn) -> NumberColumn:
+        """Return the places of members in the streams of noise seeds: each sample has its own.
+
+        Those of Saltelli's matrices are the same.
+        """
+        seeds = self.seeds_of(numbers)
+        if self.kind in ("grid", "cases"):
+            return seeds
+        samples = self.samples_of(numbers)
+        if self.kind == "saltelli":
+            samples = samples % self.base_points
+        return samples * self.seeds + seeds
 
     @property
     def matrices(self) -> int:

@@ -103,7 +103,7 @@ class StudyPlan:
         columns = [parameter_column(n, self.design.column(n)) for n in self.design.names]
         columns += [metric_column(name, text) for name, text in study.metrics.items()]
         columns += result_columns(results, [column.name for column in columns])
-        layout = StudyLayout.of(self.design)
+        layout = self.design.layout
         text = RecordedStudy(study, layout, own_environment(), warnings=self.warnings).to_text()
         digests |= self._file_digests()
         return StudyIdentity(study.name, text, digests, tuple(columns), len(self.design))

@@ -19,7 +19,6 @@ from cosim.scenario.document.edits import plain
 from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember
 from cosim.studies.dataset import OF_METRICS, StudyDataset, StudyIdentity, json_value
 from cosim.studies.design import (
-    MemberLayout,
     StudyDesign,
     ValueColumn,
     edited_scenario,
@@ -457,7 +456,7 @@ def _checked_points(study: StudyFile, search: Search, recording: str | None) -> 
     count = max(map(len, lists.values()))
     repeated = {name: [v[n % len(v)] for n in range(count)] for name, v in lists.items()}
     columns = {name: ValueColumn(values) for name, values in repeated.items()}
-    return StudyDesign(study, "cases", MemberLayout(samples=count), columns)
+    return StudyDesign(study, StudyLayout("cases", samples=count), columns)
 
 
 def _of_objective(text: str, search: Search) -> str:

@@ -154,7 +154,11 @@ def test_saltelli_has_d_plus_two_blocks_with_the_same_noise():
     """A, B, and A with each of its columns from B; their rows have the same noise."""
     vary = {**THETA, "plant.x_a0[0]": {"normal": [1.0, 0.1]}}
     design = planned(vary=vary, sampling="saltelli", samples=8, seeds=2)
-    assert (design.kind, design.sampled, len(design)) == ("saltelli", tuple(vary), 4 * 8 * 2)
+    assert (design.layout.kind, design.layout.parameters, len(design)) == (
+        "saltelli",
+        tuple(vary),
+        4 * 8 * 2,
+    )
     theta = design.column(KEY).reshape(4, 8, 2)
     assert (theta[:, :, 0] == theta[:, :, 1]).all()
     assert (theta[2, :, 0] == theta[1, :, 0]).all(), "AB_1 has its first column from B"

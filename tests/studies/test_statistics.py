@@ -115,7 +115,7 @@ def test_texts_are_counted():
 def test_a_design_has_a_layout(options, text, units):
     """With as many independent units as were drawn."""
     design = planned(**options)
-    layout = StudyLayout.of(design)
+    layout = design.layout
     assert layout.text == text
     independence = independence_of(layout)
     assert independence.is_drawn == (units is not None)
@@ -132,7 +132,7 @@ def test_members_of_one_unit_share_what_was_drawn():
         ({"vary": THETA, "samples": 4, "sampling": "saltelli", "seeds": 2}, None, 2),
     ):
         design = planned(**options)
-        layout = StudyLayout.of(design)
+        layout = design.layout
         values = np.array(design.column(key or layout.noise_seeds[0]))
         units = independence_of(layout).units_of(np.arange(len(design)))
         for unit in np.unique(units):
@@ -544,7 +544,7 @@ def test_the_indices_of_a_planned_design_are_those_of_the_closed_form():
     design = planned(vary=vary, samples=4096, sampling="saltelli", seed=3)
     u = np.array([design.column(key) for key in keys]) / (2.0 * np.pi) + 0.5
     columns = columns_of({"y": ishigami(u)})
-    layout = StudyLayout.of(design)
+    layout = design.layout
     found = sobol_indices(columns, layout, "y")
     assert found.parameters == keys
     assert abs(found.first_order - ISHIGAMI[0]).max() < 0.02
