@@ -74,11 +74,11 @@ def check_design(design: StudyDesign, scenario: Scenario) -> CheckedDesign:
         If a value is refused, or all draws of a key are; names the key and the value.
     """
     with ExitStack() as resources:
-        return _Check(design, scenario, resources).run()
+        return _DesignCheck(design, scenario, resources).run()
 
 
 @final
-class _Check:
+class _DesignCheck:
     """Builds members of a design."""
 
     def __init__(self, design: StudyDesign, scenario: Scenario, resources: ExitStack) -> None:
