@@ -36,7 +36,7 @@ MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does
 MOST_INSPECTED: Final = 100  # texts of a key, which may be files
 MOST_NAMED: Final = 5  # problems
-MOST_TRIED: Final = 100  # samples, once one is refused
+MOST_TRIED: Final = 50  # samples, once one is refused
 MOST_RUN: Final = 10  # of these, where code of others is run for that
 _EDITED, _BUILT, _RUN = range(3)  # by text; if no code of others is run for that; in any case
 
