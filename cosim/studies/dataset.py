@@ -808,7 +808,7 @@ def _check_planned(
 
 def _files(storage: Folder | Bucket) -> list[str]:
     """Return the files of a dataset that are there, but its description."""
-    names = [f"{PARTS}/{name}" for name in storage.names(PARTS) if _PART.fullmatch(name)]
+    names = [f"{PARTS}/{name}" for name in sorted(storage.names(PARTS)) if _PART.fullmatch(name)]
     names += [f"{LOGS}/{name}" for name in storage.names(LOGS) if _LOG.fullmatch(name)]
     return names + [name for name in storage.names() if name == JOURNAL]
 
