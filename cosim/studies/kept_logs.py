@@ -71,7 +71,10 @@ def keep_logs(
     done = len(chosen) - len(missing)
     without: list[str] = []
     # the end of a log says what was identified, which may take longer than the run
-    limits = ((failed, limit_again(dataset, timeout)), (others, max(UNTIL_TIMED, timeout or 0.0)))
+    limits = (
+        (failed, timeout or limit_again(dataset, None)),
+        (others, max(UNTIL_TIMED, timeout or 0.0)),
+    )
     for numbers, limit in limits:
         if not numbers:
             continue
