@@ -326,7 +326,7 @@ class PlannedColumns(Protocol):
 # --- the dataset ---
 
 
-class _Part(NamedTuple):
+class _PartFile(NamedTuple):
     first: int
     last: int
     name: str
@@ -540,7 +540,7 @@ class StudyDataset:
         content = stream.getvalue()
         name = f"part-{begin:010d}-{end - 1:010d}-{self._checksum(content)}.parquet"
         self.storage.write(f"{PARTS}/{name}", content)
-        insort(self._parts, _Part(begin, end - 1, name))
+        insort(self._parts, _PartFile(begin, end - 1, name))
         for other in range(begin, end):
             del self._rows[other]
         if self._lines > 2 * len(self._rows):
@@ -680,10 +680,10 @@ class StudyDataset:
             raise self._wrong_part(name, what)
         return parquet.read_table(io.BytesIO(content), columns=columns, use_threads=False)
 
-    def _listed_parts(self) -> list[_Part]:
+    def _listed_parts(self) -> list[_PartFile]:
         """Return the parts that are there, in order."""
         found = map(_PART.fullmatch, self.storage.names(PARTS))
-        parts = sorted(_Part(int(p[1]), int(p[2]), p[0]) for p in found if p is not None)
+        parts = sorted(_PartFile(int(p[1]), int(p[2]), p[0]) for p in found if p is not None)
         begin = 0
         for part in parts:
             if not begin <= part.first <= part.last:
