@@ -22,14 +22,14 @@ import re
 import secrets
 import zlib
 from bisect import bisect, insort
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Protocol, Self, TypeAlias, final
 
 import numpy as np
@@ -244,33 +244,34 @@ class StudyIdentity:
         content = {"format": FORMAT, "checksum": digest_of(fields), **fields}
         return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 
-    @classmethod
-    def from_json(cls, content: bytes, label: str) -> Self:
-        """Read the description of a dataset.
 
-        Raises
-        ------
-        DatasetError
-            If it is damaged, or of another format.
-        """
-        version = FORMAT
-        try:
-            found = read_json(content)
-            version = found.pop("format")
-            if version == FORMAT and found.pop("checksum") == digest_of(found):
-                return TypeAdapter(cls).validate_python(found)
-        except (ValueError, KeyError, TypeError, AttributeError):
-            pass
+def _recorded(storage: Folder | Bucket) -> StudyIdentity | None:
+    """Read the description of a dataset; None: there is none.
+
+    Raises
+    ------
+    DatasetError
+        If it is damaged, or of another format.
+    """
+    content = storage.read(DESCRIPTION)
+    if content is None:
+        return None
+    label = storage.label(DESCRIPTION)
+    with suppress(ValueError, KeyError, TypeError, AttributeError):
+        found = read_json(content)
+        version = found.pop("format")
         if version != FORMAT:
             writer = found.get("cosim", found.get("version"))  # before format 3, since
             raise DatasetError(
                 f"{label}: expected dataset format {FORMAT}, got {version!r}; read it with cosim "
                 f"{writer}, or choose another folder"
             )
-        raise DatasetError(
-            f"{label} is damaged; restore it from a copy, or use {flag('new')} to start over "
-            "without the recorded members"
-        )
+        if found.pop("checksum") == digest_of(found):
+            return TypeAdapter(StudyIdentity).validate_python(found)
+    raise DatasetError(
+        f"{label} is damaged; restore it from a copy, or use {flag('new')} to start over without "
+        "the recorded members"
+    )
 
 
 def scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
@@ -301,14 +302,16 @@ def differences(recorded: StudyIdentity, planned: StudyIdentity) -> str:
         {c.name: c.type for c in one.columns if c.role == "parameter"}
         for one in (recorded, planned)
     )
-    found += [f"{name} is no longer varied" for name in sorted(was.keys() - now.keys())]
-    found += [f"{name} is varied now" for name in sorted(now.keys() - was.keys())]
-    for name in sorted(was.keys() & now.keys()):
-        if was[name] != now[name]:
+    for name in sorted(was.keys() | now.keys()):
+        if name not in now:
+            found.append(f"{name} is no longer varied")
+        elif name not in was:
+            found.append(f"{name} is varied now")
+        elif was[name] != now[name]:
             found.append(f"the values of {name} were of type {was[name]}, are {now[name]}")
     more = len(found) - _SHOWN
     if more > 0:
-        found = [*found[:_SHOWN], f"and {more} other difference{'' if more == 1 else 's'}"]
+        found = [*found[:_SHOWN], f"and {more} more"]
     return "; ".join(found)
 
 
@@ -374,7 +377,7 @@ class StudyDataset:
         """
         pyarrow()
         storage = open_storage(place)
-        identity = _identity(storage)
+        identity = _recorded(storage)
         if identity is None:
             raise DatasetError(
                 f"{storage.label()}: no {DESCRIPTION} there; expected the dataset of a study, as "
@@ -417,7 +420,7 @@ class StudyDataset:
         try:
             if new:
                 _remove(storage)
-            recorded = _identity(storage)
+            recorded = _recorded(storage)
             if recorded is not None:
                 identity = _grown(storage, recorded, identity, design)
             elif left := _files(storage):
@@ -450,12 +453,7 @@ class StudyDataset:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -537,7 +535,7 @@ class StudyDataset:
 
         stream = io.BytesIO()
         texts = [column.name for column in self.columns if column.type in ("string", "json")]
-        table = self._table(range(begin, end))
+        table = self._table(self._rows[other] for other in range(begin, end))
         parquet.write_table(table, stream, compression="zstd", use_dictionary=texts)
         content = stream.getvalue()
         name = f"part-{begin:010d}-{end - 1:010d}-{self._checksum(content)}.parquet"
@@ -585,30 +583,32 @@ class StudyDataset:
         names = [MEMBER, *(name for name in schema.names if name not in (MEMBER, LOG))]
         chosen = None if members is None else np.asarray(list(members), np.int64)
         logs = self.logs() if LOG in schema.names else {}
-        for first, last, part in self._pieces():
+        for first, last, table in self._pieces(names):
             if chosen is not None and not ((first <= chosen) & (chosen <= last)).any():
                 continue
-            table = self._read_part(part, names) if isinstance(part, str) else self._table(part)
+            rows = table()
             if chosen is not None:
-                table = table.filter(arrow.array(np.isin(table[MEMBER].to_numpy(), chosen)))
-            places = [logs.get(number) for number in table[MEMBER].to_pylist()]
-            table = table.append_column(LOG, arrow.array(places, arrow.string()))
-            yield table.select(schema.names).cast(schema)
+                rows = rows.filter(arrow.array(np.isin(rows[MEMBER].to_numpy(), chosen)))
+            places = [logs.get(number) for number in rows[MEMBER].to_pylist()]
+            rows = rows.append_column(LOG, arrow.array(places, arrow.string()))
+            yield rows.select(schema.names).cast(schema)
 
-    def _pieces(self) -> Iterator[tuple[int, int, str | list[int]]]:
-        """Yield parts by name, and the members between them that are in none, in order."""
+    def _pieces(self, names: list[str]) -> Iterator[tuple[int, int, Callable[[], Any]]]:
+        """Yield the parts, and the rows between them that are in none, in order."""
         between = groupby(sorted(self._rows), lambda number: bisect(self._parts, (number,)))
-        open_rows = {place: list(numbers) for place, numbers in between}
+        open_rows = {
+            place: [self._rows[number] for number in numbers] for place, numbers in between
+        }
         for place in range(len(self._parts) + 1):
-            if numbers := open_rows.get(place):
-                yield numbers[0], numbers[-1], numbers
-            yield from self._parts[place : place + 1]
+            if rows := open_rows.get(place):
+                yield rows[0][MEMBER], rows[-1][MEMBER], partial(self._table, rows)
+            for part in self._parts[place : place + 1]:
+                yield part.first, part.last, partial(self._read_part, part.name, names)
 
     def row_of(self, member: StudyMember, outcome: MemberOutcome) -> dict[str, Any]:
         """Return the row of an outcome as it would be read when it was added; nothing is."""
-        rows = [self._row(member, outcome)]
-        (row,) = pyarrow().Table.from_pylist(rows, schema=self._schema).to_pylist()
-        return dict(row)
+        row: dict[str, Any] = self._table([self._row(member, outcome)]).to_pylist()[0]
+        return row
 
     def logs(self) -> dict[int, str]:
         """Return the places of the logs that are kept, by member."""
@@ -644,9 +644,8 @@ class StudyDataset:
             "other_results": json.dumps(others, ensure_ascii=False) if others else None,
         }
 
-    def _table(self, numbers: Iterable[int]) -> Any:
-        rows = [self._rows[number] for number in numbers]
-        return pyarrow().Table.from_pylist(rows, schema=self._schema)
+    def _table(self, rows: Iterable[Mapping[str, Any]]) -> Any:
+        return pyarrow().Table.from_pylist(list(rows), schema=self._schema)
 
     def _line(self, row: Mapping[str, Any]) -> bytes:
         text = json.dumps(row)
@@ -737,13 +736,6 @@ def _arrow_schema(columns: Iterable[StudyColumn]) -> Any:
     return arrow.schema(fields)
 
 
-def _identity(storage: Folder | Bucket) -> StudyIdentity | None:
-    content = storage.read(DESCRIPTION)
-    if content is None:
-        return None
-    return StudyIdentity.from_json(content, storage.label(DESCRIPTION))
-
-
 def _grown(
     storage: Folder | Bucket,
     recorded: StudyIdentity,
@@ -786,16 +778,14 @@ def _check_planned(
     """Check that recorded members have the values that are planned for their numbers."""
     members = table[MEMBER].to_pylist()
     begin = members[0]
-    wrong: list[tuple[int, str, Any, Any]] = []
+    wrong = []
     for column in parameters:
         values = design.column(column.name, begin, members[-1] + 1)
         plain = values.tolist() if isinstance(values, np.ndarray) else values
         stored = [_stored(column, plain[number - begin]) for number in members]
         planned = pyarrow().array(stored, table.schema.field(column.name).type).to_pylist()
-        for number, was, now in zip(members, table[column.name].to_pylist(), planned, strict=True):
-            if repr(was) != repr(now):
-                wrong.append((number, column.name, was, now))
-                break
+        pairs = zip(members, table[column.name].to_pylist(), planned, strict=True)
+        wrong += [(n, column.name, was, now) for n, was, now in pairs if repr(was) != repr(now)]
     if wrong:
         number, name, was, now = min(wrong, key=lambda item: item[0])
         raise DatasetError(
@@ -808,7 +798,7 @@ def _check_planned(
 
 def _files(storage: Folder | Bucket) -> list[str]:
     """Return the files of a dataset that are there, but its description."""
-    names = [f"{PARTS}/{name}" for name in storage.names(PARTS) if _PART.fullmatch(name)]
+    names = [f"{PARTS}/{name}" for name in sorted(storage.names(PARTS)) if _PART.fullmatch(name)]
     names += [f"{LOGS}/{name}" for name in storage.names(LOGS) if _LOG.fullmatch(name)]
     return names + [name for name in storage.names() if name == JOURNAL]
 

@@ -71,7 +71,10 @@ def keep_logs(
     done = len(chosen) - len(missing)
     without: list[str] = []
     # the end of a log says what was identified, which may take longer than the run
-    limits = ((failed, limit_again(dataset, timeout)), (others, max(UNTIL_TIMED, timeout or 0.0)))
+    limits = (
+        (failed, timeout or limit_again(dataset, None)),
+        (others, max(UNTIL_TIMED, timeout or 0.0)),
+    )
     for numbers, limit in limits:
         if not numbers:
             continue
@@ -121,10 +124,10 @@ def _keep(dataset: StudyDataset, path: Path, outcome: MemberOutcome) -> str:
 
 def _readable(path: Path) -> Path | None:
     """Return the log that a failed run has left, or what is intact in it; None: no row is."""
+    recovered = path.with_suffix(".recovered.mcap")
     with suppress(LogError):
         open_log(path)
         return path
-    recovered = path.with_suffix(".recovered.mcap")
     with suppress(LogError):
         recover(path, recovered, force=True)
         return recovered
@@ -183,27 +186,16 @@ def different(
     found = []
     for name in (*metrics, *_COMPARED):
         one, other = recorded[name], now[name]
-        if type(one) is type(other) and repr(one) == repr(other):
-            continue
-        if name == "reason" and _both_hang(one, other):
-            continue
-        found.append((name, one, other))
+        both_hang = name == "reason" and all((r or "").startswith(HANGS) for r in (one, other))
+        if repr(one) != repr(other) and not both_hang:
+            found.append((name, one, other))
     return found
-
-
-def _both_hang(*reasons: str | None) -> bool:
-    return all((reason or "").startswith(HANGS) for reason in reasons)
 
 
 def kept_count(kept: KeptLogs, members: int) -> int | None:
     """Return of how many of the members the logs are kept; None: that shows later."""
-    match kept.which:
-        case "none":
-            return 0
-        case "failed":
-            return None
-        case "all":
-            return members
-        case "numbers":
-            return sum(number < members for number in kept.numbers)
-    return min(kept.count, members)
+    if kept.which == "failed":
+        return None
+    if kept.which == "all":
+        return members
+    return min(kept.count, members) + sum(number < members for number in kept.numbers)

@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, final
@@ -60,64 +60,53 @@ class Folder:
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a file; None: there is none."""
-        try:
+        with _reading(self.label(name)), suppress(FileNotFoundError, NotADirectoryError):
             return (self.path / name).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except OSError as error:
-            raise DatasetError(f"{self.label(name)}: {error.strerror}") from error
+        return None
 
     def write(self, name: str, content: bytes | Path) -> None:
         """Write a file as a whole, or move one there."""
         path = self.path / name
         near = path.with_name(f"_{path.name}{_TEMPORARY}")
-        try:
+        with _writing(self.label(name)):
             path.parent.mkdir(parents=True, exist_ok=True)
-            if isinstance(content, Path):
-                shutil.move(content, near)  # it may be on another disk
-            else:
-                with open(near, "wb", buffering=0) as file:
-                    _write(file.fileno(), content)
-                    os.fsync(file.fileno())
-            os.replace(near, path)
-        except OSError as error:
-            with suppress(OSError):
-                near.unlink()
-            raise _write_error(self.label(name), error) from error
+            try:
+                if isinstance(content, Path):
+                    shutil.move(content, near)  # it may be on another disk
+                else:
+                    with open(near, "wb", buffering=0) as file:
+                        _write(file.fileno(), content)
+                        os.fsync(file.fileno())
+                os.replace(near, path)
+            except OSError:
+                near.unlink(missing_ok=True)
+                raise
 
     def append(self, name: str, line: bytes) -> None:
         """Append a line to a file."""
-        try:
-            with open(self.path / name, "ab", buffering=0) as file:
-                length = os.fstat(file.fileno()).st_size
-                try:
-                    _write(file.fileno(), line)
-                except OSError:
-                    file.truncate(length)
-                    raise
-        except OSError as error:
-            raise _write_error(self.label(name), error) from error
+        with _writing(self.label(name)), open(self.path / name, "ab", buffering=0) as file:
+            length = os.fstat(file.fileno()).st_size
+            try:
+                _write(file.fileno(), line)
+            except OSError:
+                file.truncate(length)
+                raise
 
     def names(self, folder: str = "") -> list[str]:
         """Return the names in a folder."""
-        try:
+        with _reading(self.label(folder)), suppress(FileNotFoundError, NotADirectoryError):
             return os.listdir(self.path / folder)
-        except (FileNotFoundError, NotADirectoryError):
-            return []
-        except OSError as error:
-            raise DatasetError(f"{self.label(folder)}: {error.strerror}") from error
+        return []
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files, and the folders that are empty then."""
-        try:
+        with _writing(self.label()):
             for name in names:
                 path = self.path / name
                 path.unlink(missing_ok=True)
                 if path.parent != self.path:
                     with suppress(OSError):  # others are in it
                         path.parent.rmdir()
-        except OSError as error:
-            raise _write_error(str(self.path), error) from error
 
     def lock(self) -> None:
         """Make the folder, and keep others from writing there until it is closed.
@@ -181,45 +170,35 @@ class Bucket:
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a file; None: there is none."""
-        try:
+        with _reading(self.label(name)), suppress(FileNotFoundError):
             content: bytes = self._files.cat_file(f"{self._root}/{name}")
-        except FileNotFoundError:
-            return None
-        except Exception as error:  # each kind of storage has errors of its own
-            raise DatasetError(f"{self.label(name)}: {_text(error)}") from error
-        return content
+            return content
+        return None
 
     def write(self, name: str, content: bytes | Path) -> None:
         """Write a file as a whole, or move one there."""
         path = f"{self._root}/{name}"
-        try:
+        with _writing(self.label(name)):
             if isinstance(content, Path):
                 self._files.put_file(str(content), path)
                 content.unlink()
             else:
                 self._files.pipe_file(path, content)
-        except Exception as error:
-            raise _write_error(self.label(name), error) from error
 
     def names(self, folder: str = "") -> list[str]:
         """Return the names in a folder."""
-        try:
+        with _reading(self.label(folder)), suppress(FileNotFoundError):
             self._files.invalidate_cache()
             paths = self._files.ls(f"{self._root}/{folder}".rstrip("/"), detail=False)
-        except FileNotFoundError:
-            return []
-        except Exception as error:
-            raise DatasetError(f"{self.label(folder)}: {_text(error)}") from error
-        return [path.rstrip("/").rpartition("/")[2] for path in paths]
+            return [path.rstrip("/").rpartition("/")[2] for path in paths]
+        return []
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files."""
-        try:
+        with _writing(self.label()):
             for name in names:
                 if self._files.exists(f"{self._root}/{name}"):
                     self._files.rm_file(f"{self._root}/{name}")
-        except Exception as error:
-            raise _write_error(self._url, error) from error
 
     def lock(self) -> None:
         """Do nothing."""
@@ -234,11 +213,23 @@ def _write(descriptor: int, content: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
-def _write_error(label: str, error: Any) -> DatasetWriteError:
-    return DatasetWriteError(
-        f"{label}: {_text(error)}; all outcomes so far are saved: fix this and run the study again "
-        "to continue"
-    )
+@contextmanager
+def _reading(label: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # each kind of storage has errors of its own
+        raise DatasetError(f"{label}: {_text(error)}") from error
+
+
+@contextmanager
+def _writing(label: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        raise DatasetWriteError(
+            f"{label}: {_text(error)}; all outcomes so far are saved: fix this and run the study "
+            "again to continue"
+        ) from error
 
 
 def _text(error: Any) -> str:

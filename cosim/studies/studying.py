@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,10 @@ from cosim.temporary import TemporaryFolder
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from cosim.studies.cluster import ClusterExecutor
+
+    Executor: TypeAlias = LocalExecutor | ClusterExecutor
 
 _TRIED: Final = 10  # members, until one is completed
 _TIMED: Final = 3  # members: the first of a worker also opens what all have in common
@@ -124,14 +128,14 @@ timeout, keep, results : optional
     )
     place = default_place(file) if out is None else out
     plan = plan_study(file)
-    if notice is None:
-        warn(text.removeprefix("warning: ") for text in plan.notices)
-        notice = _ignore
+    notice = notice or _warn
     for text in plan.notices:
         notice(text)
     limit = file.settings.timeout
     with ExitStack() as resources:
-        executor: MemberExecutor = LocalExecutor(plan.subject, count, timeout=limit)
+        executor: LocalExecutor | ClusterExecutor = LocalExecutor(
+            plan.subject, count, timeout=limit
+        )
         if scheduler is not None:  # before the dataset that is there is removed
             from cosim.studies.cluster import ClusterExecutor
 
@@ -157,22 +161,10 @@ timeout, keep, results : optional
     return done
 
 
-class MemberExecutor(Protocol):
-    """Where members run."""
-
-    def __enter__(self) -> Any: ...
-
-    def __exit__(self, *error: Any) -> None: ...
-
-    def run(self, members: Iterator[StudyMember]) -> Iterator[tuple[StudyMember, MemberOutcome]]:
-        """Yield members with their outcomes, as they come."""
-        ...
-
-
 def _complete(
     plan: StudyPlan,
     dataset: StudyDataset,
-    executor: MemberExecutor,
+    executor: Executor,
     progress: MembersDone | None,
 ) -> None:
     """Run the members that have no outcome yet."""
@@ -323,5 +315,5 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     )
 
 
-def _ignore(_: str) -> None:
-    """Do nothing."""
+def _warn(text: str) -> None:
+    warn([text.removeprefix("warning: ")])

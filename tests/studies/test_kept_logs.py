@@ -1,37 +1,55 @@
-"""Logs of chosen members: those that the study names; nothing is lost."""
+"""Logs of chosen members: those that the study names, each that of its row."""
+
+from dataclasses import replace
+from pathlib import Path
 
 import fsspec
-import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import UsageError
+from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.kept_logs import chosen_members, different
-from cosim.studies.study_file import read_keep
+from cosim.studies.document.keep import read_keep
+from cosim.studies.kept_logs import chosen_members, limit_again
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
-from tests.studies.outcomes import add, change_part, identity
+from tests.studies.test_dataset import add, opened
 
 SINE = """
 scenario = { name = "x", stop = 1.0, step = 0.1 }
 [components]
 u = { kind = "sine", amplitude = 1.0, rate = 1.0 }
 """
+RANDOM = """
+import random
+import numpy as np
+from cosim.core import Interface, Signal
+
+class Random:
+    interface = Interface(inputs=(), outputs=(Signal("y"),))
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([random.random()])
+
+    def advance(self, t, h, u):
+        return np.array([[random.random()] for _ in t[1:]])
+"""
 
 
 @pytest.fixture
 def run(tmp_path):
     """Return what runs a study of sines, and returns it with what it noticed."""
-    scenario = tmp_path / "x.toml"
-    scenario.write_text(SINE)
+    (tmp_path / "x.toml").write_text(SINE)
 
-    def run(amplitudes=(1.0, 2.0, 3.0), out=tmp_path / "out", **given):
+    def run(amplitudes=(1.0, 2.0, 3.0), out=tmp_path / "out", source="x.toml", **given):
         notices = []
         study = cosim.study(
-            scenario,
+            tmp_path / source,
             vary={"u.amplitude": list(amplitudes)},
-            metrics={"y": "max(u.y)"},
+            metrics={"y": "last(u.y)"},
             out=out,
             workers=1,
             notice=notices.append,
@@ -45,68 +63,54 @@ def run(tmp_path):
 @pytest.mark.parametrize(
     ("keep", "expected"),
     [
+        (None, []),
         ("all", range(25)),
         ("failed", [3, 10, 17, 24]),
-        ([2, 4, 99], [2, 4]),
+        ((2, 4, 29), [2, 4]),
         ("worst 3 of error", [0, 1, 2]),
         ("best 2 of error", [22, 23]),
         ("worst 2 of late", [22, 23]),
         ("best 99 of late", [n for n in range(25) if n % 4 and n % 7 != 3]),
     ],
 )
-@pytest.mark.usefixtures("parts_of_ten")
-def test_members_are_chosen_by_the_columns_of_all_parts(tmp_path, keep, expected):
-    """Three parts, the last one in the journal; a member without a value is none of the worst."""
-    kept = read_keep(keep if isinstance(keep, str) else tuple(keep))
-    with StudyDataset.open_or_create(tmp_path, identity(30)) as dataset:
+def test_members_are_chosen_by_their_rows(tmp_path, keep, expected):
+    """A member without a value is none of the worst."""
+    with opened(tmp_path, 30) as dataset:
         add(dataset, range(25))
-        assert chosen_members(kept, dataset).tolist() == list(expected)
+        assert chosen_members(read_keep(keep), dataset).tolist() == list(expected)
 
 
-def test_the_folder_has_the_logs_that_were_kept(run):
-    """Those that another choice or a larger study names are added; a log has the row's metrics."""
+def test_logs_are_those_of_the_rows_and_made_once(run):
+    """A study that has grown, and another choice, make those that are not there."""
     calls = []
     study, notices = run(keep="worst 1 of y", keep_progress=lambda *done: calls.append(done))
-    assert (set(study.logs), notices, calls) == ({2}, [], [(1, 1, 0)])
-    log = cosim.open_log(study.logs[2])
-    assert cosim.metrics(log, {"y": "max(u.y)"})["y"] == study.to_pandas()["y"][2]
-    before = log.path.stat().st_mtime_ns
-    study, _ = run((1.0, 2.0, 3.0, 4.0), keep="worst 2 of y")
-    assert set(study.logs) == {2, 3}
-    assert log.path.stat().st_mtime_ns == before
-    assert set(run((1.0, 2.0, 3.0, 4.0), keep=[0])[0].logs) == {0, 2, 3}
-    assert set(run((1.0, 2.0, 3.0, 4.0))[0].logs) == {0, 2, 3}
+    assert set(study.logs) == {2}
+    made = Path(study.logs[2]).stat().st_mtime_ns
+    given = {"keep_progress": lambda *done: calls.append(done)}
+    study, more = run((1.0, 2.0, 3.0, 4.0), keep="all", **given)
+    assert set(study.logs) == {0, 1, 2, 3}
+    assert calls == [(1, 1, 0), (2, 4, 0), (3, 4, 0), (4, 4, 0)]
+    assert Path(study.logs[2]).stat().st_mtime_ns == made
+    assert notices == more == []
+    for row in study.table().to_pylist():
+        log = cosim.open_log(row["log"])
+        assert log.status == "complete"
+        assert log["u.y"][-1] == row["y"]
+    assert set(run((1.0, 2.0, 3.0, 4.0))[0].logs) == {0, 1, 2, 3}
 
 
-def test_a_log_whose_run_is_another_one_is_noticed(run, tmp_path):
-    """By the first metric that has another bit."""
+def test_what_a_killed_study_has_left_of_a_log_is_none(run, tmp_path):
+    """Only a whole one has the name of a log."""
     run()
-
-    def change(table):
-        values = table["y"].to_pylist()
-        values[1] = float(np.nextafter(values[1], 9.0))
-        return table.set_column(table.schema.get_field_index("y"), table.field("y"), [values])
-
-    change_part(tmp_path / "out", change)
-    study, (notice,) = run(keep=[0, 1])
-    assert set(study.logs) == {0, 1}
-    assert "member 1 was rerun for its log: y = 1.68" in notice
-
-
-def test_hangs_of_other_limits_are_the_same_and_zeros_of_other_signs_are_not(tmp_path):
-    """Bit for bit, but for how long a member was waited for."""
-    with StudyDataset.open_or_create(tmp_path, identity(1)) as dataset:
-        row = dict.fromkeys(("error", "late", "other_results"))
-        row |= {"status": "failed", "reason": "hangs: did not end within 2 s", "steps": 3}
-        again = {**row, "reason": "hangs: did not end within 60 s"}
-        assert different(row, again, dataset) == []
-        now = {**row, "error": 0.0}
-        assert different({**row, "error": -0.0}, now, dataset) == [("error", -0.0, 0.0)]
-        assert different({**row, "error": 0}, now, dataset) == [("error", 0, 0.0)]
+    (tmp_path / "out" / "logs").mkdir()
+    (tmp_path / "out" / "logs" / "_0.mcap.cosim-tmp").write_bytes(b"half")
+    study, _ = run(keep=[0])
+    assert cosim.open_log(study.logs[0]).status == "complete"
+    assert [path.name for path in (tmp_path / "out" / "logs").iterdir()] == ["0.mcap"]
 
 
 def test_logs_are_kept_where_the_dataset_is(run):
-    """Also where that is no folder: each is put whole."""
+    """Also where that is no folder."""
     study, _ = run(out="memory://kept/x", keep="worst 2 of y")
     assert study.logs == {n: f"memory://kept/x/logs/{n}.mcap" for n in (1, 2)}
     files = fsspec.filesystem("memory")
@@ -114,11 +118,30 @@ def test_logs_are_kept_where_the_dataset_is(run):
     files.rm("/kept", recursive=True)
 
 
+def test_a_model_that_is_not_deterministic_is_noticed(run, tmp_path, monkeypatch):
+    """Its log has other metrics than its row."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "randomness.py").write_text(RANDOM)
+    (tmp_path / "r.toml").write_text(
+        SINE + 'r = { kind = "python", class = "randomness:Random" }\n'
+    )
+    given = {"vary": {"u.amplitude": [1.0]}, "metrics": {"y": "last(r.y)"}, "keep": "all"}
+    notices = []
+    study = cosim.study("r.toml", **given, out="x", workers=1, notice=notices.append)
+    now = cosim.open_log(study.logs[0])["r.y"][-1]
+    (row,) = study.table().to_pylist()
+    (text,) = notices
+    assert now != row["y"]
+    assert text.startswith(
+        f"member 0 was rerun for its log: y = {float(now)!r}; recorded: {row['y']!r}; "
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("worker_processes")
-def test_logs_of_failed_members_are_kept_and_missing_ones_named(tmp_path):
-    """One hangs after a few steps, one crashes in the first, one fails there and says so."""
-    names = ["LIES", "HANGS_LATER", "CRASH", "FAILS_STEP"]
+def test_logs_of_members_that_crash_or_hang_end_there(tmp_path):
+    """One hangs after a few steps, one crashes in the first, one later, one fails and says so."""
+    names = ["LIES", "HANGS_LATER", "CRASH", "FAILS_STEP", "CRASHES_LATER"]
     for name in names:
         compile_fmu(tmp_path / f"{name}.fmu", STATELESS, "rogue2.c", defines=(f"ROGUE={name}",))
     scenario = tmp_path / "x.toml"
@@ -134,33 +157,34 @@ def test_logs_of_failed_members_are_kept_and_missing_ones_named(tmp_path):
         "workers": 2,
         "timeout": 3.0,
         "notice": notices.append,
-        "keep": "failed",
     }
-    study = cosim.study(scenario, **given)
+    study = cosim.study(scenario, keep="failed", **given)
     assert study.failures[1].startswith("hangs: ")
     assert study.failures[2] == "crashes: SIGSEGV"
     assert "fmi2DoStep returned 3 (error)" in study.failures[3]
-    assert set(study.logs) == {1, 3}
+    assert set(study.logs) == {1, 3, 4}
     log = cosim.open_log(study.logs[1])
     assert (log.status, log.steps >= 1) == ("unfinished", True)
     assert cosim.open_log(study.logs[3]).status == "failed"
-    assert notices == [
-        f"no log of failed members: 2 ({study.failures[2]}, before a row of its log was written)"
-    ]
+    (text,) = notices
+    assert text.startswith("no log of failed members: 2 (crashes: SIGSEGV, before a row of its log")
     left = sorted((tmp_path / "out" / "logs").iterdir())
-    assert [path.name for path in left] == ["1.mcap", "2.txt", "3.mcap"]
+    assert [path.name for path in left] == ["1.mcap", "2.txt", "3.mcap", "4.mcap"]
     made = [path.stat().st_mtime_ns for path in left]
-    cosim.study(scenario, **given)
+    cosim.study(scenario, keep="failed", **given)
     assert made == [path.stat().st_mtime_ns for path in left]
+    assert set(cosim.study(scenario, keep=[0], **given).logs) == {0, 1, 3, 4}
 
 
-def test_the_metric_of_kept_logs_is_a_number(tmp_path):
-    """What results say is known when one member has run; the dataset is not begun."""
-    with pytest.raises(UsageError, match="keep: 'nothing' is not a numeric metric"):
-        cosim.study(
-            "academic",
-            set={"scenario.stop": 0.1},
-            keep="worst 1 of nothing",
-            out=tmp_path / "out",
-        )
-    assert not (tmp_path / "out").exists()
+def test_members_that_hang_again_are_waited_for_no_longer_than_before(tmp_path):
+    """Others ten times the longest, at least a minute."""
+    with opened(tmp_path, 30) as dataset:
+        add(dataset, range(20), seed=0.25)
+        assert limit_again(dataset, None) == limit_again(dataset, 5.0) == 60.0
+        assert limit_again(dataset, 100.0) == 100.0
+        hung = MemberOutcome(20, "failed", "hangs: ...", wall_time=400.0)
+        dataset.add(StudyMember(20), hung)
+        assert limit_again(dataset, None) == 400.0
+        dataset.add(StudyMember(21), replace(hung, number=21, reason="", wall_time=50.0))
+        assert limit_again(dataset, None) == 500.0
+    assert len(StudyDataset.open(tmp_path)) == 22

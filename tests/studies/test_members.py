@@ -51,7 +51,7 @@ from cosim.core import Interface, Signal
 
 
 class Counting:
-    """y = gain u + calls / 1000; it does not forget its calls where it is initialized again."""
+    """y = gain u + steps / 1000; it does not forget its steps where it is initialized again."""
 
     interface = Interface(inputs=(Signal("u"),), outputs=(Signal("y", variability="discrete"),))
 
@@ -59,18 +59,19 @@ class Counting:
         if gain < 0.0:
             raise ValueError("a negative gain")
         self.gain = gain
-        self.calls = 0
+        self.steps = 0
 
     def initialize(self, t, u):
         return self.outputs(t, u)
 
     def outputs(self, t, u):
-        return np.array([self.calls / 1000.0])
+        return np.array([self.steps / 1000.0])
 
     def advance(self, t, h, u):
-        self.calls += 1
-        values = [self.gain * u[k, 0] + self.calls / 1000.0 for k in range(1, len(t))]
-        return np.array(values)[:, np.newaxis]
+        steps = np.arange(1, len(t))
+        values = self.gain * u[1:] + (self.steps + steps[:, np.newaxis]) / 1000.0
+        self.steps += len(steps)
+        return values
 '''
 EDITS = {
     "as it is": {},

@@ -2,21 +2,22 @@
 
 import platform
 import shutil
+from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
 from cosim.studies import verifying
-from cosim.studies.plan import own_environment
-from cosim.studies.show import print_verification
+from cosim.studies.contracts import MemberOutcome
+from cosim.studies.dataset import StudyDataset
+from cosim.studies.running.recorded_study import own_environment
 from cosim.studies.verifying import verify_study
+from cosim.version import __version__
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
-from tests.studies.outcomes import change_part
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +26,12 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("verified")
     for name in ("LIES", "FAILS_STEP", "OTHER_START"):
         compile_fmu(folder / f"{name}.fmu", STATELESS, "rogue2.c", defines=(f"ROGUE={name}",))
-    scenario = folder / "x.toml"
-    scenario.write_text(
+    (folder / "x.toml").write_text(
         'scenario = { name = "x", stop = 0.1, step = 0.01 }\n'
         '[components]\nplant = { kind = "fmu", path = "LIES.fmu" }\n'
     )
     cosim.study(
-        scenario,
+        folder / "x.toml",
         vary={"plant.path": [str(folder / "LIES.fmu"), str(folder / "FAILS_STEP.fmu")]},
         metrics={"y": "last(plant.y)", "early": "first(t, plant.y > 99)"},
         out=folder / "out",
@@ -39,62 +39,74 @@ def recorded(tmp_path_factory):
     return folder
 
 
-def change_one_bit(place):
-    """Change the last bit of the metric ``y`` of member 0."""
-    values = []
+def tampered(recorded, place, number=0, version=__version__, **changes):
+    """Write the dataset again with another row of a member."""
+    study = cosim.open_study(recorded / "out")
+    identity = StudyDataset.open(recorded / "out").identity
+    with StudyDataset.open_or_create(place, replace(identity, version=version)) as dataset:
+        for row, member in zip(study.table().to_pylist(), study.members(range(2)), strict=True):
+            new = row | changes if row["member"] == number else row
+            metrics = {name: new[name] for name in study.metrics}
+            values = [new[name] for name in ("member", "status", "reason", "steps")]
+            values[2] = values[2] or ""
+            dataset.add(member, MemberOutcome(*values, metrics, 0.1, new["worker"]))
 
-    def change(table):
-        values.extend(table["y"].to_pylist())
-        values[0] = float(np.nextafter(values[0], 2.0))
-        column = table.schema.get_field_index("y")
-        return table.set_column(column, table.field("y"), pa.array(values))
 
-    change_part(place, change)
-    return values[0]
-
-
-def test_members_come_to_what_is_recorded(recorded):
+def test_members_come_to_what_is_recorded(recorded, capsys):
     """One that fails and a metric without a value, too; what is not shown is said."""
-    found = verify_study(recorded / "out", workers=2)
-    assert found.members == (0, 1)
-    assert found.differences == ()
+    calls = []
+    found = verify_study(recorded / "out", workers=2, progress=lambda *n: calls.append(n))
+    assert (found.members, found.done, found.differences) == ((0, 1), 2, ())
     assert found.values == ("status", "steps", "y", "early")
-    assert (found.elsewhere, found.environment) == ((), {})
-
-
-def test_another_machine_and_other_versions_are_said(recorded, monkeypatch, capsys):
-    """What is the same there may differ for their sake, and says more."""
-    there = {**own_environment(), "numpy": "0.0"}
-    monkeypatch.setattr(verifying, "own_environment", lambda: there)
-    node = platform.node()
-    monkeypatch.setattr(verifying.platform, "node", lambda: "elsewhere")
-    print_verification(verify_study(recorded / "out", members=[1]))
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last == (
-        f"not verified: 1 member not rerun; results on the original machine ({node}): libraries of "
-        f"this one may round differently; signals without a metric; numpy was {np.__version__}, "
-        "is 0.0"
-    )
-
-
-def test_a_bit_that_differs_is_found(recorded, tmp_path, capsys):
-    """Its value then and now, and the exit code, say so."""
-    shutil.copytree(recorded / "out", tmp_path / "out")
-    was = change_one_bit(tmp_path / "out")
-    now = cosim.open_study(recorded / "out").table(["y"]).to_pylist()[0]["y"]
+    assert (found.elsewhere, found.environment, found.is_searched) == ((), {}, False)
+    assert calls == [(1, 2, 0), (2, 2, 0)]
     with pytest.raises(SystemExit) as ended:
-        main(["study", "verify", str(tmp_path / "out"), "--member", "0"])
+        main(["study", "verify", str(recorded / "out")])
+    assert ended.value.code == 0
+    assert "identical bit for bit: status, steps, y, early" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "value"),
+    [
+        (0, "y", np.nextafter),
+        (0, "early", 0.0),
+        (0, "steps", 9),
+        (1, "status", "complete"),
+        (1, "reason", "other"),
+        (1, "y", 0.0),
+    ],
+)
+def test_what_differs_is_found(recorded, tmp_path, capsys, number, name, value):
+    """Its value then and now, and the exit code, say so; others are not run."""
+    now = cosim.open_study(recorded / "out").table([name]).to_pylist()[number][name]
+    was = float(value(now, 2.0)) if value is np.nextafter else value
+    tampered(recorded, tmp_path / "out", number, **{name: was})
+    with pytest.raises(SystemExit) as ended:
+        main(["study", "verify", str(tmp_path / "out"), "--member", str(number)])
     assert ended.value.code == 1
     lines = capsys.readouterr().out.splitlines()
-    assert lines[1:] == [
-        f"member 0: y was {was!r}, is {now!r}",
-        "1 of 1 member differs from the record",
-        "not verified: 1 member not rerun; results on other machines; signals without a metric",
-    ]
+    assert f"member {number}: {name} was {was!r}, is {now!r}" in lines
+    assert "1 of 1 member differs from the record" in lines
+    if name == "y":
+        found = verify_study(tmp_path / "out").differences
+        assert [(item.member, item.name) for item in found] == [(number, name)]
+        assert (found[0].recorded, found[0].now) == (was, now)
 
 
-def test_a_dataset_whose_fmu_has_changed_is_refused(recorded):
-    """By its SHA-256, though it computes no metric otherwise."""
+def test_another_machine_and_other_versions_are_said(recorded, monkeypatch):
+    """What is the same there may differ for their sake."""
+    monkeypatch.setattr(verifying, "own_environment", lambda: {**own_environment(), "numpy": "0"})
+    node = platform.node()
+    monkeypatch.setattr(verifying.platform, "node", lambda: "elsewhere")
+    found = verify_study(recorded / "out", members=[1])
+    assert found.members == (1,)
+    assert found.elsewhere == (node,)
+    assert found.environment == {"numpy": (np.__version__, "0")}
+
+
+def test_what_members_are_made_of_must_be_as_it_was(recorded, tmp_path):
+    """By its SHA-256, though it computes no metric otherwise; by the version of cosim."""
     plant = recorded / "LIES.fmu"
     before = plant.read_bytes()
     shutil.copy(recorded / "OTHER_START.fmu", plant)
@@ -103,6 +115,9 @@ def test_a_dataset_whose_fmu_has_changed_is_refused(recorded):
             verify_study(recorded / "out")
     finally:
         plant.write_bytes(before)
+    tampered(recorded, tmp_path, version="9")
+    with pytest.raises(DatasetError, match="it was made by cosim 9, this is"):
+        verify_study(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -112,16 +127,19 @@ def test_a_dataset_whose_fmu_has_changed_is_refused(recorded):
         ({"sample": 0}, "sample: .*got 0"),
     ],
 )
-def test_members_that_cannot_run_again_are_refused(recorded, given, text):
+def test_members_that_cannot_run_again_are_refused(recorded, tmp_path, given, text):
     """Before anything runs."""
     with pytest.raises(UsageError, match=text):
         verify_study(recorded / "out", **given)
+    identity = StudyDataset.open(recorded / "out").identity
+    StudyDataset.open_or_create(tmp_path, identity).close()
+    with pytest.raises(UsageError, match="no member has run yet"):
+        verify_study(tmp_path)
 
 
-@pytest.mark.slow
 def test_replays_and_their_results_are_verified(tmp_path):
-    """Designs of the study and what it keeps built have no part in it."""
-    log = cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.5})
+    """With all of their values; some, spread over all."""
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
     cosim.study(
         "academic",
         replay=str(log.path),
@@ -132,6 +150,30 @@ def test_replays_and_their_results_are_verified(tmp_path):
         workers=1,
     )
     found = verify_study(tmp_path / "out", sample=2)
-    assert found.members == (0, 2)
+    assert (found.members, found.differences) == ((0, 2), ())
     assert len(found.values) > 3
-    assert found.differences == ()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("worker_processes")
+def test_members_that_crash_and_hang_do_so_again(tmp_path, monkeypatch):
+    """Each in a process of its own; a hang is the same however long it lasted."""
+    names = ["LIES", "HANGS_LATER", "CRASH"]
+    for name in names:
+        compile_fmu(tmp_path / f"{name}.fmu", STATELESS, "rogue2.c", defines=(f"ROGUE={name}",))
+    (tmp_path / "x.toml").write_text(
+        'scenario = { name = "x", stop = 0.1, step = 0.01 }\n'
+        '[components]\nplant = { kind = "fmu", path = "LIES.fmu" }\n'
+    )
+    study = cosim.study(
+        tmp_path / "x.toml",
+        vary={"plant.path": [str(tmp_path / f"{name}.fmu") for name in names]},
+        metrics={"y": "last(plant.y)"},
+        timeout=2.0,
+        out=tmp_path / "out",
+        notice=lambda _: None,
+    )
+    assert list(study.failures) == [1, 2]
+    monkeypatch.setattr(verifying, "limit_again", lambda *_: 2.5)
+    found = verify_study(tmp_path / "out", workers=2)
+    assert (found.members, found.differences) == ((0, 1, 2), ())
