@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.replay import replay
     from cosim.studies.dataset.study import open_study
-    from cosim.studies.metrics.recorded import metrics
+    from cosim.studies.metrics import metrics
     from cosim.studies.running.studying import study
     from cosim.studies.tuning.tuning import tune
 
@@ -43,7 +43,7 @@ _HOMES = {
     "identify": "cosim.scenario.identifying",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
-    "metrics": "cosim.studies.metrics.recorded",
+    "metrics": "cosim.studies.metrics",
     "model_table": "cosim.scenario.context.models",
     "open_log": "cosim.log.reading.reader",
     "open_study": "cosim.studies.dataset.study",

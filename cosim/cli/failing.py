@@ -13,7 +13,7 @@ from cosim.errors import UsageError, listing, nearest, option, quoted
 
 if TYPE_CHECKING:
     from cosim.studies.dataset.study import Study
-    from cosim.studies.metrics.assertions import AssertedView, Assertions
+    from cosim.studies.measuring import AssertedView, Assertions
 
 # what fails a verdict of a study, by the words in it
 _WORDS: Final = {
@@ -89,7 +89,7 @@ def read_assertions(
     """
     if not texts:
         return None
-    from cosim.studies.metrics.assertions import Assertions
+    from cosim.studies.measuring import Assertions
 
     return Assertions(texts, known or {})
 

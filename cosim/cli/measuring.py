@@ -38,8 +38,7 @@ def metrics(
     """
     from cosim.log.editing.joining import open_joined
     from cosim.report.tables.console import print_json, print_section
-    from cosim.studies.metrics.metrics import parse_metrics
-    from cosim.studies.metrics.recorded import missing_rows
+    from cosim.studies.metrics import missing_rows, parse_metrics
 
     texts = {} if study is None else _metrics_of(study, str(log))
     for text in expressions or []:

@@ -36,9 +36,9 @@ from cosim.scenario.document.document import find
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.running.execution import load
 from cosim.studies.contracts import MetricValue, StudyMember, StudySubject
+from cosim.studies.measuring import MetricRecorder
 from cosim.studies.members.runner import open_runner
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from tests.fmi.small import able, compiled
 
 ROUNDS = 5

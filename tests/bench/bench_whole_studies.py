@@ -26,8 +26,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from cosim.fmi.unpacked import UnpackedFmus
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.measuring import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from tests.bench.bench_studies import (
     METRICS,
     OF_FMU,

@@ -19,7 +19,7 @@ from cosim.studies.analysis.confidence import (
     proportion_interval,
 )
 from cosim.studies.analysis.independence import StudyLayout, drawn_members, independence_of
-from cosim.studies.metrics.language import COMPARISONS
+from cosim.studies.metrics import COMPARISONS
 
 _COMPARISONS: Final = dict(COMPARISONS.values())
 _PART: Final = re.compile(r"\s*(.+?)\s*(<=|>=|==|!=|<|>)\s*(.+?)\s*")

@@ -20,7 +20,7 @@ from cosim.studies.contracts import (
 from cosim.studies.members.designs import encode_designs
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.sources import code_digests
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 
 DESIGNS: Final = "designs"  # of what all members have in common, as of StudySubject
 REFUSED: Final = "refused"  # why a member cannot be built

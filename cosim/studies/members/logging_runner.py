@@ -16,11 +16,11 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.dataset.log_files import unfinished_name
+from cosim.studies.measuring import MetricRecorder
 from cosim.studies.members.measuring import MemberRecorder
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.member_run import measure_beside, outcome_of
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 
 
 def open_logging_runner(subject: StudySubject) -> LoggingRunner:

@@ -21,11 +21,11 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.document.scenario_of_study import load_scenario
+from cosim.studies.measuring import MetricRecorder
 from cosim.studies.members.measuring import MemberRecorder
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.member_run import measure, outcome_of
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 
 
 def open_lone_runner(subject: StudySubject) -> LoneRunner:

@@ -18,13 +18,13 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
+from cosim.studies.measuring import MetricRecorder
 from cosim.studies.members.designs import encode_designs, own_designs
 from cosim.studies.members.measuring import MemberRecorder, MetricSink
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.member_run import measure, outcome_of
 from cosim.studies.members.sources import member_texts
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 
 BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
 

@@ -29,7 +29,7 @@ from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import STUDY, StudyFile
 from cosim.studies.members.sources import common_texts
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 from cosim.studies.running.inspection import inspect_members, inspected_members
 from cosim.studies.running.recorded_study import RecordedStudy, own_environment
 from cosim.studies.running.sources import (

@@ -23,7 +23,7 @@ from cosim.studies.design.recordings import find_recordings
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
 from cosim.studies.running.recorded_study import (
     RecordedSearch,

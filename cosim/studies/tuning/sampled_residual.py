@@ -35,8 +35,7 @@ from cosim.scenario.parsing import Scenario
 from cosim.studies.contracts import MemberRunner, MetricValue, StudySubject
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.members.runner import open_runner
-from cosim.studies.metrics.binding import find_element
-from cosim.studies.metrics.language import Reduction, parse_metric_text
+from cosim.studies.metrics import Reduction, find_element, parse_metric_text
 
 ROUNDING: Final = 1e-9  # of the largest sample
 

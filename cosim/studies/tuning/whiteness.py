@@ -19,7 +19,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.errors import RunError
 from cosim.studies.contracts import StudyMember, StudySubject
-from cosim.studies.metrics.language import parse_metric_text
+from cosim.studies.metrics import parse_metric_text
 from cosim.studies.tuning.sampled_residual import SampledResidual
 from cosim.studies.workers.pool import WorkerPool
 

@@ -7,8 +7,8 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Plan
 from cosim.core.signals import Interface, Signal
 from cosim.core.structure.ports import layout_of
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.measuring import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 
 STEP_NS = 10**6
 

@@ -6,7 +6,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError, shell_language
-from cosim.studies.metrics.assertions import AssertedView, Assertions
+from cosim.studies.measuring import AssertedView, Assertions
 
 VALUES = {"rms(a.y)": 0.5, "last(a.y)": 2.0, "first(t, a.y > 1 for 1 s)": None, "peak": 3.0}
 FULFILLED = {

@@ -8,8 +8,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.metrics.kinds import KINDS
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import KINDS, parse_metrics
 from tests.studies.metrics.rows import CHANNELS
 
 REFUSED = {

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.measuring import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from tests.studies.metrics.rows import STEP_NS, columns, memory_of, value, write
 
 numbers = st.floats(-1e3, 1e3, allow_subnormal=False)

@@ -16,8 +16,8 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
 from cosim.errors import NonFiniteError, UsageError
 from cosim.log.reading.reader import open_log
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.metrics.recorder import MetricRecorder
+from cosim.studies.measuring import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from tests.core.graphs import derivative_filter, stand
 from tests.core.parts import Scripted, integrator
 

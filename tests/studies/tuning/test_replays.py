@@ -7,7 +7,7 @@ import pytest
 import cosim
 from cosim.cli.app import main
 from cosim.errors import CosimError, UsageError
-from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics import parse_metrics
 from tests.studies.tuning.fitted_fmu import EXPRESSION, write_fit
 
 ERROR = "rms(observer.delta - delta.y, t > 0.2)"
