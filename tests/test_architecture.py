@@ -146,6 +146,7 @@ ROOMS = {
         "document",
         "design",
         "metrics",
+        "measuring",
         "dataset",
         "members",
         "workers",
@@ -155,6 +156,8 @@ ROOMS = {
         "tuning",
         "verification",
         "tables",
+        "panels",
+        "over_keys",
         "plots",
     ],
     "scenario": [

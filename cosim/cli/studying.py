@@ -455,7 +455,7 @@ def plot(
     from cosim.report.plots import PictureOptions
     from cosim.studies.analysis.results import results_of_study
     from cosim.studies.dataset.study import open_study
-    from cosim.studies.plots.study_plot import plot_study
+    from cosim.studies.plots import plot_study
     from cosim.studies.running.recorded_study import RecordedStudy
 
     opened = open_study(place)

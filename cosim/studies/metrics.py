@@ -66,7 +66,7 @@ _QUOTED_OR_DURATION: Final = re.compile(
 )
 _Values: TypeAlias = Callable[[Vector], float]  # a number, of the values of reductions
 # of texts of metrics, or numbers
-Comparison: TypeAlias = tuple[str | float, Callable[[Any, Any], Any], str | float]
+MetricComparison: TypeAlias = tuple[str | float, Callable[[Any, Any], Any], str | float]
 
 
 class ReductionKind(NamedTuple):
@@ -197,7 +197,7 @@ def parse_metric_text(name: str, text: str) -> Metric:
     return Metric(name, tuple(parser.reductions), joined)
 
 
-def parse_comparisons(text: str, names: Collection[str] = ()) -> list[Comparison]:
+def parse_comparisons(text: str, names: Collection[str] = ()) -> list[MetricComparison]:
     """Parse comparisons of metrics with numbers, or with each other, joined by ``and``.
 
     ``names`` are those of metrics that may stand in it for their texts.
