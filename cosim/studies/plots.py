@@ -16,7 +16,7 @@ from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions, need_plot
 from cosim.studies import panels
-from cosim.studies.analysis.columns import count_text, is_constant
+from cosim.studies.analysis.columns import count_text
 from cosim.studies.analysis.confidence import NO_INTERVAL
 from cosim.studies.analysis.convergence import running_mean
 from cosim.studies.analysis.independence import drawn_members, independence_of
@@ -152,7 +152,7 @@ def _plot_histograms(picture: StudyPicture) -> None:
 def _bins(values: Vector) -> Vector:
     """Return edges of bins by the rule of Freedman and Diaconis; at least those of Sturges."""
     low, lower, upper, high = np.quantile(values, [0.0, 0.25, 0.75, 1.0])
-    if is_constant(values):
+    if low == high:
         return np.linspace(low - reach_beside(low), high + reach_beside(high), 12)
     width = 2.0 * (upper - lower) / len(values) ** (1.0 / 3.0)
     count = max((high - low) / width if width > 0.0 else 0.0, math.log2(len(values)) + 1.0, 5.0)

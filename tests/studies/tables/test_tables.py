@@ -17,7 +17,7 @@ from cosim.studies.tables.metric import print_metrics
 from cosim.studies.tables.numbers import interval_text, members_text, text_with_half_width
 from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.study import print_study
-from tests.studies.tables.made import MadeStudy, command_of, saltelli_study, tolerances
+from tests.studies.made import MadeStudy, command_of, saltelli_study, tolerances
 
 
 def printed(capsys):
