@@ -23,7 +23,6 @@ CLOCK = Clock(2.0, 1e-3)
 TEXTS = {
     "error": "rms(plant.y - u.y, t > 0.5)",
     "peak": "max(abs(plant.y))",
-    "late": "first(t, plant.y > 0.3 for 100 ms)",
     "settling": "settling(plant.y)",
     "slow": "std(slow.y - plant.u) + 1/count(slow.y)",
     "time": "last(t)",
@@ -90,12 +89,9 @@ def test_a_recorder_takes_runs_of_other_graphs():
     recorder = MetricRecorder(parse_metrics({"m": "last(plant.y)", "u": "max(plant.u)"}))
     assert recorder.values() == {"m": None, "u": None}
     run(wave(), CLOCK, recorder)
-    first = recorder.values()
     plant = Linear(lag(time_constant=1.0, initial=3.0))
     run(Graph({"u": step(time=9.0), "plant": plant}, {"plant.u": "u.y"}), CLOCK, recorder)
     assert recorder.values()["m"] == pytest.approx(3.0 * np.exp(-2.0), rel=1e-12)
-    run(wave(), CLOCK, recorder)
-    assert recorder.values() == first
     with pytest.raises(UsageError) as error:
         run(Graph({"p": plant, "u": step(time=9.0)}, {"p.u": "u.y"}), CLOCK, recorder)
     assert [line.split(";")[0] for line in str(error.value).splitlines()] == [
@@ -138,17 +134,18 @@ def test_metrics_of_a_log_are_those_of_its_run(tmp_path):
     error = (log["observer.delta"] - log["delta.y"])[log.t >= 0.25]
     needed = np.sqrt(np.mean(error**2))
     assert later["error"] == pytest.approx(needed, rel=len(error) * 2.0**-52)
+    view = AssertedView(Assertions(["rms(plant.q) < 1"]))
+    with pytest.raises(UsageError, match=r"'plant' has no signal 'q'"):
+        cosim.run("academic", live=view, out=tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
 
 
 VALUES = {"rms(a.y)": 0.5, "last(a.y)": 2.0, "first(t, a.y > 1 for 1 s)": None, "peak": 3.0}
 FULFILLED = {
     "rms(a.y) < 0.6": "",
     "rms(a.y) < 0.5": "rms(a.y) = 0.5",
-    "rms(a.y) <= 0.5": "",
-    "last(a.y) == 2": "",
     "last(a.y) != 2": "last(a.y) = 2.0",
     "0 < rms(a.y) < last(a.y)": "",
-    "0 < rms(a.y) < 0.1*pi": "rms(a.y) = 0.5",
     "rms(a.y) < 1 and last(a.y) > 3": "last(a.y) = 2.0",
     "rms(a.y) < 1 and last(a.y) > -2*e": "",
     "peak >= 3": "",
@@ -168,24 +165,14 @@ def test_a_comparison_holds_or_says_what_the_metrics_are():
     {
         "rms(a.y)": "expected a comparison, such as rms",
         "rms(a.y) < 1 or rms(a.y) > 2": "expected a comparison, such as rms",
-        "not rms(a.y) < 1": "expected a comparison, such as rms",
         "rms(a.y) in 3": "< <= > >= == !=",
         "1 < 2": "at least one reduction",
         "peak < 1": r"a reduction, such as last\(peak\)",
         "rms(a.y) <": "not a metric",
         "__import__('os').getcwd() < 1": "allowed: numbers",
-        "(lambda: 1)() < rms(a.y)": "allowed: numbers",
     }.items(),
 )
 def test_what_is_no_assertion_is_refused(text, named):
     """Nothing of a text is run: it is one of the language of metrics."""
     with shell_language(), pytest.raises(UsageError, match=f"--assert: .*{named}"):
         Assertions([text])
-
-
-def test_a_signal_that_is_not_there_is_refused_before_the_run(tmp_path):
-    """There is no log of it."""
-    view = AssertedView(Assertions(["rms(plant.q) < 1"]))
-    with pytest.raises(UsageError, match=r"'plant' has no signal 'q'"):
-        cosim.run("academic", live=view, out=tmp_path / "a.mcap")
-    assert not list(tmp_path.iterdir())

@@ -3,7 +3,9 @@
 import math
 import re
 import tomllib
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,18 +25,13 @@ from cosim.studies.metrics import KINDS, parse_metrics
 STEP_NS = 10**6
 
 
-class Outputs:
-    """A component that has only outputs."""
-
-    def __init__(self, *signals):
-        self.interface = Interface((), signals)
-
-
-SIGNALS = (Signal("y"), Signal("u"), Signal("gap", optional=True), Signal("v", 2))
-LAYOUT = layout_of(
-    {"plant": Outputs(*SIGNALS), "my-part": Outputs(Signal("der(x)")), "slow": Outputs(SIGNALS[0])},
-    {"slow": 4},
-)
+SIGNALS = {
+    "plant": (Signal("y"), Signal("u"), Signal("gap", optional=True), Signal("v", 2)),
+    "my-part": (Signal("der(x)"),),
+    "slow": (Signal("y"),),
+}
+PARTS = {name: SimpleNamespace(interface=Interface((), of)) for name, of in SIGNALS.items()}
+LAYOUT = layout_of(PARTS, {"slow": 4})
 PLAN = Plan(LAYOUT, STEP_NS, {}, {}, ())
 COLUMNS = {"y": 0, "u": 1, "gap": 2, "v0": 3, "v1": 4, "part": 5, "slow": 6}
 
@@ -50,15 +47,12 @@ def columns(**values):
 def write(recorder, rows, sizes=()):
     """Write rows of a run in blocks of some steps, and the rest in one."""
     recorder.begin(PLAN)
-    index = 0
-    sizes = list(sizes)
-    while index < len(rows) - 1 or index == 0:
-        steps = min(sizes.pop(0) if sizes else len(rows), len(rows) - 1 - index)
-        time_ns = np.arange(index, index + steps + 1) * STEP_NS
+    ends = np.minimum(np.cumsum([0, *sizes, len(rows)]), len(rows) - 1)
+    for index, end in pairwise(ends.tolist()):
+        time_ns = np.arange(index, end + 1) * STEP_NS
         block = Block(index, time_ns, time_ns / 1e9, STEP_NS / 1e9)
-        recorder.write(block, rows[index : index + steps + 1].copy())
-        index += steps
-        if len(rows) == 1:
+        recorder.write(block, rows[index : end + 1].copy())
+        if end == len(rows) - 1:
             break
     return recorder
 
@@ -136,22 +130,6 @@ def test_a_reduction_is_that_of_the_rows_that_have_a_value(pairs):
         assert found == pytest.approx(reference(chosen), abs=absolute, rel=relative), name
 
 
-def test_the_reductions_of_a_sine_have_their_closed_forms():
-    """Over whole periods of 1 s, where sums are exact but for roundings; trapezoids lose h^2."""
-    t = np.arange(1000) * STEP_NS / 1e9
-    rows = columns(y=np.sin(2.0 * np.pi * t))
-    rounding = 1000 * 2.0**-52
-    assert value("rms(plant.y)", rows) == pytest.approx(math.sqrt(0.5), abs=rounding)
-    assert value("mean(plant.y)", rows) == pytest.approx(0.0, abs=rounding)
-    assert value("share(plant.y > 0.5)", rows) == pytest.approx(1 / 3, abs=2e-3)  # two rows of 1000
-    half = value("integral(plant.y, t <= 0.5)", rows)
-    assert half == pytest.approx(1.0 / np.pi, abs=1e-6 / 12 * 0.5 * (2 * np.pi) ** 2)
-    last = pytest.approx(-math.sin(2.0 * math.pi / 1000), rel=1e-12)
-    assert value("max(plant.y, t > 0.5)", rows) == last
-    assert value("count(t, t > 0.5)", rows) == 499.0
-    assert value("first(t, plant.y < 0)", rows) == 0.501
-
-
 def test_settling_is_where_a_lag_comes_within_its_band():
     """y = 1 - exp(-t/T): |y - y_end| <= b at t = -T ln(b + exp(-t_end/T)), rounded up to a row."""
     t = np.arange(10_001) * STEP_NS / 1e9
@@ -196,16 +174,13 @@ VALUES = {
     "integrals are between rows that follow each other": [
         ({"gap": GAP}, "integral(plant.gap)", pytest.approx(61.5e-3, rel=1e-15)),
         ({"gap": GAP}, "integral(plant.gap, plant.gap < 50)", pytest.approx(8e-3, rel=1e-15)),
-        ({"gap": GAP}, "integral(plant.gap, plant.gap > 50)", 0.0),
         ({"gap": GAP}, "integral(plant.gap, plant.gap > 500)", None),
         ({"gap": GAP}, f"integral({INFINITE}, t >= 0.001 and t < 0.0025)", None),
     ],
     "a duration is that of its condition": [
-        ({"y": Y}, "first(t, plant.y > 0)", 0.001),
         ({"y": Y}, "first(t, plant.y > 0 for 1 ms)", 0.002),
         ({"y": Y}, "first(t, (plant.y > 0) for 0.002)", 0.006),
         ({"y": Y}, "first(t, not plant.y <= 0 for 1500 us)", 0.006),
-        ({"y": Y}, "first(t, plant.y > 0 for 1 h)", None),
         ({"y": Y}, "share(plant.y > 0 for 1 ms, t > 0.004 for 2 ms)", 1 / 2),
         ({"y": Y}, "first(t, plant.y>0 for 2 ms) - first(t, plant.y>0 for 1 ms)", 0.006 - 0.002),
     ],
@@ -214,23 +189,19 @@ VALUES = {
         (RAMP, "count(slow.y)", 3.0),
         (RAMP, "count(plant.y + slow.y)", 3.0),
         (RAMP, "max(plant.y, slow.y < 50)", 4.0),
-        (RAMP, "count(t)", 9.0),
     ],
     "what is made of no values, or infinite, is none": [
         (NONE, "last(plant.gap)", None),
         (NONE, "1 + max(last(plant.gap), 2)", None),
-        (NONE, "min(2, last(plant.gap))", None),
         (NONE, "count(plant.gap)", 0.0),
         (NONE, "1/min(plant.y)", None),
         (NONE, "max(1/plant.y)", None),
-        (NONE, "share(plant.gap > 0)", 0.0),
         (NONE, "share(plant.gap > 0, plant.y > 5)", None),
         (NONE, "settling(plant.y, last(plant.gap))", None),
     ],
     "names in quotes, elements and arithmetic": [
         (NAMED, "last(plant.v[0]) - last('plant.v[1]')", 1.0),
         (NAMED, "max(abs('my-part.der(x)'))", 9.0),
-        (NAMED, "max(max(plant.v[0], plant.v[1]))", 4.0),
         (NAMED, "max(max(plant.v[1]), min(plant.v[0]))", 3.0),
         (NAMED, "-sqrt(last(plant.v[0]))**3/2 + pi", math.pi - 4.0),
         (NAMED, "max(\n  plant.v[0],\n  t > 0 for 1 ms\n)", None),
@@ -249,30 +220,20 @@ REFUSED = {
     "": r"'': not a metric.*rms\(observer\.delta - delta\.y\)",
     "3 + pi": r"at least one reduction.*last\(plant\.y\)",
     "plant.y": r"last\(plant\.y\), got 'plant\.y'",
-    "last(plant.y) + plant.v[0]": r"got 'plant\.v\[0\]'",
-    "1 + 'plant.y'": "'plant.y'",
     "plant.y < 1": r"share\(plant\.y < 1\), got the condition 'plant\.y < 1'",
     "max(plant.y, plant.u)": r"'max\(plant\.y, plant\.u\)'.*max\(max\(plant\.y, plant\.u\)\)",
-    "min(abs(plant.y), last(plant.u))": r"last\(plant\.y\), got 'plant\.y'",
     "rsm(plant.y)": r"'rsm'; did you mean 'rms'\?",
-    "max(1, 2, 3)": r"max\(EXPRESSION\) or max\(EXPRESSION, CONDITION\), got 'max\(1, 2, 3\)'",
     "rms(plant.y > 1)": r"rms\(EXPRESSION\) or.*got 'rms\(plant\.y > 1\)'",
-    "share(plant.y)": r"share\(CONDITION\) or share\(CONDITION, CONDITION\)",
     "first(t)": r"first\(EXPRESSION, CONDITION\), got 'first\(t\)'",
     "initial(plant.y, t > 1)": r"initial\(EXPRESSION\) or first\(EXPRESSION, CONDITION\)",
     "settling(plant.y, 1, 2)": r"settling\(EXPRESSION\) or settling\(EXPRESSION, BAND\) or",
     "settling(plant.y, -1)": r"band >= 0, got '-1'",
-    "settling(plant.y, plant.u)": r"got 'plant\.u'",
-    "max(max(plant.y))": r"inside max\(\.\.\.\), got 'max\(plant\.y\)'",
     "first(t, plant.y > last(plant.y))": r"inside first\(\.\.\.\), got 'last\(plant\.y\)'",
     "rms(plnt)": "'plnt': .*'plnt'",
-    "rms(plant.y; 3)": "not a metric at column",
     "rms(plant.y, x=3)": r"'rms\(plant\.y, x=3\)'.*: numbers, pi, e, reductions such as",
-    "[last(plant.y)]": r"'\[last\(plant\.y\)\]'.*allowed: numbers",
     "sqrt(last(plant.y), 2)": "sqrt.*2 arguments",
     "first(t, plant.y > 1 for 1 parsec)": "'1 parsec'.*'for'.*'parsec'",
     "first(t for 1 s, plant.y > 1)": r"'for' after a condition.*first\(t, plant\.y < 1 for 1 s\)",
-    "last(plant.y) for 1 s": "'for' after a condition",
     "first(t, (plant.y > 1 for 1 s) and plant.u > 1)": "'for' after a condition",
     "first(t, plant.y > 1 for 1 s and plant.u > 1)": r"'1 s and plant\.u > 1'.*'for'",
     "+".join(["last(plant.y)"] * 2000): "nested too deeply",
