@@ -20,6 +20,7 @@ _MOST_PLACES: Final = 100  # values of a key that each have a place; more are pu
 _MOST_QUANTITIES: Final = 7  # rows and columns of a scatter matrix
 _MOST_POINTS: Final = 4000  # of a panel of it that are drawn one by one
 _TEXT: Final = 9.0  # [points] in it
+_CORRELATIONS: Final = "rank correlations above the diagonal"
 _BAND: Final = "5 % to 95 % of the members"
 
 
@@ -40,12 +41,9 @@ def plot_lines(picture: StudyPicture) -> None:
             chosen = of_line[rows]
             shift = 0.7 * ((number + 0.5) / len(lines) - 0.5) if scale.names else 0.0
             x, values = scale.positions[rows[chosen]] + shift, column.values[chosen]
-            if not len(x):
-                continue
-            if is_binned:
-                handles += _draw_bins(panel, x, values, name, _COLORS[number])
-            else:
-                handles += _draw_places(panel, x, values, name, _COLORS[number], is_joined)
+            if len(x):
+                draw = _draw_bins if is_binned else _draw_places
+                handles += draw(panel, x, values, name, _COLORS[number], is_joined)
         marks += mark_failed(panel, scale.positions[results.columns.rows_of(column.failed)])
         scale.show(panel.xaxis, picture.label(keys[0]))
         panel.set_ylabel(label)
@@ -81,9 +79,8 @@ def _draw_places(
     if len(places) <= 25 or not is_joined:
         style |= {"marker": ".", "markersize": 5.0}
     label = name or ("members" if is_single else "median")
-    handles: list[Any] = panel.plot(
-        places, middle, color=color, linewidth=WIDTH, label=label, **style
-    )
+    style |= {"color": color, "linewidth": WIDTH, "label": label}
+    handles: list[Any] = panel.plot(places, middle, **style)
     if is_single:
         return handles
     _draw_members(panel, x, values, color)
@@ -93,7 +90,7 @@ def _draw_places(
     return [*handles, panel.vlines(places, low, high, linewidth=12.0, **faint)]
 
 
-def _draw_bins(panel: Any, x: Vector, values: Vector, name: str, color: str) -> list[Any]:
+def _draw_bins(panel: Any, x: Vector, values: Vector, name: str, color: str, _: bool) -> list[Any]:
     """Draw the median of each bin of as many members, with its band if these are not drawn."""
     count = min(max(len(x) // 20, 1), 40)
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count + 1), method="higher"))
@@ -173,9 +170,8 @@ def plot_scatter(picture: StudyPicture) -> None:
             f"plot kind 'scatter': expected at least 2 parameters or metrics, got {found}"
         )
     side = 3.8 + 2.0 / count  # cm, with names and numbers
-    matrix = np.reshape(
-        np.array(picture.panels(count * count, count, (side, side)), object), (count, count)
-    )
+    matrix = np.array(picture.panels(count * count, count, (side, side)), object)
+    matrix = matrix.reshape(count, count)
     marks: list[Any] = []
     for (row, column), panel in np.ndenumerate(matrix):
         (name, x), (of_row, y) = shown[column], shown[row]
@@ -201,8 +197,7 @@ def plot_scatter(picture: StudyPicture) -> None:
         f"{results.failed} failed" if results.failed else "",
         f"{count} of {total} parameters and metrics" if count < total else "",
         "the darker, the more members" if results.done > _MOST_POINTS else "",
-        f"{'too few members for ' if is_few else ''}rank correlations"
-        f"{'' if is_few else ' above the diagonal'}",
+        "too few members for rank correlations" if is_few else _CORRELATIONS,
     ]
     picture.save(", ".join(filter(None, notes)), marks[:1])
 

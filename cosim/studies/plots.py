@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -83,7 +83,7 @@ def plot_study(
         found = count_text(len(shown), "varied key")
         raise UsageError(f"plot kind {kind!r}: expected {needed} with several values, got {found}")
     if kind == "search":
-        metrics = [_checked_search(search, metrics, keys).metric]
+        metrics = [_checked_search(search, [*metrics, *keys]).metric]
     if kind == "sobol":
         check_has_indices(results.layout)
     else:
@@ -102,17 +102,14 @@ def _standard_kind(design: str, keys: Sequence[str]) -> str:
     return "sobol" if design == "saltelli" else "histogram"
 
 
-def _checked_search(
-    search: RecordedSearch | None, metrics: Sequence[str], keys: Sequence[str]
-) -> RecordedSearch:
+def _checked_search(search: RecordedSearch | None, shown: Collection[str]) -> RecordedSearch:
     """Return the search that a picture of it shows, with its objective only."""
     if search is None:
         raise UsageError(
             "plot kind 'search': expected a study whose members were chosen by a search, such as "
             "a tuning, got a planned one"
         )
-    others = [f"the metric {quoted(name)}" for name in metrics if name != search.metric]
-    others += [f"the key {quoted(key)}" for key in keys]
+    others = [quoted(name) for name in shown if name != search.metric]
     if others:
         raise UsageError(
             f"plot kind 'search': expected the objective {quoted(search.metric)} alone, got "
@@ -166,9 +163,8 @@ def _plot_distributions(picture: StudyPicture) -> None:
     handles: list[Any] = []
     for panel, column, label in picture:
         count = len(column.values)
-        curve = panel.ecdf(
-            column.values, color=COLORS[0], linewidth=WIDTH, label="share of members"
-        )
+        style = {"color": COLORS[0], "linewidth": WIDTH, "label": "share of members"}
+        curve = panel.ecdf(column.values, **style)
         handles.append(curve)
         if is_drawn and independence.units_of(column.numbers) is None:
             x, shares = curve.get_xydata()[panels.spread_rows(count + 1, _MOST_STEPS)].T
@@ -189,9 +185,8 @@ def _plot_convergence(picture: StudyPicture) -> None:
         running = running_mean(column, independence)
         total = len(running.counts)
         rows = np.unique(np.geomspace(1, total, _MOST_STEPS).astype(np.int64)) - 1
-        counts, means, reaches = (
-            one[rows] for one in (running.counts, running.means, running.half_widths)
-        )
+        columns = (running.counts, running.means, running.half_widths)
+        counts, means, reaches = (one[rows] for one in columns)
         style = {"color": COLORS[0], "linewidth": WIDTH, "marker": "." if total <= 10 else ""}
         handles = panel.plot(counts, means, label="mean of the first", **style)
         words = f"{_PERCENT} interval of each"
@@ -223,13 +218,9 @@ def _plot_sobol(picture: StudyPicture) -> None:
     if problem is not None and (picture.metrics or not found):
         raise problem
     shown = found[: panels.MOST_PANELS]
-    bars = min(len(shown[0].parameters), _MOST_BARS)
-    size = (14.0, 2.5 + 0.9 * bars)
-    handles: list[Any] = []
-    for panel, indices in zip(
-        picture.panels(len(shown), min(2, len(shown)), size), shown, strict=True
-    ):
-        handles = _draw_indices(panel, indices)
+    size = (14.0, 2.5 + 0.9 * min(len(shown[0].parameters), _MOST_BARS))
+    places = picture.panels(len(shown), min(2, len(shown)), size)
+    *_, handles = [_draw_indices(*pair) for pair in zip(places, shown, strict=True)]
     title = "Sobol indices"
     if any(indices.first_intervals[0] != NO_INTERVAL for indices in shown):
         title += f" with rough {_PERCENT} intervals"
