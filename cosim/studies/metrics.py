@@ -374,7 +374,10 @@ class _Parser:
 
 def _values_of(program: Program) -> _Values:
     """Return what computes arithmetic; its columns are the numbers of reductions."""
-    rows = RowProgram(program.with_columns([int(name) for name in program.signals]))
+    columns = [int(name) for name in program.signals]
+    if len(program.code) == len(columns) == 1:
+        return lambda values: float(values[columns[0]])
+    rows = RowProgram(program.with_columns(columns))
     return lambda values: float(rows.evaluate(np.zeros(1), values[np.newaxis])[0])
 
 
