@@ -146,8 +146,8 @@ ROOMS = {
         "variations",
         "study_file",
         "cases",
-        "metric_language",
         "metrics",
+        "measuring",
         "members",
         "worker",
         "workers",
@@ -170,6 +170,8 @@ ROOMS = {
         "tuning",
         "verifying",
         "show",
+        "panels",
+        "over_keys",
         "plots",
     ],
     "scenario": [

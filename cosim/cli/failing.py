@@ -12,7 +12,7 @@ from cosim.cli.options import print_notice
 from cosim.errors import UsageError, listing, nearest, option, quoted
 
 if TYPE_CHECKING:
-    from cosim.studies.metrics import AssertedView, Assertions
+    from cosim.studies.measuring import AssertedView, Assertions
     from cosim.studies.study import Study
 
 # what fails a verdict of a study, by the words in it
@@ -89,7 +89,7 @@ def read_assertions(
     """
     if not texts:
         return None
-    from cosim.studies.metrics import Assertions
+    from cosim.studies.measuring import Assertions
 
     return Assertions(texts, known or {})
 

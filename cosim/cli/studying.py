@@ -454,7 +454,7 @@ def plot(
     from cosim.report.plots import PictureOptions
     from cosim.studies.layout import results_of_study
     from cosim.studies.plan import RecordedStudy
-    from cosim.studies.plots.study_plot import plot_study
+    from cosim.studies.plots import plot_study
     from cosim.studies.study import open_study
 
     opened = open_study(place)

@@ -41,7 +41,8 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
-from cosim.studies.metrics import MetricRecorder, parse_metrics
+from cosim.studies.measuring import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from cosim.studies.study_file import load_scenario
 from cosim.temporary import without_folders
 

@@ -1,247 +1,428 @@
-"""Metrics of runs: of recordings, and of runs while they advance; checked by assertions."""
+"""Metrics: arithmetic of reductions of the rows of a run.
+
+:mod:`cosim.native.numerics.expression` is the language of what is reduced, of the conditions, and
+of the arithmetic. ``min`` and ``max`` of one argument are reductions, also with a condition behind
+it; those of two numbers are arithmetic outside of reductions, and pointwise inside.
+
+A condition with ``for`` is true at the rows up to which it has held for so long, as everywhere:
+``first(t, C for 1 s)`` is where a run until ``C for 1 s`` ends, 1 s after C has begun to hold.
+"""
 
 from __future__ import annotations
 
+import ast
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import operator
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import chain, pairwise
 from pathlib import Path
-from types import MappingProxyType
-from typing import Final, final
+from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 
 from cosim.arguments import mapping_argument
-from cosim.arrays import NAN, Matrix, Nanoseconds
-from cosim.core.contracts import Block
-from cosim.core.passing_recorders import TwoRecorders
+from cosim.arrays import NAN, Vector
 from cosim.core.recorded.partial import PartialChannels
 from cosim.core.recorded.signals import RecordedPort, find_signal
-from cosim.core.recorders import Memory, Nothing
-from cosim.core.recording import Plan, Recorder, Recording
-from cosim.core.signals import Channel, Layout
-from cosim.errors import UnknownSignalError, UsageError, listing, option, quoted
-from cosim.instants import StepNs
+from cosim.core.recorders import Memory
+from cosim.core.recording import Recording
+from cosim.core.signals import Channel
+from cosim.errors import UnknownSignalError, UsageError, listing, nearest, quoted
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
-from cosim.native.numerics.expression import ConditionProgram, Program
+from cosim.native.numerics.expression import (
+    FUNCTIONS,
+    ConditionProgram,
+    Program,
+    compile_arithmetic,
+    compile_condition_part,
+    compile_part,
+    is_condition,
+    is_signal,
+    nested_too_deep,
+    parse_metric,
+    read_duration,
+)
+from cosim.native.numerics.programs import RowProgram
 from cosim.native.numerics.reductions import KeptValues, RowReduction, RowReductions
-from cosim.native.step import DOUBLE
-from cosim.scenario.recordings.recording import LiveView
-from cosim.studies.metric_language import Metric, Reduction, parse_comparisons, parse_metric_text
+
+COMPARISONS: Final[dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+}
+_SETTLING_SHARE: Final = 0.02  # of the change from first to last value, where no band is given
+_PLACE: Final = "metrics."  # the table of a study that has them
+_QUOTED_OR_DURATION: Final = re.compile(
+    r"'(?:\\.|[^'\\])*(?:'|$)"
+    r'|"(?:\\.|[^"\\])*(?:"|$)'
+    r"|(?<=[\s)\]])for(?=\s)(?P<duration>[^,()\[\]'\"]*)"
+)
+_Values: TypeAlias = Callable[[Vector], float]  # a number, of the values of reductions
+# of texts of metrics, or numbers
+MetricComparison: TypeAlias = tuple[str | float, Callable[[Any, Any], Any], str | float]
 
 
-@dataclass(frozen=True, eq=False)
-class BoundReductions:
-    """Reductions over the same rows.
+class ReductionKind(NamedTuple):
+    """What a reduction keeps of its values, and what it makes of that.
 
     Parameters
     ----------
-    numbers : tuple of int
-        Which ones of all they are.
-    rows : RowReductions
-    period : int
-        Communication steps between the rows.
+    parts : tuple of str
+        Of :data:`~cosim.native.numerics.reductions.PARTS`.
+    value : callable
+        Of what was kept of one value or more, and the band.
+    forms : tuple of str
+        How it is called.
+    without_values : float
+        What it is of none.
     """
 
-    numbers: tuple[int, ...]
-    rows: RowReductions
-    period: int
+    parts: tuple[str, ...]
+    value: Callable[[KeptValues, float | None], float]
+    forms: tuple[str, ...] = ("EXPRESSION", "EXPRESSION, CONDITION")
+    without_values: float = NAN
 
 
-def find_element(channels: Mapping[str, Channel], name: str, source: str) -> RecordedPort:
-    """Return a signal of one element, or an element of a signal.
+def _std(kept: KeptValues, _: float | None) -> float:
+    mean = kept.shifted_sum / kept.number
+    variance = kept.shifted_squares / kept.number - mean * mean
+    return 0.0 if variance < 0.0 else math.sqrt(variance)
+
+
+def _settling(kept: KeptValues, band: float | None) -> float:
+    if band is None:
+        band = _SETTLING_SHARE * abs(kept.last - kept.first)
+    return kept.settled(band) if band >= 0.0 else NAN
+
+
+def _overshoot(kept: KeptValues, _: float | None) -> float:
+    change = kept.last - kept.first
+    if change == 0.0:
+        return NAN
+    excess = kept.high - kept.last if change > 0.0 else kept.last - kept.low
+    return excess / abs(change)
+
+
+_BANDS: Final = ("EXPRESSION", "EXPRESSION, BAND", "EXPRESSION, CONDITION")
+KINDS: Final[Mapping[str, ReductionKind]] = {
+    "last": ReductionKind(("ends",), lambda kept, _: kept.last),
+    "initial": ReductionKind(("ends",), lambda kept, _: kept.first, ("EXPRESSION",)),
+    "max": ReductionKind(("high",), lambda kept, _: kept.high + 0.0),
+    "min": ReductionKind(("low",), lambda kept, _: kept.low + 0.0),
+    "mean": ReductionKind(("sum",), lambda kept, _: kept.sum / kept.number),
+    "rms": ReductionKind(("squares",), lambda kept, _: math.sqrt(kept.squares / kept.number)),
+    "std": ReductionKind(("shifted", "ends"), _std),
+    "integral": ReductionKind(("integral",), lambda kept, _: kept.integral),
+    "count": ReductionKind((), lambda kept, _: float(kept.number), without_values=0.0),
+    "first": ReductionKind(("ends",), lambda kept, _: kept.first, ("EXPRESSION, CONDITION",)),
+    "share": ReductionKind(
+        ("sum",), lambda kept, _: kept.sum / kept.number, ("CONDITION", "CONDITION, CONDITION")
+    ),
+    "settling": ReductionKind(
+        ("kept", "ends"), _settling, (*_BANDS, "EXPRESSION, BAND, CONDITION")
+    ),
+    "overshoot": ReductionKind(("ends", "low", "high"), _overshoot),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """A reduction in a metric.
+
+    Parameters
+    ----------
+    kind : ReductionKind
+    values : Program or ConditionProgram
+        What is reduced, over signals; of ``share`` a condition.
+    where : ConditionProgram or None
+        Restricts the rows.
+    band : callable or None
+        Of ``settling``; over the reductions before this one.
+    """
+
+    kind: ReductionKind
+    values: Program | ConditionProgram
+    where: ConditionProgram | None = None
+    band: _Values | None = None
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals in it as they are written, each once."""
+        values, where = self.values, self.where
+        program = values.program if isinstance(values, ConditionProgram) else values
+        others = () if where is None else where.program.signals
+        return tuple(dict.fromkeys((*program.signals, *others)))
+
+
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """A metric: what joins its reductions."""
+
+    name: str
+    reductions: tuple[Reduction, ...]
+    joined: _Values
+
+    def value(self, kept: Iterable[KeptValues]) -> float | None:
+        """Return its value, of what was kept by its reductions."""
+        values = np.full(len(self.reductions), NAN)
+        for number, (reduction, part) in enumerate(zip(self.reductions, kept, strict=True)):
+            kind = reduction.kind
+            values[number] = kind.without_values
+            if part.number:
+                band = None if reduction.band is None else reduction.band(values)
+                values[number] = kind.value(part, band)
+        value = self.joined(values)
+        return value if math.isfinite(value) else None
+
+
+def parse_metric_text(name: str, text: str) -> Metric:
+    """Parse a metric; whether there are its signals is not known here.
 
     Raises
     ------
     UsageError
-        If there is none of that name, with the nearest, or it has several elements.
+        If the text is no metric; with what was found and what is possible instead.
     """
-    try:
-        port = find_signal(channels, name, source=source)
-    except UnknownSignalError as error:
-        raise UsageError(str(error)) from error
-    if port.size != 1:
-        begin = port.columns.start + port.channel.start
-        first = begin - port.channel.signal_columns[port.signal.name].start
-        elements = range(first, first + port.size)
-        names = [f"{port.channel.name}.{port.signal.element(i)}" for i in elements]
-        raise UsageError(f"'{name}' has {port.size} elements; expected one of: {listing(names)}")
-    return port
+    parser = _Parser(text)
+    joined = parser.arithmetic()
+    if not parser.reductions:
+        raise parser.refusal("expected at least one reduction, such as last(plant.y)")
+    return Metric(name, tuple(parser.reductions), joined)
 
 
-def bind_layout(reductions: Sequence[Reduction], layout: Layout) -> list[BoundReductions]:
-    """Return reductions bound to the rows of a run while it advances.
+def parse_comparisons(text: str, names: Collection[str] = ()) -> list[MetricComparison]:
+    """Parse comparisons of metrics with numbers, or with each other, joined by ``and``.
+
+    ``names`` are those of metrics that may stand in it for their texts.
 
     Raises
     ------
     UsageError
-        If there is no such signal; :meth:`cosim.studies.metrics.Metrics.check` names all.
+        If the text is something else; as from :func:`parse_metric_text`.
     """
-    channels = {channel.name: channel for channel in layout.channels}
+    parser = _Parser(text)
+    parts = [parser.tree]
+    if isinstance(parser.tree, ast.BoolOp) and isinstance(parser.tree.op, ast.And):
+        parts = parser.tree.values
+    found = []
+    for part in parts:
+        if not isinstance(part, ast.Compare):
+            raise parser.refusal(
+                "expected a comparison, such as rms(plant.y) < 0.1, or several joined by 'and'"
+            )
+        nodes = [part.left, *part.comparators]
+        operands = [_operand(parser.written(node), names) for node in nodes]
+        for left, kind, right in zip(operands, map(type, part.ops), operands[1:], strict=False):
+            if kind not in COMPARISONS:
+                known = " ".join(symbol for symbol, _ in COMPARISONS.values())
+                raise parser.refusal(f"expected one of the comparisons {known}")
+            if isinstance(left, float) and isinstance(right, float):
+                raise parser.refusal("expected at least one reduction, such as last(plant.y)")
+            found.append((left, COMPARISONS[kind][1], right))
+    return found
 
-    def column_of(name: str) -> int:
-        port = find_element(channels, name, "the run")
-        return int(port.channel.start + port.columns.start)
 
-    groups: dict[int, list[int]] = {}
-    for number, reduction in enumerate(reductions):
-        period = math.lcm(*(channel.period for channel in _channels_of(reduction, channels)))
-        groups.setdefault(period, []).append(number)
-    return [
-        BoundReductions(tuple(numbers), _bound(reductions, numbers, column_of), period)
-        for period, numbers in groups.items()
-    ]
+def _operand(text: str, names: Collection[str]) -> str | float:
+    """Return a metric as it is written, or the value of what is a number alone."""
+    if text in names:
+        return text
+    parser = _Parser(text)
+    joined = parser.arithmetic()
+    return text if parser.reductions else joined(np.zeros(1))
 
 
-def reduce_recording(reductions: Sequence[Reduction], recording: Recording) -> list[KeptValues]:
-    """Return what reductions keep of a recorded run.
+class _Parser:
+    """Parses one text, and finds its reductions.
 
-    Raises
-    ------
-    UsageError
-        If there is no such signal.
+    In the source that Python parses a duration is an argument behind its condition:
+    ``first(t, C for 1 s)`` is ``first(t, C ,0     )``, whose places are those of the text.
     """
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for number, reduction in enumerate(reductions):
-        names = {channel.name for channel in _channels_of(reduction, recording.channels)}
-        groups.setdefault(tuple(sorted(names)), []).append(number)
-    kept: dict[int, KeptValues] = {}
-    for components, numbers in groups.items():
-        rows = _reduced(recording, components, [reductions[number] for number in numbers])
-        kept.update({number: rows.kept(place) for place, number in enumerate(numbers)})
-    return [kept[number] for number in range(len(reductions))]
+
+    def __init__(self, text: str) -> None:
+        self.reductions: list[Reduction] = []
+        self._text = " ".join(text.splitlines()).strip()
+        self._start = f"metric {quoted(self._text)}"
+        self._durations: dict[ast.expr, int] = {}  # [ns] by their conditions
+        written: dict[int, int] = {}  # [ns] by where they are in the source, in bytes
+
+        def argument(match: re.Match[str]) -> str:
+            if match["duration"] is None:
+                return match[0]
+            place = len(self._text[: match.start()].encode()) + 1
+            written[place] = read_duration(self._start, match["duration"])
+            return ",0" + " " * (len(match[0].encode()) - 2)
+
+        self._source = _QUOTED_OR_DURATION.sub(argument, self._text)
+        self.tree = parse_metric(self._text, self._source)
+        for call in [one for one in ast.walk(self.tree) if isinstance(one, ast.Call)]:
+            for before, node in pairwise(call.args.copy()):
+                if is_condition(before) and node.col_offset in written:
+                    self._durations[before] = written.pop(node.col_offset)
+                    call.args.remove(node)
+        if written:
+            raise self.refusal(
+                "expected 'for' after a condition, such as first(t, plant.y < 1 for 1 s)"
+            )
+
+    def written(self, node: Any) -> str:
+        """Return the text of a node, with its durations."""
+        return self._text.encode()[node.col_offset : node.end_col_offset].decode()
+
+    def refusal(self, problem: str) -> UsageError:
+        """Return the error of a text that is no metric."""
+        return UsageError(f"{self._start}: {problem}")
+
+    def arithmetic(self) -> _Values:
+        """Return the arithmetic of the text, which may be a number alone."""
+        try:
+            tree = self._arithmetic(self.tree)
+        except RecursionError as error:
+            raise nested_too_deep(self._start) from error
+        return _values_of(compile_arithmetic(tree, self._source))
+
+    def _arithmetic(self, node: ast.expr) -> ast.expr:
+        """Return arithmetic in which the number of each reduction, as a text, stands for it."""
+        match node:
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+                node.operand = self._arithmetic(node.operand)
+            case ast.BinOp():
+                node.left = self._arithmetic(node.left)
+                node.right = self._arithmetic(node.right)
+            case ast.Call(func=ast.Name(id=name), keywords=[]):
+                return self._call(name, node)
+            case _ if is_condition(node):
+                raise self.refusal(
+                    "expected a number, such as share(plant.y < 1), got the condition "
+                    f"{quoted(self.written(node))} outside of a reduction"
+                )
+            case _ if is_signal(node) or (
+                isinstance(node, ast.Name) and node.id not in ("pi", "e")
+            ):
+                part = self.written(node)
+                raise self.refusal(
+                    f"expected a reduction, such as last({part}), got {quoted(part)} outside of one"
+                )
+        return node
+
+    def _call(self, name: str, node: ast.Call) -> ast.expr:
+        """Return the arithmetic of a call: a reduction, or a function of reductions."""
+        arguments = node.args
+        if name in ("min", "max") and len(arguments) == 2 and not is_condition(arguments[1]):
+            if any(map(is_signal, arguments)):
+                part = self.written(node)
+                raise self.refusal(
+                    f"expected two reductions in {quoted(part)}; for the {name} over all rows, use "
+                    f"{name}({part})"
+                )
+        elif name in KINDS:
+            self.reductions.append(self._reduction(name, node))
+            stands_for = ast.Constant(str(len(self.reductions) - 1))
+            return ast.copy_location(stands_for, node)
+        elif name not in FUNCTIONS:
+            known = nearest(name, [*KINDS, *FUNCTIONS])
+            raise self.refusal(f"no reduction or function {quoted(name)}; {known}")
+        node.args = [self._arithmetic(argument) for argument in arguments]
+        return node
+
+    def _reduction(self, name: str, call: ast.Call) -> Reduction:
+        """Return a reduction, whose form fits its kind."""
+        kind = KINDS[name]
+        words = ["CONDITION" if is_condition(argument) else "EXPRESSION" for argument in call.args]
+        for place, argument in enumerate(call.args):
+            inner = [node for node in ast.walk(argument) if _is_reduction(node)]
+            if inner and (place == 0 or is_condition(argument)):
+                raise self.refusal(
+                    f"expected an expression over signals inside {name}(...), got "
+                    f"{quoted(self.written(inner[0]))}: reductions can be combined by arithmetic, "
+                    "but not nested"
+                )
+        if words[1:2] == ["EXPRESSION"]:
+            words[1] = "BAND"
+        if ", ".join(words) not in kind.forms:
+            expected = " or ".join(f"{name}({form})" for form in kind.forms)
+            if name == "initial":
+                expected += " or first(EXPRESSION, CONDITION)"
+            raise self.refusal(f"expected {expected}, got {quoted(self.written(call))}")
+
+        def condition(argument: ast.expr) -> ConditionProgram:
+            duration_ns = self._durations.get(argument, 0)
+            return compile_condition_part(argument, self._source, duration_ns)
+
+        first = call.args[0]
+        is_of_condition = words[0] == "CONDITION"
+        values = condition(first) if is_of_condition else compile_part(first, self._source)
+        where = condition(call.args[-1]) if "CONDITION" in words[1:] else None
+        band = self._band(call.args[1]) if "BAND" in words else None
+        return Reduction(kind, values, where, band)
+
+    def _band(self, node: ast.expr) -> _Values:
+        """Return the band of a settling time."""
+        written = self.written(node)
+        program = compile_arithmetic(self._arithmetic(node), self._source)
+        band = _values_of(program)
+        if not program.signals and not band(np.zeros(1)) >= 0.0:
+            raise self.refusal(f"expected a band >= 0, got {quoted(written)}")
+        return band
 
 
-def _reduced(
-    recording: Recording, components: Sequence[str], reductions: Sequence[Reduction]
-) -> RowReductions:
-    """Return reductions over the rows that some components have at the same instants."""
-    time_ns = _common_instants([recording.time_ns(name) for name in components])
-    columns: dict[str, int] = {}
-    for reduction in reductions:
-        for name in reduction.signals:
-            columns.setdefault(name, len(columns))
-    rows = np.empty((len(time_ns), max(len(columns), 1)))
-    for name, column in columns.items():
-        component = find_element(recording.channels, name, recording.label).channel.name
-        own_ns = recording.time_ns(component)
-        rows[:, column] = recording[name][np.searchsorted(own_ns, time_ns)]
-    bound = _bound(reductions, range(len(reductions)), columns.__getitem__)
-    bound.begin(recording.step_ns)
-    bound.add(time_ns, rows)
-    return bound
+def _values_of(program: Program) -> _Values:
+    """Return what computes arithmetic; its columns are the numbers of reductions."""
+    columns = [int(name) for name in program.signals]
+    if len(program.code) == len(columns) == 1:
+        return lambda values: float(values[columns[0]])
+    rows = RowProgram(program.with_columns(columns))
+    return lambda values: float(rows.evaluate(np.zeros(1), values[np.newaxis])[0])
 
 
-def _common_instants(times: Sequence[Nanoseconds]) -> Nanoseconds:
-    """Return the instants that are in all of several increasing ones."""
-    common = times[0]
-    for other in times[1:]:
-        if not np.array_equal(common, other):
-            common = np.intersect1d(common, other, assume_unique=True)
-    return np.ascontiguousarray(common)
-
-
-def _channels_of(reduction: Reduction, channels: Mapping[str, Channel]) -> Iterator[Channel]:
-    """Yield the channels at whose common instants a reduction has rows."""
-    if not channels:
-        raise UsageError("expected at least one component in the run, got none")
-    if not reduction.signals:
-        yield min(channels.values(), key=lambda channel: channel.period)
-    for name in reduction.signals:
-        yield find_element(channels, name, "the run").channel
-
-
-def _bound(
-    reductions: Sequence[Reduction], numbers: Sequence[int], column_of: Callable[[str], int]
-) -> RowReductions:
-    """Return reductions over rows in which signals have some columns."""
-    bound = []
-    for number in numbers:
-        reduction = reductions[number]
-        values = _with_columns(reduction.values, column_of)
-        where = None
-        if reduction.where is not None:
-            where = _condition_with_columns(reduction.where, column_of)
-        bound.append(RowReduction(reduction.kind.parts, values, where))
-    return RowReductions(bound)
-
-
-def _with_columns(
-    values: Program | ConditionProgram, column_of: Callable[[str], int]
-) -> Program | ConditionProgram:
-    if isinstance(values, ConditionProgram):
-        return _condition_with_columns(values, column_of)
-    return values.with_columns([column_of(name) for name in values.signals])
-
-
-def _condition_with_columns(
-    condition: ConditionProgram, column_of: Callable[[str], int]
-) -> ConditionProgram:
-    columns = [column_of(name) for name in condition.program.signals]
-    return replace(condition, program=condition.program.with_columns(columns))
-
-
-PLACE: Final = "metrics."  # the table of a study that has them
+def _is_reduction(node: ast.AST) -> bool:
+    match node:
+        case ast.Call(func=ast.Name(id="min" | "max"), args=arguments):
+            return len(arguments) == 1
+        case ast.Call(func=ast.Name(id=name)):
+            return name in KINDS
+    return False
 
 
 @final
 class Metrics:
-    """The metrics of a study.
+    """Metrics of one run.
 
     Parameters
     ----------
     metrics : sequence of Metric
     place : str
-        Before the name of a metric, in messages.
-
-    Attributes
-    ----------
-    reductions : tuple of Reduction
-        Those of all metrics, one behind the other.
+        Where they are written, before the name of each: for messages.
     """
 
-    def __init__(self, metrics: Sequence[Metric], place: str = PLACE) -> None:
+    def __init__(self, metrics: Sequence[Metric], place: str = _PLACE) -> None:
         self._metrics = tuple(metrics)
         self._place = place
-        reductions: list[Reduction] = []
-        for metric in metrics:
-            reductions += metric.reductions
-        self.reductions = tuple(reductions)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names, in their order."""
-        return tuple(metric.name for metric in self._metrics)
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        """The signals in them as they are written, each once."""
-        names: dict[str, None] = {}
-        for reduction in self.reductions:
-            names.update(dict.fromkeys(reduction.signals))
-        return tuple(names)
+        self.names = tuple(metric.name for metric in metrics)
+        self.reductions = tuple(chain.from_iterable(metric.reductions for metric in metrics))
+        self.signals = _signals_of(self.reductions)
 
     def check(self, channels: Mapping[str, Channel], *, source: str = "the run") -> None:
-        """Check that there are the signals of all metrics.
-
-        Parameters
-        ----------
-        channels : mapping of component name to Channel
-            Those of a layout, or of a recording.
-        source : str
-            What has them, for messages.
+        """Check that there are all signals, each a number.
 
         Raises
         ------
         UsageError
-            With all problems, a line each: signals that are not there, with the nearest, and those
-            of several elements.
+            If not; with a line for each problem of each metric.
         """
-        problems: list[str] = []
+        problems = []
         for metric in self._metrics:
-            for problem in _problems(metric, channels, source):
-                problems.append(f"{self._place}{metric.name}: {problem}")
+            for name in _signals_of(metric.reductions):
+                try:
+                    find_element(channels, name, source)
+                except UsageError as error:
+                    problems.append(f"{self._place}{metric.name}: {error}")
         if problems:
             raise UsageError("\n".join(problems))
 
@@ -252,36 +433,51 @@ class Metrics:
         ------
         UsageError
             As from :meth:`check`.
-        LogError
-            If a recording cannot be read.
         """
         self.check(recording.channels, source=recording.label)
-        return self.values(reduce_recording(self.reductions, recording))
+        groups: dict[frozenset[str], list[int]] = {}
+        for number, reduction in enumerate(self.reductions):
+            names = frozenset(one.name for one in channels_of(reduction, recording.channels))
+            groups.setdefault(names, []).append(number)
+        kept: dict[int, KeptValues] = {}
+        for components, numbers in groups.items():
+            reductions = [self.reductions[number] for number in numbers]
+            rows = _reduced(recording, components, reductions)
+            kept.update({number: rows.kept(place) for place, number in enumerate(numbers)})
+        return self.values(kept)
 
-    def values(self, kept: Sequence[KeptValues]) -> dict[str, float | None]:
-        """Return the metrics for what was kept of a run for each reduction."""
-        values = {}
-        first = 0
-        for metric in self._metrics:
-            last = first + len(metric.reductions)
-            values[metric.name] = _value(metric, kept[first:last])
-            first = last
-        return values
+    def values(self, kept: Mapping[int, KeptValues]) -> dict[str, float | None]:
+        """Return the metrics, of what was kept by the reductions by their numbers."""
+        numbers = iter(range(len(self.reductions)))
+        return {
+            metric.name: metric.value([kept[next(numbers)] for _ in metric.reductions])
+            for metric in self._metrics
+        }
 
 
-def parse_metrics(texts: Mapping[str, str], place: str = PLACE) -> Metrics:
-    """Return metrics by their names and texts, such as ``{"error": "rms(a.y - b.y)"}``.
+def _signals_of(reductions: Iterable[Reduction]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(chain.from_iterable(one.signals for one in reductions)))
+
+
+def parse_metrics(texts: Mapping[str, str], place: str = _PLACE) -> Metrics:
+    """Parse metrics by name.
 
     Raises
     ------
     UsageError
-        With all problems, a line each: texts that are no metric.
+        If one is none; with a line for each that is.
     """
     metrics = []
     problems = []
     for name, text in mapping_argument("metrics", texts).items():
         try:
-            metrics.append(_parsed(name, text))
+            if not name:
+                raise UsageError("expected a name that is not empty")
+            if not isinstance(text, str):
+                raise UsageError(
+                    f"expected an expression such as 'max(abs(plant.y))', got {quoted(text)}"
+                )
+            metrics.append(parse_metric_text(name, text))
         except UsageError as error:
             problems.append(f"{place}{name}: {error}")
     if problems:
@@ -289,104 +485,70 @@ def parse_metrics(texts: Mapping[str, str], place: str = PLACE) -> Metrics:
     return Metrics(metrics, place)
 
 
-def _parsed(name: object, text: object) -> Metric:
-    if not isinstance(name, str) or not name:
-        raise UsageError("expected a name that is not empty")
-    if not isinstance(text, str):
-        raise UsageError(f"expected an expression such as 'max(abs(plant.y))', got {quoted(text)}")
-    return parse_metric_text(name, text)
+def find_element(channels: Mapping[str, Channel], name: str, source: str) -> RecordedPort:
+    """Return the one number that a signal is.
 
-
-def _problems(metric: Metric, channels: Mapping[str, Channel], source: str) -> Iterator[str]:
-    """Yield what is wrong with the signals of a metric, each once."""
-    names: dict[str, None] = {}
-    for reduction in metric.reductions:
-        names.update(dict.fromkeys(reduction.signals))
-    for name in names:
-        try:
-            find_element(channels, name, source)
-        except UsageError as error:
-            yield str(error)
-
-
-def _value(metric: Metric, kept: Sequence[KeptValues]) -> float | None:
-    """Return the value of a metric; None: it has none."""
-    values = np.full(len(kept), NAN)
-    for number, (reduction, part) in enumerate(zip(metric.reductions, kept, strict=True)):
-        if part.number:
-            band = None if reduction.band is None else reduction.band.value(values)
-            values[number] = reduction.kind.value(part, band)
-        else:
-            values[number] = reduction.kind.without_values
-    value = metric.arithmetic.value(values)
-    return value if math.isfinite(value) else None
-
-
-@final
-class MetricRecorder(Nothing):
-    """Keeps of the rows of a run what metrics need; implements Recorder.
-
-    It takes one run after the other: each begins anew.
-
-    Parameters
-    ----------
-    metrics : Metrics
+    Raises
+    ------
+    UsageError
+        If there is no such signal, or it has several elements.
     """
+    try:
+        port = find_signal(channels, name, source=source)
+    except UnknownSignalError as error:
+        raise UsageError(str(error)) from error
+    if port.size != 1:
+        begin = port.columns.start + port.channel.start
+        first = begin - port.channel.signal_columns[port.signal.name].start
+        elements = map(port.signal.element, range(first, first + port.size))
+        names = [f"{port.channel.name}.{element}" for element in elements]
+        raise UsageError(f"'{name}' has {port.size} elements; expected one of: {listing(names)}")
+    return port
 
-    def __init__(self, metrics: Metrics) -> None:
-        self._metrics = metrics
-        self._layout: Layout | None = None
-        self._step_ns: StepNs = 0
-        self._bound: list[BoundReductions] = []
-        self._has_rows = False
 
-    def begin(self, plan: Plan) -> None:
-        """Begin a run.
+def channels_of(reduction: Reduction, channels: Mapping[str, Channel]) -> list[Channel]:
+    """Return the components whose instants a reduction is over; of none the fastest one's."""
+    if not channels:
+        raise UsageError("expected at least one component in the run, got none")
+    if not reduction.signals:
+        return [min(channels.values(), key=lambda channel: channel.period)]
+    return [find_element(channels, name, "the run").channel for name in reduction.signals]
 
-        Raises
-        ------
-        UsageError
-            If it has not the signals of all metrics; names all that are missing.
-        """
-        if plan.layout != self._layout:
-            self._layout = None
-            self._metrics.check(plan.channels)
-            self._bound = bind_layout(self._metrics.reductions, plan.layout)
-            self._layout = plan.layout
-        for group in self._bound:
-            group.rows.begin(plan.step_ns)
-        self._has_rows = False
-        self._step_ns = plan.step_ns
 
-    def write(self, block: Block, signals: Matrix) -> None:
-        """Reduce the new rows."""
-        first = 0 if block.index == 0 and not self._has_rows else 1
-        if first > block.steps:
-            return
-        self._has_rows = True
-        if signals.strides[1] != DOUBLE:  # chosen columns
-            signals = np.ascontiguousarray(signals)
-        for group in self._bound:
-            period = group.period
-            begin = first + -(block.index + first) % period
-            if begin > block.steps:
-                continue
-            rows = slice(begin, None, period)
-            step_ns = period * self._step_ns
-            if isinstance(step_ns, int):
-                first_ns = int(block.time_ns[begin])
-                group.rows.add_regular(first_ns, step_ns, block.time[rows], signals[rows])
-            else:  # as of its log
-                group.rows.add(np.ascontiguousarray(block.time_ns[rows]), signals[rows])
+def bind(reductions: Iterable[Reduction], column_of: Callable[[str], int]) -> RowReductions:
+    """Return reductions of rows, in which each signal has its column."""
 
-    def values(self) -> dict[str, float | None]:
-        """Return the metrics of the rows so far; None: one has no value, or no run has begun."""
-        if self._layout is None:
-            return dict.fromkeys(self._metrics.names)
-        kept: dict[int, KeptValues] = {}
-        for group in self._bound:
-            kept.update({n: group.rows.kept(place) for place, n in enumerate(group.numbers)})
-        return self._metrics.values([kept[number] for number in range(len(kept))])
+    def placed(program: Program) -> Program:
+        return program.with_columns([column_of(name) for name in program.signals])
+
+    bound = []
+    for one in reductions:
+        values, where = one.values, one.where
+        if isinstance(values, ConditionProgram):
+            values = replace(values, program=placed(values.program))
+        else:
+            values = placed(values)
+        if where is not None:
+            where = replace(where, program=placed(where.program))
+        bound.append(RowReduction(one.kind.parts, values, where))
+    return RowReductions(bound)
+
+
+def _reduced(
+    recording: Recording, components: Collection[str], reductions: Sequence[Reduction]
+) -> RowReductions:
+    """Return reductions of the rows at the instants that all components have."""
+    times = [recording.time_ns(name) for name in components]
+    time_ns = np.ascontiguousarray(reduce(np.intersect1d, times))
+    columns = {name: column for column, name in enumerate(_signals_of(reductions))}
+    rows = np.empty((len(time_ns), max(len(columns), 1)))
+    for name, column in columns.items():
+        component = find_element(recording.channels, name, recording.label).channel.name
+        rows[:, column] = recording[name][np.searchsorted(recording.time_ns(component), time_ns)]
+    bound = bind(reductions, columns.__getitem__)
+    bound.begin(recording.step_ns)
+    bound.add(time_ns, rows)
+    return bound
 
 
 def metrics(
@@ -423,103 +585,10 @@ def missing_rows(metrics: Metrics, log: Log) -> str:
     if log.status == "partial":
         return f"{log.label} is a part of the log of its run"
     channels = log.channels
-    if not isinstance(channels, PartialChannels):
-        return ""
-    every = channels.partial.selection.every
-    names = [find_element(channels, name, log.label).channel.name for name in metrics.signals]
-    for name in names or channels:
-        if channels[name].period != channels.partial.declared[name].period:
-            return f"{log.label} has rows at every {every} steps only"
+    if isinstance(channels, PartialChannels):
+        names = [find_element(channels, name, log.label).channel.name for name in metrics.signals]
+        for name in names or channels:
+            if channels[name].period != channels.partial.declared[name].period:
+                every = channels.partial.selection.every
+                return f"{log.label} has rows at every {every} steps only"
     return ""
-
-
-NO_METRICS: Final[Mapping[str, str]] = MappingProxyType({})
-
-
-@final
-class Assertions:
-    """Assertions about a run, such as ``rms(plant.y) < 0.1 and last(plant.y) > 0``.
-
-    Parameters
-    ----------
-    texts : iterable of str
-    known : mapping of str to str, optional
-        Metrics of a study by name, which may stand for their texts.
-
-    Attributes
-    ----------
-    metrics : dict of str to str
-        All metrics in them by name; of those that have none their texts are the names.
-
-    Raises
-    ------
-    UsageError
-        If a text is none; whether there are its signals is not known here.
-    """
-
-    def __init__(self, texts: Iterable[str], known: Mapping[str, str] = NO_METRICS) -> None:
-        self._comparisons = {}
-        self.metrics: dict[str, str] = {}
-        for text in texts:
-            try:
-                self._comparisons[text] = parse_comparisons(text, known)
-            except UsageError as error:
-                raise UsageError(f"{option('assert')}: {error}") from error
-            for one in self._comparisons[text]:
-                for name in (one.left, one.right):
-                    if isinstance(name, str):
-                        self.metrics[name] = known.get(name, name)
-
-    def view(self, other: LiveView | None = None) -> AssertedView:
-        """Return what computes them of a run, beside what shows it."""
-        return AssertedView(self, other)
-
-    def problems(self, values: Mapping[str, float | None]) -> dict[str, str]:
-        """Return why assertions are not fulfilled, by their texts; those that are are left out.
-
-        Parameters
-        ----------
-        values : mapping of str to float or None
-            Of all metrics.
-        """
-        problems = {}
-        for text, comparisons in self._comparisons.items():
-            found = []
-            for one in comparisons:
-                names = [name for name in (one.left, one.right) if isinstance(name, str)]
-                left = values[one.left] if isinstance(one.left, str) else one.left
-                right = values[one.right] if isinstance(one.right, str) else one.right
-                if left is None or right is None or not one.holds(left, right):
-                    for name in names:
-                        value = values[name]
-                        found.append(f"{name} = {'no value' if value is None else repr(value)}")
-            if found:
-                problems[text] = ", ".join(dict.fromkeys(found))
-        return problems
-
-
-@final
-class AssertedView:
-    """Computes what assertions need of a run while it goes on; a :class:`LiveView`.
-
-    Parameters
-    ----------
-    assertions : Assertions
-    other : LiveView or None
-        What shows the run.
-    """
-
-    def __init__(self, assertions: Assertions, other: LiveView | None = None) -> None:
-        self._assertions = assertions
-        self._other = other
-        self._recorder = MetricRecorder(parse_metrics(assertions.metrics, f"{option('assert')} "))
-
-    def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
-        """Return what takes the run, too; it refuses one that lacks a signal before it begins."""
-        shown = recorder if self._other is None else self._other.beside(recorder, kinds)
-        return TwoRecorders(self._recorder, shown)
-
-    @property
-    def problems(self) -> dict[str, str]:
-        """Why assertions are not fulfilled, by their texts."""
-        return self._assertions.problems(self._recorder.values())

@@ -37,8 +37,7 @@ from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.programs import RowProgram
 from cosim.studies.contracts import COMPLETE, StudyMember, StudySubject
 from cosim.studies.members import opened
-from cosim.studies.metric_language import Reduction, parse_metric_text
-from cosim.studies.metrics import find_element
+from cosim.studies.metrics import Reduction, find_element, parse_metric_text
 from cosim.studies.study_file import load_scenario
 from cosim.studies.workers import LocalExecutor
 

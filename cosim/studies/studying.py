@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from cosim.studies.cluster import ClusterExecutor
 
-    Executor: TypeAlias = LocalExecutor | ClusterExecutor
+    MemberExecutor: TypeAlias = LocalExecutor | ClusterExecutor
 
 _TRIED: Final = 10  # members, until one is completed
 _TIMED: Final = 3  # members: the first of a worker also opens what all have in common
@@ -131,18 +131,8 @@ timeout, keep, results : optional
     notice = notice or _warn
     for text in plan.notices:
         notice(text)
-    limit = file.settings.timeout
     with ExitStack() as resources:
-        executor: LocalExecutor | ClusterExecutor = LocalExecutor(
-            plan.subject, count, timeout=limit
-        )
-        if scheduler is not None:  # before the dataset that is there is removed
-            from cosim.studies.cluster import ClusterExecutor
-
-            executor = ClusterExecutor(
-                scheduler, plan.subject, plan.trial, plan.files, timeout=limit, notice=notice
-            )
-        resources.enter_context(executor)
+        executor = resources.enter_context(executor_of(plan, count, scheduler, notice))
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
         _complete(plan, dataset, executor, progress)
         keep_logs(
@@ -151,7 +141,7 @@ timeout, keep, results : optional
             plan.design.member,
             dataset,
             workers=count,
-            timeout=limit,
+            timeout=file.settings.timeout,
             notice=notice,
             progress=keep_progress,
         )
@@ -161,10 +151,27 @@ timeout, keep, results : optional
     return done
 
 
+def executor_of(
+    plan: StudyPlan,
+    workers: int,
+    scheduler: str | Client | None,
+    notice: Callable[[str], None],
+) -> MemberExecutor:
+    """Return what runs the members of a study: processes of this machine, or a cluster."""
+    timeout = plan.study.settings.timeout
+    if scheduler is None:
+        return LocalExecutor(plan.subject, workers, timeout=timeout)
+    from cosim.studies.cluster import ClusterExecutor
+
+    return ClusterExecutor(
+        scheduler, plan.subject, plan.trial, plan.files, timeout=timeout, notice=notice
+    )
+
+
 def _complete(
     plan: StudyPlan,
     dataset: StudyDataset,
-    executor: Executor,
+    executor: MemberExecutor,
     progress: MembersDone | None,
 ) -> None:
     """Run the members that have no outcome yet."""

@@ -71,9 +71,8 @@ from cosim.studies.study_file import (
     study_of,
     varied_key,
 )
-from cosim.studies.studying import MemberExecutor, worker_count
+from cosim.studies.studying import executor_of, worker_count
 from cosim.studies.tuning_result import TuningResult, converged_end, with_residual
-from cosim.studies.workers import LocalExecutor
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -223,23 +222,15 @@ def _searched(
     notice: Callable[[str], None],
 ) -> TuningResult:
     """Run the members that the search asks for, and return what it found."""
-    subject = plan.study.subject
-    timeout = plan.study.study.settings.timeout
     dataset: StudyDataset | None = None
     with ExitStack() as resources:
         if out is not None and StudyDataset.is_at(out) and not new:
             there = StudyDataset.open_or_create(out, plan.identity())
             dataset = resources.enter_context(there)
-        local = LocalExecutor(subject, workers, timeout=timeout)
-        executor: MemberExecutor = local
+        local = resources.enter_context(executor_of(plan.study, workers, None, notice))
+        executor = local
         if scheduler is not None:  # before the dataset that is there is removed
-            from cosim.studies.cluster import ClusterExecutor
-
-            trial, files = plan.study.trial, plan.study.files
-            executor = resources.enter_context(
-                ClusterExecutor(scheduler, subject, trial, files, timeout=timeout, notice=notice)
-            )
-        resources.enter_context(local)
+            executor = resources.enter_context(executor_of(plan.study, workers, scheduler, notice))
 
         def run(points: Mapping[int, Point]) -> Iterator[MemberOutcome]:
             nonlocal dataset

@@ -34,7 +34,8 @@ from cosim.core.recorders import Memory, Nothing
 from cosim.core.recording import Plan
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
-from cosim.studies.metrics import MetricRecorder, parse_metrics
+from cosim.studies.measuring import MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from tests.bench.masters.core_systems import without_identifier
 
 ROUNDS = 31

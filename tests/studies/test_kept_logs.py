@@ -5,11 +5,11 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from cosim.studies.document.keep import read_keep
 
 import cosim
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.document.keep import read_keep
 from cosim.studies.kept_logs import chosen_members, limit_again
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS

@@ -8,15 +8,14 @@ import sys
 
 import numpy as np
 import pytest
-
-import cosim
-from cosim.errors import ChangedFileError, DatasetError, UsageError
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.keep import read_keep
 from cosim.studies.document.reading import read_study
+
+import cosim
+from cosim.errors import ChangedFileError, DatasetError, UsageError
 from cosim.studies.kept_logs import kept_count
-from cosim.studies.running.plan import plan_study
-from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.plan import RecordedStudy, plan_study
 from cosim.studies.studying import estimate_study
 
 GRID = {

@@ -13,7 +13,7 @@ from cosim.errors import DatasetError, UsageError
 from cosim.studies import verifying
 from cosim.studies.contracts import MemberOutcome
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.running.recorded_study import own_environment
+from cosim.studies.plan import own_environment
 from cosim.studies.verifying import verify_study
 from cosim.version import __version__
 from tests.fmi.compiled import compile_fmu

@@ -1,4 +1,4 @@
-"""Metrics of runs while they advance are those of what is recorded of them, to the last bit."""
+"""Metrics of runs while they advance are those of their rows, to the last bit; assertions."""
 
 import numpy as np
 import pytest
@@ -13,10 +13,9 @@ from cosim.core.master import run
 from cosim.core.partial_recorder import PartialRecorder
 from cosim.core.recorded.partial import RecordSelection
 from cosim.core.recorders import Memory
-from cosim.core.recording import Recorder
-from cosim.errors import NonFiniteError, UsageError
-from cosim.log.reading.reader import open_log
-from cosim.studies.metrics import MetricRecorder, parse_metrics
+from cosim.errors import NonFiniteError, UsageError, shell_language
+from cosim.studies.measuring import AssertedView, Assertions, MetricRecorder
+from cosim.studies.metrics import parse_metrics
 from tests.core.graphs import derivative_filter, stand
 from tests.core.parts import Scripted, integrator
 
@@ -24,7 +23,6 @@ CLOCK = Clock(2.0, 1e-3)
 TEXTS = {
     "error": "rms(plant.y - u.y, t > 0.5)",
     "peak": "max(abs(plant.y))",
-    "late": "first(t, plant.y > 0.3 for 100 ms)",
     "settling": "settling(plant.y)",
     "slow": "std(slow.y - plant.u) + 1/count(slow.y)",
     "time": "last(t)",
@@ -33,21 +31,20 @@ TEXTS = {
 
 def wave():
     components = {"u": sine(rate=3.0), "plant": integrator(5.0), "slow": integrator(0.5)}
-    connections = {"plant.u": "u.y", "slow.u": "plant.y"}
-    return Graph(components, connections, periods={"slow": 7})
+    return Graph(components, {"plant.u": "u.y", "slow.u": "plant.y"}, periods={"slow": 7})
 
 
-def both(graph, clock, texts):
+def both(graph, clock, texts, **options):
     """Return metrics of a run while it advances, and of its rows in memory."""
     metrics = parse_metrics(texts)
     recorder = MetricRecorder(metrics)
-    run(graph, clock, recorder)
+    run(graph, clock, recorder, **options)
     memory = Memory()
-    run(graph, clock, memory)
+    run(graph, clock, memory, **options)
     return recorder.values(), metrics.of(memory)
 
 
-@pytest.mark.parametrize("block", [None, 1, 13, 500])
+@pytest.mark.parametrize("block", [None, 1, 13])
 def test_a_run_has_the_metrics_of_its_rows_whatever_its_blocks(block):
     """Equal floats; of a component with one row in seven too."""
     found, recorded = both(wave(), Clock(2.0, 1e-3, block), TEXTS)
@@ -68,18 +65,13 @@ def test_where_signals_jump_the_row_has_the_right_limit():
     assert found["step"] == 0.5
 
 
-@pytest.mark.parametrize("condition", ["plant.y > 0.3", "plant.y**2 > 0.09 for 100 ms", "t >= 0.7"])
+@pytest.mark.parametrize("condition", ["plant.y > 0.3", "plant.y**2 > 0.09 for 100 ms"])
 def test_first_is_where_a_run_until_the_condition_ends(condition):
     """``first(t, C)`` and ``until C`` name the same instant."""
     found, _ = both(wave(), CLOCK, {"m": f"first(t, {condition})"})
-    memory = Memory()
-    run(wave(), CLOCK, memory, until=condition)
-    assert memory.end_ns < CLOCK.stop * 1e9
-    assert found["m"] == memory.end_ns / 1e9
-    metrics = parse_metrics(TEXTS)
-    recorder = MetricRecorder(metrics)
-    run(wave(), CLOCK, recorder, until=condition)
-    assert recorder.values() == metrics.of(memory)
+    ended, recorded = both(wave(), CLOCK, {**TEXTS, "m": "last(t)"}, until=condition)
+    assert ended == recorded
+    assert ended["m"] == found["m"] < CLOCK.stop
 
 
 def test_a_run_that_fails_has_the_metrics_of_its_rows():
@@ -95,68 +87,88 @@ def test_a_run_that_fails_has_the_metrics_of_its_rows():
 def test_a_recorder_takes_runs_of_other_graphs():
     """Each with columns of its own; what is missing is named before the first step."""
     recorder = MetricRecorder(parse_metrics({"m": "last(plant.y)", "u": "max(plant.u)"}))
-    assert isinstance(recorder, Recorder)
+    assert recorder.values() == {"m": None, "u": None}
     run(wave(), CLOCK, recorder)
-    first = recorder.values()
     plant = Linear(lag(time_constant=1.0, initial=3.0))
     run(Graph({"u": step(time=9.0), "plant": plant}, {"plant.u": "u.y"}), CLOCK, recorder)
     assert recorder.values()["m"] == pytest.approx(3.0 * np.exp(-2.0), rel=1e-12)
-    graph = wave()
-    for _ in range(2):
-        run(graph, CLOCK, recorder)
-        assert recorder.values() == first
     with pytest.raises(UsageError) as error:
         run(Graph({"p": plant, "u": step(time=9.0)}, {"p.u": "u.y"}), CLOCK, recorder)
     assert [line.split(";")[0] for line in str(error.value).splitlines()] == [
         "metrics.m: the run has no component 'plant'",
         "metrics.u: the run has no component 'plant'",
     ]
-
-
-def test_before_a_run_there_are_no_values():
-    """None of them, rather than those of no rows."""
-    metrics = parse_metrics({"m": "last(plant.y)", "t": "last(t)"})
-    assert MetricRecorder(metrics).values() == {"m": None, "t": None}
     with pytest.raises(UsageError, match="one component in the run, got none"):
         parse_metrics({"t": "last(t)"}).of(Memory())
 
 
 def test_of_a_part_of_a_run_they_are_those_of_the_part():
     """Behind a recorder of some rows, and of what it has recorded."""
-    metrics = parse_metrics({"n": "count(plant.y)", "m": "mean(plant.y)", "t": "count(t)"})
-    selection = RecordSelection(("plant.y",), 5)
-    recorder = MetricRecorder(metrics)
-    memory = Memory()
-    run(wave(), CLOCK, PartialRecorder(recorder, selection))
-    run(wave(), CLOCK, PartialRecorder(memory, selection))
-    assert recorder.values() == metrics.of(memory)
-    assert recorder.values()["n"] == 401.0
+    recorder, memory = MetricRecorder(metrics := parse_metrics({"n": "count(plant.y)"})), Memory()
+    for one in (recorder, memory):
+        run(wave(), CLOCK, PartialRecorder(one, RecordSelection(("plant.y",), 5)))
+    assert recorder.values() == metrics.of(memory) == {"n": 401.0}
     with pytest.raises(UsageError, match=r"metrics.u: the run has no 'plant.u': "):
         parse_metrics({"u": "last(plant.u)"}).of(memory)
 
 
-@pytest.mark.slow
-def test_a_shipped_scenario_has_the_metrics_of_its_log(tmp_path):
-    """Of a log file and of a window of it, too."""
+def test_metrics_of_a_log_are_those_of_its_run(tmp_path):
+    """Of a window of it, too; and the assertions while it goes on are of the same values."""
     texts = {
         "error": "rms(observer.delta - delta.y)",
-        "theta": "last(identifier.theta[0])",
-        "converged": "first(t, abs(observer.delta - delta.y) < 0.1 for 100 ms)",
         "settled": "settling(observer.delta, 0.5)",
-        "estimates": "count(identifier.theta[0]) - count('identifier.theta[1]')",
+        "theta": "count('identifier.theta[1]')",
     }
-    metrics = parse_metrics(texts)
-    changes = {"scenario.stop": 12.0}
-    recorder = cosim.run("academic", set=changes, recorder=MetricRecorder(metrics))
-    found = recorder.values()
-    assert found["theta"] is not None
-    assert found["estimates"] == 0.0
-    path = tmp_path / "x.mcap"
-    cosim.run("academic", set=changes, out=path)
-    log = open_log(path)
-    assert metrics.of(log) == found
-    later = metrics.of(log.window(t0=5.0))
-    error = (log["observer.delta"] - log["delta.y"])[log.t >= 5.0]
+    changes = {"scenario.stop": 0.5, "scenario.verdicts": False}
+    view = AssertedView(Assertions(["error < 1e-3", "theta < 1e9"], texts))
+    log = cosim.run("academic", live=view, set=changes, out=tmp_path / "x.mcap")
+    recorder = MetricRecorder(parse_metrics(texts))
+    found = cosim.run("academic", set=changes, recorder=recorder).values()
+    assert cosim.metrics(tmp_path / "x.mcap", texts) == found
+    assert view.problems == {"error < 1e-3": f"error = {found['error']!r}"}
+    later = parse_metrics(texts).of(log.window(t0=0.25))
+    error = (log["observer.delta"] - log["delta.y"])[log.t >= 0.25]
     needed = np.sqrt(np.mean(error**2))
     assert later["error"] == pytest.approx(needed, rel=len(error) * 2.0**-52)
-    assert later["converged"] == 5.1
+    view = AssertedView(Assertions(["rms(plant.q) < 1"]))
+    with pytest.raises(UsageError, match=r"'plant' has no signal 'q'"):
+        cosim.run("academic", live=view, out=tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+VALUES = {"rms(a.y)": 0.5, "last(a.y)": 2.0, "first(t, a.y > 1 for 1 s)": None, "peak": 3.0}
+FULFILLED = {
+    "rms(a.y) < 0.6": "",
+    "rms(a.y) < 0.5": "rms(a.y) = 0.5",
+    "last(a.y) != 2": "last(a.y) = 2.0",
+    "0 < rms(a.y) < last(a.y)": "",
+    "rms(a.y) < 1 and last(a.y) > 3": "last(a.y) = 2.0",
+    "rms(a.y) < 1 and last(a.y) > -2*e": "",
+    "peak >= 3": "",
+    "first(t, a.y > 1 for 1 s) != 9": "first(t, a.y > 1 for 1 s) = no value",
+}
+
+
+def test_a_comparison_holds_or_says_what_the_metrics_are():
+    """A metric without a value fulfils nothing; those of a study go by their names."""
+    found = Assertions(FULFILLED, {"peak": "max(a.y)"})
+    assert found.problems(VALUES) == {text: why for text, why in FULFILLED.items() if why}
+    assert found.metrics == {**dict.fromkeys(VALUES), **{t: t for t in VALUES}, "peak": "max(a.y)"}
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    {
+        "rms(a.y)": "expected a comparison, such as rms",
+        "rms(a.y) < 1 or rms(a.y) > 2": "expected a comparison, such as rms",
+        "rms(a.y) in 3": "< <= > >= == !=",
+        "1 < 2": "at least one reduction",
+        "peak < 1": r"a reduction, such as last\(peak\)",
+        "rms(a.y) <": "not a metric",
+        "__import__('os').getcwd() < 1": "allowed: numbers",
+    }.items(),
+)
+def test_what_is_no_assertion_is_refused(text, named):
+    """Nothing of a text is run: it is one of the language of metrics."""
+    with shell_language(), pytest.raises(UsageError, match=f"--assert: .*{named}"):
+        Assertions([text])
