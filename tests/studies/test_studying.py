@@ -8,14 +8,13 @@ import sys
 
 import numpy as np
 import pytest
-from cosim.studies.design.planning import plan_design
-from cosim.studies.document.keep import read_keep
-from cosim.studies.document.reading import read_study
 
 import cosim
 from cosim.errors import ChangedFileError, DatasetError, UsageError
+from cosim.studies.design import plan_design
 from cosim.studies.kept_logs import kept_count
 from cosim.studies.plan import RecordedStudy, plan_study
+from cosim.studies.study_file import read_keep, read_study
 from cosim.studies.studying import estimate_study
 
 GRID = {
