@@ -132,7 +132,8 @@ timeout, keep, results : optional
     for text in plan.notices:
         notice(text)
     with ExitStack() as resources:
-        executor = resources.enter_context(executor_of(plan, count, scheduler, notice))
+        executor = executor_of(plan, count, scheduler, notice)
+        resources.enter_context(executor)  # before the dataset that is there is removed
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
         _complete(plan, dataset, executor, progress)
         keep_logs(

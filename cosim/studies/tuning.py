@@ -227,10 +227,10 @@ def _searched(
         if out is not None and StudyDataset.is_at(out) and not new:
             there = StudyDataset.open_or_create(out, plan.identity())
             dataset = resources.enter_context(there)
-        local = resources.enter_context(executor_of(plan.study, workers, None, notice))
-        executor = local
-        if scheduler is not None:  # before the dataset that is there is removed
-            executor = resources.enter_context(executor_of(plan.study, workers, scheduler, notice))
+        local = executor_of(plan.study, workers, None, notice)
+        executor = executor_of(plan.study, workers, scheduler, notice)
+        for one in (local, executor):  # before the dataset that is there is removed
+            resources.enter_context(one)
 
         def run(points: Mapping[int, Point]) -> Iterator[MemberOutcome]:
             nonlocal dataset

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import fsspec
 import pytest
-from cosim.studies.document.keep import read_keep
 
 import cosim
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.kept_logs import chosen_members, limit_again
+from cosim.studies.study_file import read_keep
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import STATELESS
 from tests.studies.test_dataset import add, opened

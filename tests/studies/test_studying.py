@@ -316,7 +316,7 @@ def test_a_study_takes_what_was_said(scenario, tmp_path):
     values = [
         value for row in done.table().drop_columns("log").to_pylist() for value in row.values()
     ]
-    total = sum(len(v) if isinstance(v, str) else 8 for v in values if v is not None)
+    total = sum(len(v) if isinstance(v, str) else 8 for v in values)
     assert estimate.dataset_bytes == pytest.approx(total, rel=0.1)
 
 

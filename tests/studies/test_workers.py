@@ -150,7 +150,7 @@ def test_members_are_taken_as_they_are_needed(tmp_path):
 def test_an_iterator_that_is_closed_ends_what_runs(tmp_path):
     """So does the executor, and what members started; it goes on with other members."""
     with executor(tmp_path) as workers:
-        iterator = workers.run([doing(0, "starts a process"), doing(1, "sleep", begun=".")], do)
+        iterator = workers.run([doing(0, "starts a process"), doing(1, "sleep")], do)
         pid = next(iterator)[1].metrics["pid"]
         iterator.close()
         ((_, outcome),) = workers.run([doing(2)], do)
