@@ -43,6 +43,7 @@ from cosim.studies.study_file import STUDY
 from cosim.studies.variations import SampledVariation
 from cosim.studies.workers import LocalExecutor
 
+_UNBOUNDED: Final = ("lognormal", "exponential", "weibull")
 MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does
 MOST_NAMED: Final = 3  # values of a key that are refused
@@ -113,10 +114,7 @@ class _MemberCheck:
                     if experiment.plan is None:
                         experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
         except UsageError as error:
-            text = str(error)
-            for key in member.set:
-                text = text.replace(option("set", key), key)
-            return text
+            return _with_keys(str(error), member)
         return ""
 
     def _replays_of(self, member: StudyMember) -> Replays | None:
@@ -153,7 +151,11 @@ class _DesignCheck:
         names.sort(key=lambda name: name == RECORDING)  # logs are not to blame for a value
         if self._problem(self._member):
             self._take_medians()
-        if self._problem(self._member):
+        problem = self._problem(self._member)
+        if problem:
+            alone = self._problem(StudyMember(0, {}, {}, self._member.recording))
+            if problem == alone:
+                raise UsageError(problem)  # no value is to blame
             # what is wrong by itself comes first, as beside it all others are wrong, too
             names.sort(key=lambda name: bool(self._problem(_without(self._member, name))))
             if names and self._problem(_without(self._member, names[0])):  # several are
@@ -230,8 +232,8 @@ def _listed(column: DesignColumn) -> list[Any]:
         is_drawn = isinstance(column, SampleColumn) and column.indices is None
         if is_drawn or len(values) > MOST_CHECKED:
             values = np.array([values[0], values.min(), values.max()])
-        return list(dict.fromkeys(values.tolist()))
-    distinct = {repr(value): value for value in values if value is not None}
+        values = values.tolist()
+    distinct = {repr(value): value for value in values if value is not None}  # also nan once
     return list(distinct.values())[:MOST_CHECKED]
 
 
@@ -252,6 +254,13 @@ def without_key(problem: str, key: str) -> str:
     """Return a problem without the place that a scenario has for a key that is varied."""
     rest = re.sub(rf"^\S+:\d+ \(with {re.escape(key)}\): ", "", problem)
     return rest.removeprefix(f"{key}: ").removeprefix(f"components.{key}: ")
+
+
+def _with_keys(problem: str, member: StudyMember) -> str:
+    """Return a problem with the keys of a member; a worker names them as options in Python."""
+    for key in member.set:
+        problem = problem.replace(option("set", key), key).replace(f"set[{key!r}]", key)
+    return problem
 
 
 def _check_files(swaps: Mapping[str, str]) -> None:
@@ -329,9 +338,11 @@ def check_draws(
         change = _change(low, high, reason)
         is_wrong[low:change] = bool(reason(low))
         is_wrong[change : high + 1] = bool(reason(high))
-    way_out = "use a bounded distribution, such as uniform"
-    if variation.distribution == "normal":
-        way_out = "truncate the distribution with 'lower' and 'upper'"
+    ways_out = {
+        "normal": "truncate the distribution with 'lower' and 'upper'",
+        **dict.fromkeys(_UNBOUNDED, "use a bounded distribution, such as uniform"),
+    }
+    way_out = ways_out.get(variation.distribution, "choose a distribution of accepted values")
     notice = (
         f"{variation.key}: about {int(counts[is_wrong].sum())} of {len(values)} draws of "
         f"{variation} are invalid, and members that draw them will fail: {value!r} of member "
@@ -463,6 +474,8 @@ def _inspect(
         return
     with LocalExecutor(study.subject, 1, timeout=study.settings.timeout) as executor:
         for member, found in executor.run(members, inspect_member):
+            if isinstance(found, MemberSources):
+                found = replace(found, refused=_with_keys(found.refused, member))
             yield member.number, found
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +45,7 @@ STUDY: Final = "study"
 VARY: Final = "vary"
 METRICS: Final = "metrics"
 SamplingMethod: TypeAlias = Literal["random", "latin-hypercube", "sobol", "saltelli"]
+_IsEntry: TypeAlias = Callable[[Any, int], bool]
 MOST_DRAWN: Final = 10_000_000  # samples, and seeds
 
 
@@ -267,13 +268,12 @@ class StudyFile:
             entries = mapping_argument(name, value)
             if entries:
                 given[name] = _plain_entries(name, entries)
-        options, _ = normal_tables(
-            {
-                STUDY: given,
-                VARY: _plain_entries(VARY, mapping_argument(VARY, vary)),
-                METRICS: dict(mapping_argument(METRICS, metrics)),
-            }
-        )
+        varied = _plain_entries(VARY, mapping_argument(VARY, vary))
+        named = dict(mapping_argument(METRICS, metrics))
+        try:
+            options, _ = normal_tables({STUDY: given, VARY: varied, METRICS: named})
+        except TableProblems as error:
+            raise _wrong_options(error.problems) from error
         options = _with_absolute_paths(options, Path.cwd())
         merged = self.to_dict()
         for name in (VARY, METRICS):
@@ -284,8 +284,7 @@ class StudyFile:
             merged[STUDY][key] = {**before, **value} if both else value
         study, problems = study_of(merged, self.source)
         if study is None:
-            lines = dict.fromkeys(f"{_label(key)}: {text}" for key, text in problems)
-            raise UsageError("\n".join(lines))
+            raise _wrong_options(problems)
         return study
 
 
@@ -297,6 +296,10 @@ def _plain_entries(name: str, entries: Mapping[str, Any]) -> dict[str, Any]:
         except UsageError as error:
             raise UsageError(f"{option(name, key)}: {error}") from error
     return found
+
+
+def _wrong_options(problems: Iterable[Problem]) -> UsageError:
+    return UsageError("\n".join(dict.fromkeys(f"{_label(key)}: {text}" for key, text in problems)))
 
 
 def _label(key: Key) -> str:
@@ -366,39 +369,41 @@ def varied_key(key: str) -> str:
 
 def normal_tables(tables: Mapping[str, Any]) -> tuple[dict[str, Any], dict[Key, Key]]:
     """Return tables with dotted keys, and how each entry was written."""
-    normal = dict(tables)
     places: dict[Key, Key] = {}
-    vary, settings = tables.get(VARY), tables.get(STUDY)
-    if isinstance(vary, Mapping):
-        normal[VARY] = _flat(vary, (VARY,), places, varied_key, _is_varied)
-    if isinstance(settings, Mapping) and isinstance(settings.get("set"), Mapping):
-        place = (STUDY, "set")
-        entries = _flat(settings["set"], place, places, short, lambda _, level: level == 1)
+
+    def flat(table: Any, place: Key, form: Callable[[str], str], is_entry: _IsEntry) -> Any:
+        found: dict[str, Any] = {}
+        for path, value in _entries(table, is_entry) if isinstance(table, Mapping) else ():
+            key = form(".".join(map(str, path)))
+            if key in found:
+                before = ".".join(map(str, places[*place, key][len(place) :]))
+                text = f"it is given twice, also as {before!r}; expected each key once"
+                raise TableProblems([((*place, *path), text)])
+            is_nested = isinstance(value, list) and len(value) == 1 and isinstance(value[0], list)
+            found[key] = value[0] if key.startswith(SWAP) and is_nested else value  # of paths
+            places[*place, key] = (*place, *path)
+        return found if isinstance(table, Mapping) else table
+
+    normal = dict(tables)
+    settings = tables.get(STUDY)
+    if VARY in tables:
+        normal[VARY] = flat(tables[VARY], (VARY,), varied_key, _is_varied)
+    if isinstance(settings, Mapping) and "set" in settings:
+        entries = flat(settings["set"], (STUDY, "set"), short, lambda _, level: level == 1)
         normal[STUDY] = {**settings, "set": entries}
     return normal, places
 
 
-def _flat(
-    table: Mapping[str, Any],
-    place: Key,
-    places: dict[Key, Key],
-    form: Callable[[str], str],
-    is_entry: Callable[[Any, int], bool],
-    path: Key = (),
-) -> dict[str, Any]:
-    """Return the entries of nested tables by their dotted keys; note how they were written."""
-    found: dict[str, Any] = {}
+def _entries(
+    table: Mapping[str, Any], is_entry: _IsEntry, path: Key = ()
+) -> Iterator[tuple[Key, Any]]:
+    """Return the entries of nested tables by their paths; a dotted key is a whole one."""
     for name, value in table.items():
-        inner = (*path, name)
         is_whole = not path and "." in name
         if isinstance(value, Mapping) and not is_whole and not is_entry(value, len(path)):
-            found |= _flat(value, place, places, form, is_entry, inner)
-            continue
-        key = form(".".join(map(str, inner)))
-        is_nested = isinstance(value, list) and len(value) == 1 and isinstance(value[0], list)
-        found[key] = value[0] if key.startswith(SWAP) and is_nested else value  # a list of paths
-        places[*place, key] = (*place, *inner)
-    return found
+            yield from _entries(value, is_entry, (*path, name))
+        else:
+            yield (*path, name), value
 
 
 def _is_varied(value: Any, _: int) -> bool:
@@ -484,7 +489,11 @@ def read_study(name: str | Path) -> StudyFile:
     document = find(name)
     tree, _ = document.tree()
     is_scenario = "components" in tree or isinstance(tree.get("scenario"), Mapping)
-    return _of_scenario(document, tree) if is_scenario else _of_file(document, tree)
+    try:
+        return _of_scenario(document, tree) if is_scenario else _of_file(document, tree)
+    except TableProblems as error:
+        places: dict[Key, Key] = {(VARY,): (STUDY, VARY)} if is_scenario else {}
+        raise UsageError(_report(document, places, error.problems)) from error
 
 
 def _of_file(document: Document, tree: Mapping[str, Any]) -> StudyFile:
