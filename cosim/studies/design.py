@@ -10,12 +10,12 @@ from __future__ import annotations
 import glob
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final, Literal, Protocol, TypeAlias, final
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -35,7 +35,6 @@ from cosim.studies.variations import GridVariation, SampledVariation, chosen, qu
 MemberIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.int64]]
 SampleKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
 _Count: TypeAlias = Annotated[int, Field(ge=1, le=MOST_MEMBERS)]  # where it is read from a file
-MOST_DIMENSIONS: Final = 21_201  # of a Sobol sequence in scipy
 _BLOCK: Final = 2**16  # samples whose temporary arrays stay small
 _BITS: Final = 30  # of a point of a Sobol sequence
 _SMALLEST: Final = 2.0**-54
@@ -66,7 +65,6 @@ class MemberNumbering:
         return numbers // self.grid % self.seeds
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class MemberLayout(MemberNumbering):
     """The numbering, and after how many samples the seeds of noise repeat (0: never)."""
@@ -81,15 +79,6 @@ class MemberLayout(MemberNumbering):
         return self.samples_of(numbers) % self.noises * self.seeds + seeds
 
 
-class DesignColumn(Protocol):
-    """The values of a key."""
-
-    def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
-        """Return those of some members."""
-        ...
-
-
-@final
 @dataclass(frozen=True, slots=True)
 class GridColumn:
     """The values of a key of the grid; ``stride`` members in a row have the same."""
@@ -102,7 +91,6 @@ class GridColumn:
         return _taken(self.values, numbers % layout.grid // self.stride % len(self.values))
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class SampleColumn:
     """A value for each sample, or for each case; ``indices``: which of the values it is."""
@@ -116,7 +104,6 @@ class SampleColumn:
         return _taken(self.values, samples if self.indices is None else self.indices[samples])
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class NoiseSeedColumn:
     """The seeds of a noise source, from a stream of its own."""
@@ -137,8 +124,15 @@ class NoiseSeedColumn:
         return seeds
 
 
-def _sequence(seed: int, name: str) -> np.random.SeedSequence:
+DesignColumn: TypeAlias = GridColumn | SampleColumn | NoiseSeedColumn
+
+
+def _sequence(seed: int, name: str = "") -> np.random.SeedSequence:
     return np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
+
+
+def _generator(seed: int, name: str = "") -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(_sequence(seed, name)))
 
 
 def _taken(values: ColumnValues, indices: np.ndarray[Any, Any]) -> ColumnValues:
@@ -472,40 +466,27 @@ def unit_points(method: SamplingMethod, keys: Sequence[str], samples: int, *, se
     Raises
     ------
     UsageError
-        If the method has not so many dimensions, or needs another number of samples.
+        If the method needs another number of samples.
     """
-    methods: dict[str, Callable[[], Matrix]] = {
-        "random": lambda: _random(keys, samples, seed),
-        "latin-hypercube": lambda: _latin_hypercube(len(keys), samples, seed),
-        "sobol": lambda: _sobol(len(keys), samples, seed),
-        "saltelli": lambda: _saltelli(len(keys), samples, seed),
-    }
-    points = methods[method]()
+    match method:
+        case "random":
+            points = np.stack([_generator(seed, key).random(samples) for key in keys])
+        case "latin-hypercube":
+            from scipy.stats.qmc import LatinHypercube
+
+            hypercube = LatinHypercube(len(keys), rng=_generator(seed))
+            points = np.ascontiguousarray(hypercube.random(samples).T)
+        case "sobol":
+            points = _sobol(len(keys), samples, seed)
+        case "saltelli":
+            points = _saltelli(len(keys), samples, seed)
     return np.clip(points, _SMALLEST, 1.0 - 2 * _SMALLEST, out=points)
 
 
-def _random(keys: Sequence[str], samples: int, seed: int) -> Matrix:
-    streams = [np.random.Generator(np.random.PCG64(_sequence(seed, key))) for key in keys]
-    return np.stack([stream.random(samples) for stream in streams])
-
-
-def _latin_hypercube(dimensions: int, samples: int, seed: int) -> Matrix:
-    from scipy.stats.qmc import LatinHypercube
-
-    generator = np.random.default_rng(np.random.SeedSequence(seed))
-    return np.ascontiguousarray(LatinHypercube(dimensions, rng=generator).random(samples).T)
-
-
 def _sobol(dimensions: int, samples: int, seed: int) -> Matrix:
-    if dimensions > MOST_DIMENSIONS:
-        raise UsageError(
-            f"{option('sampling')}: a Sobol sequence has at most {MOST_DIMENSIONS} dimensions, "
-            f"and the study has {dimensions}"
-        )
     from scipy.stats.qmc import Sobol
 
-    generator = np.random.default_rng(np.random.SeedSequence(seed))
-    sequence = Sobol(dimensions, scramble=True, bits=_BITS, rng=generator)
+    sequence = Sobol(dimensions, scramble=True, bits=_BITS, rng=_generator(seed))
     points = sequence.random_base2((samples - 1).bit_length())[:samples]
     rows = np.ascontiguousarray(points.T)
     rows += 2.0 ** -(_BITS + 1)
