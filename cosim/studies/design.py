@@ -236,9 +236,11 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     grid = list(study.grid)
     if recordings:
         grid.insert(0, GridVariation(RECORDING, recordings))
-    names = [item.key for item in grid] + [item.key for item in study.sampled] + list(cases)
-    sources = _noise_sources(study, scenario, names)
-    _check_keys(study, [*names, *sources])
+    varied = dict.fromkeys((item.key for item in study.variations), "varied")
+    given = [*varied.items()] + [(key, "of the cases") for key in cases]
+    given += [(RECORDING, "of the replay")] if recordings else []
+    sources = _noise_sources(study, scenario, [name for name, _ in given])
+    _check_keys(study, [*given, *((key, "of the seeds") for key in sources)])
     layout = _layout(study, grid, len(next(iter(cases.values()))) if cases else 1)
     columns: dict[str, DesignColumn] = {}
     stride = layout.grid
@@ -320,17 +322,18 @@ def _check_swapped(study: StudyFile, scenario: Scenario, cases: Mapping[str, obj
             )
 
 
-def _check_keys(study: StudyFile, names: Iterable[str]) -> None:
-    """Check that no key is given twice, or inside another one."""
-    given = [(address(name), "varied", name) for name in names]
+def _check_keys(study: StudyFile, varied: Iterable[tuple[str, str]]) -> None:
+    """Check that no key is given twice, or inside another one; each has whence it comes."""
+    given = [(address(name), how, name) for name, how in varied]
     given += [(address(short(key)), "set", short(key)) for key in study.settings.set]
     given += [(f"{SWAP}{name}", "set", f"{SWAP}{name}") for name in study.settings.swap]
     given.sort(key=lambda item: item[0].split("."))
     for (one, how, first), (other, again, second) in pairwise(given):
-        is_inside = other.startswith(f"{one}.") and how == "varied"
+        is_inside = other.startswith(f"{one}.") and how != "set"
         if one == other or is_inside:
-            verbs = "" if how == again else f", {how} and {again}"
-            raise UsageError(f"expected one of {first!r} and {second!r}, got both{verbs}")
+            raise UsageError(
+                f"expected one of {first!r} ({how}) and {second!r} ({again}), got both"
+            )
 
 
 def _layout(study: StudyFile, grid: Sequence[GridVariation], cases: int) -> MemberLayout:

@@ -310,7 +310,7 @@ def _label(key: Key) -> str:
         case ("study", name, *inner):
             label = option(str(name))
         case ("vary" | "metrics" as name, entry, *inner):
-            label = option(name, str(entry))
+            label = option(name, str(entry).removeprefix(SWAP))
         case _:
             return ".".join(map(str, key))
     return ": ".join([label, *map(str, inner)])

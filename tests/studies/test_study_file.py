@@ -231,6 +231,7 @@ def test_problems_of_a_study_in_a_scenario_have_their_lines(write):
         ({"sampling": "lhs"}, "--sampling: .*'lhs'; .*random, latin-hypercube"),
         ({"keep": "none"}, "--keep: .*'none'"),
         ({"vary": {"u.x": [1], "components.u.x": [2]}}, "--vary components.u.x: .* 'u.x'"),
+        ({"vary": {"rate": [1]}}, "--vary rate: 0: .*got 1"),
         ({"metrics": {"a": 3}}, "--metrics a: .*3"),
         ({"set": {"u.rate": object()}}, "--set u.rate: .*<object"),
         ({"set": {"u.rate": 1.0}, "vary": {"u.rate": [1.0]}}, "--vary u.rate: it is varied"),
