@@ -419,23 +419,22 @@ def absolute(text: Any, folder: Path) -> Any:
 
 def _with_absolute_paths(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     def each(value: Any) -> Any:
-        is_list = isinstance(value, list | tuple)
-        return [absolute(path, folder) for path in value] if is_list else absolute(value, folder)
+        match value:
+            case dict():
+                return {name: each(inner) for name, inner in value.items()}
+            case list() | tuple():
+                return [each(inner) for inner in value]
+        return absolute(value, folder)
 
-    changed = deepcopy(dict(tables))
-    settings, vary = changed.get(STUDY), changed.get(VARY, {})
-    if isinstance(settings, dict):
-        settings |= {name: each(settings[name]) for name in ("cases", "replay") if name in settings}
-        if isinstance(settings.get("swap"), dict):
-            settings["swap"] = {n: absolute(path, folder) for n, path in settings["swap"].items()}
-    for key, value in list(vary.items()) if isinstance(vary, dict) else ():
-        if not key.startswith(SWAP):
-            continue
-        if isinstance(value, list):
-            vary[key] = each(value)
-        elif isinstance(value, dict):
-            lists = {n: each(value[n]) for n in ("values", "choice") if n in value}
-            vary[key] = {**value, **lists}
+    def is_path(name: str, value: Any) -> bool:
+        is_swap = name == "swap" or name.startswith(SWAP)
+        return is_swap and not isinstance(value, str) or name in ("cases", "replay")
+
+    changed = dict(tables)
+    for table in (STUDY, VARY):
+        if isinstance(tables.get(table), dict):
+            entries = tables[table].items()
+            changed[table] = {key: each(v) if is_path(key, v) else v for key, v in entries}
     return changed
 
 
