@@ -428,7 +428,7 @@ def _with_absolute_paths(tables: Mapping[str, Any], folder: Path) -> dict[str, A
 
     def is_path(name: str, value: Any) -> bool:
         is_swap = name == "swap" or name.startswith(SWAP)
-        return is_swap and not isinstance(value, str) or name in ("cases", "replay")
+        return (is_swap and not isinstance(value, str)) or name in ("cases", "replay")
 
     changed = dict(tables)
     for table in (STUDY, VARY):
