@@ -192,7 +192,10 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     firsts = {item.key: item.values[0] for item in study.variations if item.key.startswith(SWAP)}
     edited = edited_scenario(study, scenario, member_of(0, firsts).swap)
     sources = {} if settings.seeds is None else _noise_sources(edited, swapped, is_replay)
-    _check_keys(study, [*names, *sources])
+    froms = {RECORDING: "of the logs"} if recordings else {}
+    froms |= dict.fromkeys((item.key for item in study.variations), "varied")
+    given = [*froms.items()] + [(key, "of the cases") for key in cases]
+    _check_keys(study, [*given, *((key, "of the seeds") for key in sources)])
 
     layout = _layout(study, grid, [*sources], cases)
     columns: dict[str, ValueColumn | NoiseSeedColumn] = {}
@@ -259,17 +262,18 @@ def _check_sampling(study: StudyFile) -> None:
         raise UsageError(f"expected either {option('cases')} or distributions ({key!r}), got both")
 
 
-def _check_keys(study: StudyFile, names: Iterable[str]) -> None:
-    """Check that no key is given twice, or inside another one."""
-    given = [(address(name), "varied", name) for name in names]
+def _check_keys(study: StudyFile, varied: Iterable[tuple[str, str]]) -> None:
+    """Check that no key is given twice, or inside another one; each has where it comes from."""
+    given = [(address(name), how, name) for name, how in varied]
     given += [(address(short(key)), "set", short(key)) for key in study.settings.set]
     given += [(f"{SWAP}{name}", "set", f"{SWAP}{name}") for name in study.settings.swap]
     given.sort(key=lambda item: item[0].split("."))
     for (one, how, first), (other, again, second) in pairwise(given):
-        is_inside = other.startswith(f"{one}.") and how == "varied"
+        is_inside = other.startswith(f"{one}.") and how != "set"
         if one == other or is_inside:
-            verbs = "" if how == again else f", {how} and {again}"
-            raise UsageError(f"expected one of {first!r} and {second!r}, got both{verbs}")
+            raise UsageError(
+                f"expected one of {first!r} ({how}) and {second!r} ({again}), got both"
+            )
 
 
 def _layout(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +44,8 @@ from cosim.studies.variations import (
 STUDY: Final = "study"
 VARY: Final = "vary"
 METRICS: Final = "metrics"
+_Form: TypeAlias = Callable[[str], str]
+_IsEntry: TypeAlias = Callable[[Any, int], bool]
 SamplingMethod: TypeAlias = Literal["random", "latin-hypercube", "sobol", "saltelli"]
 _Drawn: TypeAlias = Annotated[Whole, Field(ge=1, le=10_000_000)]
 
@@ -224,7 +226,7 @@ class StudyFile:
             VARY: _plain(VARY, vary),
             METRICS: dict(mapping_argument(METRICS, metrics)),
         }
-        options, _ = normal_tables(options, Path.cwd())
+        options, _, twice = normal_tables(options, Path.cwd())
         merged = self.to_dict()
         for key, value in options[STUDY].items():
             before = merged[STUDY].get(key)
@@ -233,7 +235,8 @@ class StudyFile:
         for name in (VARY, METRICS):
             merged[name] = {**merged.get(name, {}), **options[name]}
         study, problems = study_of(merged, self.source)
-        if study is None:
+        problems = [*twice, *problems]
+        if study is None or problems:
             raise UsageError("\n".join(dict.fromkeys(f"{_label(k)}: {t}" for k, t in problems)))
         return study
 
@@ -253,7 +256,7 @@ def _label(key: Key) -> str:
     name, *inner = map(str, key[key[0] == STUDY :] or key)
     label = option(name)
     if inner and name in ("set", "swap", "map", VARY, METRICS):
-        label = option(name, inner.pop(0))
+        label = option(name, inner.pop(0).removeprefix(SWAP if name == VARY else ""))
     return ": ".join([label, *inner])
 
 
@@ -308,13 +311,29 @@ def varied_key(key: str) -> str:
     return key if "." in name else f"{SWAP}{name}"
 
 
-def normal_tables(tables: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], dict[Key, Key]]:
-    """Return tables with dotted keys and absolute paths, and how each entry was written."""
+def normal_tables(
+    tables: Mapping[str, Any], folder: Path
+) -> tuple[dict[str, Any], dict[Key, Key], list[Problem]]:
+    """Return tables with dotted keys and absolute paths, how each was written, and which twice."""
     normal = deepcopy(dict(tables))
     places: dict[Key, Key] = {}
+    twice: list[Problem] = []
+
+    def flat(table: Mapping[str, Any], place: Key, form: _Form, is_entry: _IsEntry) -> Any:
+        found: dict[str, Any] = {}
+        for path, value in _entries(table, is_entry):
+            key = form(".".join(map(str, path)))
+            if key in found:
+                before = ".".join(map(str, places[*place, key][len(place) :]))
+                text = f"it is given twice, also as {before!r}; expected each key once"
+                twice.append(((*place, *path), text))
+            found[key] = value
+            places[*place, key] = (*place, *path)
+        return found
+
     vary, settings = normal.get(VARY), normal.get(STUDY)
     if isinstance(vary, dict):
-        entries = _flat(vary, (VARY,), places, varied_key, _is_varied)
+        entries = flat(vary, (VARY,), varied_key, _is_varied)
         normal[VARY] = {
             key: absolute(_paths(value), folder) if key.startswith(SWAP) else value
             for key, value in entries.items()
@@ -323,30 +342,20 @@ def normal_tables(tables: Mapping[str, Any], folder: Path) -> tuple[dict[str, An
         paths = {name: settings[name] for name in ("cases", "replay", "swap") if name in settings}
         settings |= absolute(paths, folder)
         if isinstance(settings.get("set"), dict):
-            settings["set"] = _flat(settings["set"], (STUDY, "set"), places, short, _is_set)
-    return normal, places
+            settings["set"] = flat(settings["set"], (STUDY, "set"), short, _is_set)
+    return normal, places, twice
 
 
-def _flat(
-    table: Mapping[str, Any],
-    place: Key,
-    places: dict[Key, Key],
-    form: Callable[[str], str],
-    is_entry: Callable[[Any, int], bool],
-    path: Key = (),
-) -> dict[str, Any]:
-    """Return the entries of nested tables by their dotted keys; note how they were written."""
-    found: dict[str, Any] = {}
+def _entries(
+    table: Mapping[str, Any], is_entry: _IsEntry, path: Key = ()
+) -> Iterator[tuple[Key, Any]]:
+    """Yield the entries of nested tables by their paths; a key with dots is a whole one."""
     for name, value in table.items():
-        inner = (*path, name)
         is_whole = not path and "." in name
         if isinstance(value, Mapping) and not is_whole and not is_entry(value, len(path)):
-            found |= _flat(value, place, places, form, is_entry, inner)
+            yield from _entries(value, is_entry, (*path, name))
         else:
-            key = form(".".join(map(str, inner)))
-            found[key] = value
-            places[*place, key] = (*place, *inner)
-    return found
+            yield (*path, name), value
 
 
 def _is_set(_: Any, level: int) -> bool:
@@ -445,7 +454,8 @@ def read_study(name: str | Path) -> StudyFile:
         tables[STUDY] = settings
     own = tree.get("scenario") if is_inside else {"name": Path(document.source).stem}
     own_name = str(own.get("name", "")) if isinstance(own, Mapping) else ""
-    normal, places = normal_tables(tables, document.folder)
+    normal, places, twice = normal_tables(tables, document.folder)
+    problems += twice
     study, found = study_of(normal, document.source, own_name)
     if study is None or problems:
         written = [(_written(key, places, is_inside), text) for key, text in (*problems, *found)]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import cosim
 from cosim.cli.app import main
 from cosim.cli.options import read_edits, read_unique_pairs
-from cosim.errors import ChangedFileError, DatasetError, RunError
+from cosim.errors import ChangedFileError, DatasetError, RunError, UsageError
 from cosim.scenario.document.edits import parse_value
 from cosim.scenario.document.swap import port_names
 from cosim.studies.checking import check_design
@@ -70,27 +70,6 @@ def test_the_edits_of_a_command_are_those_of_the_member(changes):
     assert names == {"u.y": ["out 1"], "plant.x": ["s1", "s2"]}
 
 
-@pytest.mark.slow
-def test_a_member_runs_alone_to_the_same_bits(call, tmp_path):
-    """Of every kind of variation; its command begins with the name of the program."""
-    study = EMPTY.with_options(
-        vary={
-            "delta.terms[0].theta": {"uniform": [-0.2, -0.1]},
-            "identifier.method": ["output-error", "least-squares"],
-            "observer.L": [[4.0, 0.0], [5.0, 1.0]],
-        },
-        samples=3,
-        seeds=2,
-        set={"scenario.stop": 0.05},
-    )
-    scenario = cosim.load("academic-noisy")
-    member = plan_design(study, scenario).member(23)
-    words = shlex.split(run_command(member, study))
-    assert call(*words[1:], "--quiet", "--out", "alone.mcap")[0] == 0
-    log = cosim.run(scenario, set={**study.settings.set, **member.set})
-    assert cosim.diff(cosim.open_log(tmp_path / "alone.mcap"), log).equal
-
-
 def test_the_member_of_a_recording_is_a_replay(call, tmp_path):
     """Of the log alone, which has its scenario; one of another tool has that and fields beside."""
     (tmp_path / "loop.toml").write_text(LOOP)
@@ -136,15 +115,21 @@ def write_table(path, value):
 
 
 def test_a_file_that_changes_while_a_study_is_planned_is_named(scenario, monkeypatch):
-    """Nothing has begun that could go on."""
+    """Nothing has begun that could go on; and of one that is missing no varied key is blamed."""
+    table = scenario.with_name("u.csv")
 
     def checked(*given):
-        write_table(scenario.with_name("u.csv"), 2.0)
+        write_table(table, 2.0)
         return check_design(*given)
 
+    study = read_study(scenario).with_options(metrics=METRICS, vary={"s.rate": [1.0, 2.0]})
     monkeypatch.setattr("cosim.studies.plan.check_design", checked)
-    with pytest.raises(RunError, match=r"u\.csv has changed while the study was being planned"):
-        plan_study(read_study(scenario).with_options(metrics=METRICS))
+    with pytest.raises(RunError, match=r"u\.csv has changed"):
+        plan_study(study)
+    monkeypatch.undo()
+    table.unlink()
+    with pytest.raises(UsageError, match=r"\A\S*x.toml:4: components.u: .*u.csv.*\Z"):
+        plan_study(study)
 
 
 @pytest.mark.slow

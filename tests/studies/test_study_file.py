@@ -120,19 +120,14 @@ def test_paths_begin_at_the_file_and_those_of_options_at_the_folder(write, tmp_p
     )
     monkeypatch.chdir(elsewhere)
     study = read_study(path)
-    assert study.scenario == str(tmp_path.parent / "mine.toml")
-    assert study.settings.cases == str(tmp_path / "c.csv")
-    assert study.settings.replay == str(tmp_path / "field-*.mcap")
-    assert study.variations == (
-        GridVariation("swap.plant", (str(tmp_path / "a.fmu"), str(tmp_path.parent / "b.fmu#cs"))),
-        SampledVariation("swap.sensor", "choice", (1.0,), (str(tmp_path / "c.fmu"),)),
-    )
-    changed = study.with_options(
-        vary={"plant": [["x.fmu"]]}, cases="d.csv", replay=["*.mcap"], swap={"u": "u.fmu"}
-    )
+    paths = [study.scenario, study.settings.cases, study.settings.replay]
+    paths += [value for item in study.variations for value in item.values]
+    names = ["../mine.toml", "c.csv", "field-*.mcap", "a.fmu", "../b.fmu#cs", "c.fmu"]
+    assert paths == [os.path.normpath(tmp_path / name) for name in names]
+    assert [item.key for item in study.variations] == ["swap.plant", "swap.sensor"]
+    changed = study.with_options(vary={"plant": [["x.fmu"]]}, cases="d.csv", swap={"u": "u.fmu"})
     assert changed.variations[0] == GridVariation("swap.plant", (str(elsewhere / "x.fmu"),))
     assert changed.settings.cases == str(elsewhere / "d.csv")
-    assert changed.settings.replay == (str(elsewhere / "*.mcap"),)
     assert changed.settings.swap == {"u": str(elsewhere / "u.fmu")}
     assert changed.variations[1] == study.variations[1]
 
@@ -143,24 +138,18 @@ def test_options_extend_and_replace(write):
         vary={"components.u.rate": np.array([1.0, 2.0]), "identifier.P0": {"values": [1.0]}},
         metrics={"last": "last(plant.y)"},
         set={"u.amplitude": np.float64(2.0)},
-        swap={},
         map={"plant.x": ["a", "b"]},
-        sampling="random",
         samples=10,
-        seeds=3,
-        seed=8,
-        timeout=1.0,
         keep=[3, 1, 1],
         results=False,
     )
-    settings = study.settings
     assert [item.key for item in study.variations] == [*KEYS, "u.rate"]
     assert [item.values for item in study.grid[1:]] == [(1.0,), (1.0, 2.0)]
     assert list(study.metrics) == ["error", "last"]
+    settings = study.settings
     assert (settings.set["u.amplitude"], settings.set["scenario.stop"]) == (2.0, 1.0)
     assert settings.map == {"plant.y": "out", "plant.x": ["a", "b"]}
-    assert (settings.sampling, settings.samples) == ("random", 10)
-    assert (settings.seeds, settings.seed, settings.timeout) == (3, 8, 1.0)
+    assert (settings.sampling, settings.samples) == ("sobol", 10)
     assert study.kept_logs == KeptLogs("numbers", numbers=(1, 3))
     assert not study.subject.with_results
 
@@ -190,13 +179,15 @@ OF_ACADEMIC = '[study]\nscenario = "academic"\n'
             ],
         ),
         (f'{OF_ACADEMIC}keep = "worst 0 of x"\n', ["3: study.keep: .*'worst 0 of x'"]),
-        (f"{OF_ACADEMIC}keep = [-1]\n", [r"3: study.keep: .*\[-1\]"]),
         (
             f'{OF_ACADEMIC}keep = "best 2 of eror"\n[metrics]\nerror = "x"\n',
             ["3: study.keep: no metric 'eror'; did you mean 'error'"],
         ),
         (f'{OF_ACADEMIC}set = {{ "u.rate" = 3.0 }}\n[vary]\nu.rate = [1.0]\n', ["5: vary.u.rate"]),
-        ("[studdy]\n", [" neither a study nor a scenario"]),
+        (
+            f'{OF_ACADEMIC}[vary]\nu.rate = [1.0]\n"u.rate" = [2.0]\n',
+            ["5: vary.u.rate: .*'u.rate'"],
+        ),
         (f"vary = 3\n{OF_ACADEMIC}", ["1: vary: .*3"]),
     ],
 )
@@ -237,24 +228,16 @@ def test_problems_of_a_study_in_a_scenario_have_their_lines(write):
         ({"vary": {"u.rate": {"uniform": [1.0]}}}, "--vary u.rate: uniform: .*\\[1.0\\]"),
         ({"vary": {"u.rate": 3}}, "--vary u.rate: .*got 3"),
         ({"vary": {"u.rate": object()}}, "--vary u.rate: .*<object"),
-        ({"vary": [1]}, r"--vary: .*\[1\]"),
-        ({"samples": 0}, "--samples: .*0"),
         ({"sampling": "lhs"}, "--sampling: .*'lhs'; .*random, latin-hypercube"),
         ({"keep": "none"}, "--keep: .*'none'"),
+        ({"vary": {"u.x": [1], "components.u.x": [2]}}, "--vary components.u.x: .* 'u.x'"),
+        ({"vary": {"rate": [1]}}, "--vary rate: 0: .*got 1"),
         ({"metrics": {"a": 3}}, "--metrics a: .*3"),
         ({"set": {"u.rate": object()}}, "--set u.rate: .*<object"),
         ({"set": {"u.rate": 1.0}, "vary": {"u.rate": [1.0]}}, "--vary u.rate: it is varied"),
-        ({"swap": {"plant": 3}}, "--swap plant: .*3"),
     ],
 )
 def test_wrong_options_are_named(options, message):
     """In the language of the caller."""
     with shell_language(), pytest.raises(UsageError, match=message):
         read_study("academic").with_options(**options)
-
-
-def test_a_path_that_is_no_file_is_refused(tmp_path):
-    with pytest.raises(UsageError, match=r"'acdemic'; .*did you mean 'academi"):
-        read_study("acdemic")
-    with pytest.raises(UsageError, match=r"x.toml: cannot be read"):
-        read_study(tmp_path / "x.toml")
