@@ -44,7 +44,7 @@ from cosim.studies.variations import (
 STUDY: Final = "study"
 VARY: Final = "vary"
 METRICS: Final = "metrics"
-_Form: TypeAlias = Callable[[str], str]
+_KeyForm: TypeAlias = Callable[[str], str]
 _IsEntry: TypeAlias = Callable[[Any, int], bool]
 SamplingMethod: TypeAlias = Literal["random", "latin-hypercube", "sobol", "saltelli"]
 _Drawn: TypeAlias = Annotated[Whole, Field(ge=1, le=10_000_000)]
@@ -319,7 +319,7 @@ def normal_tables(
     places: dict[Key, Key] = {}
     twice: list[Problem] = []
 
-    def flat(table: Mapping[str, Any], place: Key, form: _Form, is_entry: _IsEntry) -> Any:
+    def flat(table: Mapping[str, Any], place: Key, form: _KeyForm, is_entry: _IsEntry) -> Any:
         found: dict[str, Any] = {}
         for path, value in _entries(table, is_entry):
             key = form(".".join(map(str, path)))
