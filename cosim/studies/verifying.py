@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.errors import DatasetError, UsageError, option
-from cosim.studies.dataset import StudyDataset, differences
+from cosim.studies.dataset import StudyDataset
+from cosim.studies.identity import differences
 from cosim.studies.kept_logs import different, limit_again
 from cosim.studies.plan import RecordedStudy, own_environment, plan_study
 from cosim.studies.study import Study
@@ -134,12 +135,12 @@ def _chosen(dataset: StudyDataset, members: Collection[int], sample: int | None)
     """Return the members that run again, in order."""
     there = dataset.read(["member"])["member"].to_numpy()
     if not len(there):
-        raise UsageError(f"{dataset.label}: no member has run yet; run the study first")
+        raise UsageError(f"{dataset.storage.label()}: no member has run yet; run the study first")
     for number in members:
         if number not in there:
             raise UsageError(
                 f"{option('member')}: no outcome of member {number}; available: {len(there)} of "
-                f"{dataset.total} members, numbered from 0"
+                f"{dataset.identity.members} members, numbered from 0"
             )
     count = SAMPLE if sample is None and not members else sample
     chosen = set(members)
@@ -162,6 +163,6 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     found = differences(dataset.identity, planned)
     if found:
         raise DatasetError(
-            f"{dataset.label}: {found} (by SHA-256), so its members cannot be rerun; restore what "
-            "they were run with"
+            f"{dataset.storage.label()}: {found} (by SHA-256), so its members cannot be rerun; "
+            "restore what they were run with"
         )

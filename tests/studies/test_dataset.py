@@ -19,8 +19,9 @@ from cosim.errors import DatasetError, DatasetWriteError, UsageError
 from cosim.studies import dataset as dataset_module
 from cosim.studies import storage
 from cosim.studies.contracts import MemberOutcome, StudyMember
-from cosim.studies.dataset import (
-    StudyDataset,
+from cosim.studies.dataset import StudyDataset
+from cosim.studies.identity import (
+    StudyColumn,
     StudyIdentity,
     differences,
     metric_column,
@@ -31,31 +32,26 @@ from cosim.studies.dataset import (
 
 DIGESTS = {"key scenario.stop": "ab", "FMU plant.fmu": "cd", "the metrics": "ef"}
 COLUMNS = (
-    parameter_column("observer.filter_rate", [1.5], "rad/s"),
-    parameter_column("noise.seed", [1]),
+    StudyColumn("observer.filter_rate", "parameter", "double", "rad/s"),
+    StudyColumn("noise.seed", "parameter", "int64"),
     metric_column("error", "rms(observer.delta - delta.y)"),
-    metric_column("late", "first(t, plant.y > 1)", "s"),
+    StudyColumn("late", "metric", "double", "s", "first(t, plant.y > 1)"),
 )
 SESSION = ["wall_time", "worker"]  # what differs between sessions
 FAILED = [3, 10, 17, 24]
 
 
-class Planned(dict):
-    """Planned parameters, of all members, by name."""
-
-    def column(self, name, begin=0, end=None):
-        """Return the values of some members."""
-        return self[name][begin:end]
+def planned_by(values):
+    """Return what returns the planned values of parameters of some members."""
+    return lambda name, begin, end: values[name][begin:end]
 
 
 def design(count):
     """Return the planned parameters."""
-    return Planned(
-        {
-            "observer.filter_rate": [10.0 * 1.1 ** (number % 97) for number in range(count)],
-            "noise.seed": [number % 5 for number in range(count)],
-        }
-    )
+    return {
+        "observer.filter_rate": [10.0 * 1.1 ** (number % 97) for number in range(count)],
+        "noise.seed": [number % 5 for number in range(count)],
+    }
 
 
 def identity(members, *, of=COLUMNS, **others):
@@ -78,7 +74,9 @@ def add(dataset, numbers, seed=0):
 
 def opened(folder, count, **given):
     """Open the dataset of a study, or make it."""
-    return StudyDataset.open_or_create(folder, identity(count), design=design(count), **given)
+    return StudyDataset.open_or_create(
+        folder, identity(count), planned=planned_by(design(count)), **given
+    )
 
 
 def complete(dataset, seed, report=lambda number: None):
@@ -136,9 +134,9 @@ def test_values_of_every_type_come_back(tmp_path, small):
     kinds = "double int64 json bool string string list<double> json double".split()  # noqa: SIM905
     assert [column.type for column in own] == kinds
     metrics = [math.nan, -0.0, math.inf, -math.inf, None, 5e-324]
-    planned = identity(26, of=(*own, metric_column("y")))
-    longer = Planned({name: column * 5 for name, column in values.items()})
-    with StudyDataset.open_or_create(tmp_path, planned, design=longer) as dataset:
+    planned = identity(26, of=(*own, metric_column("y", "")))
+    longer = planned_by({name: column * 5 for name, column in values.items()})
+    with StudyDataset.open_or_create(tmp_path, planned, planned=longer) as dataset:
         for number in range(25):
             chosen = {name: column[number % 6] for name, column in values.items()}
             given = {name: value for name, value in chosen.items() if value is not None}
@@ -163,7 +161,7 @@ def test_values_of_every_type_come_back(tmp_path, small):
     assert study.member(2).set["mixed"] == {"kind": "sine", "rate": 1.5}
     assert study.member(1).swap == {"plant": "b ä.fmu"}
     assert study.member(24).recording == "one.mcap"
-    with StudyDataset.open_or_create(tmp_path, planned, design=longer) as dataset:
+    with StudyDataset.open_or_create(tmp_path, planned, planned=longer) as dataset:
         assert dataset.missing() == [range(25, 26)]
 
 
@@ -173,7 +171,7 @@ def test_rows_are_read_in_the_order_of_members(tmp_path, small):
         assert dataset.missing() == [range(25)]
         add(dataset, [*range(19, 9, -1), 23, 2, 20])
         assert dataset.missing() == [range(2), range(3, 10), range(21, 23), range(24, 25)]
-        assert (len(dataset), dataset.failed) == (13, 2)
+        assert len(dataset) == 13
         with pytest.raises(AssertionError):
             add(dataset, [12])
     (tmp_path / "logs").mkdir()
@@ -237,7 +235,7 @@ def test_a_study_that_was_planned_larger_can_end_before(tmp_path, small):
     assert parts(tmp_path) == [(0, 9), (10, 14)]
     with pytest.raises(DatasetError, match="member 14 is recorded, but only 12 members are pla"):
         opened(tmp_path, 12)
-    assert StudyDataset.open(tmp_path).total == 15
+    assert StudyDataset.open(tmp_path).identity.members == 15
 
 
 def test_parts_of_a_thousand_grow_within_and_across(tmp_path):
@@ -356,7 +354,7 @@ def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, small, monkeypatc
 def test_who_reads_while_a_study_runs_misses_nothing_that_was_there_before(tmp_path, small):
     """Whatever moves from the journal into a part just then."""
     with opened(tmp_path, COUNT) as dataset:
-        read = storage.Folder.read
+        read = storage.Storage.read
         numbers = iter(range(COUNT))
 
         def reading(folder, name):
@@ -367,7 +365,7 @@ def test_who_reads_while_a_study_runs_misses_nothing_that_was_there_before(tmp_p
 
         for count in (0, 12, 24, 36):
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(storage.Folder, "read", reading)
+                patch.setattr(storage.Storage, "read", reading)
                 study = StudyDataset.open(tmp_path)
             found = study.read(["member"])["member"].to_pylist()
             assert found == sorted(set(found))
@@ -468,7 +466,7 @@ def test_a_part_that_is_removed_while_it_is_read_is_named(folder):
         ({"format": 1, "cosim": "0.1.0"}, "expected dataset format 3, got 1; read it with cosim 0"),
         ({"format": 2, "cosim": "0.2.0"}, r"format 3, got 2; read it with cosim 0\.2\.0"),
         ({"format": 4}, r"format 3, got 4; read it with cosim 1\.0"),
-        ({"members": 31}, "study.json is damaged; .* new=True"),
+        ({"study": {"members": 31}}, "study.json is damaged; .* new=True"),
     ],
 )
 def test_other_formats_and_damaged_descriptions_are_refused(folder, changes, text):
@@ -524,16 +522,14 @@ def test_another_study_is_refused_by_what_differs(folder):
     of = (parameter_column("noise.seed", [0.5]), *COLUMNS[2:])
     digests = {"key scenario.stop": "00", "the metrics": "00"}
     other = identity(5, digests=digests, version="2.0", of=of)
-    for call in (StudyDataset.check, StudyDataset.open_or_create):
-        with pytest.raises(DatasetError) as caught:
-            call(folder, other)
-        assert str(caught.value) == (
-            f"{folder} holds the dataset of another study: it was made by cosim 1.0, this is 2.0; "
-            "key scenario.stop changed; FMU plant.fmu is no longer part of it; the metrics "
-            "changed; the values of noise.seed were of type int64, are double; "
-            "observer.filter_rate is no longer varied; choose another folder, or use new=True to "
-            "delete it and start over"
-        )
+    with pytest.raises(DatasetError) as caught:
+        StudyDataset.open_or_create(folder, other)
+    assert str(caught.value) == (
+        f"{folder} holds the dataset of another study: the version of cosim was 1.0, is 2.0; "
+        "key scenario.stop changed; FMU plant.fmu is no longer part of it; the metrics "
+        "changed; varied key observer.filter_rate is no longer part of it; varied key noise.seed "
+        "was int64, is double; choose another folder, or use new=True to delete it and start over"
+    )
     assert content(folder).equals(before)
     with StudyDataset.open_or_create(folder, other, new=True) as dataset:
         assert dataset.missing() == [range(5)]
@@ -555,15 +551,15 @@ def test_members_that_were_renumbered_are_refused_by_the_first(folder):
     planned["noise.seed"][21] = 4
     planned["observer.filter_rate"][29] = 0.0  # not recorded yet
     with pytest.raises(DatasetError, match=r"member 21 was noise.seed = 1, is 4; members keep"):
-        StudyDataset.open_or_create(folder, identity(30), design=planned)
+        StudyDataset.open_or_create(folder, identity(30), planned=planned_by(planned))
     planned["observer.filter_rate"][7] += 2**-40
     with pytest.raises(DatasetError, match=r"member 7 was observer.filter_rate = 19.487171"):
-        StudyDataset.open_or_create(folder, identity(30), design=planned)
+        StudyDataset.open_or_create(folder, identity(30), planned=planned_by(planned))
     one = identity(1, of=(parameter_column("x", [0.0]),))
     with StudyDataset.open_or_create(folder, one, new=True) as dataset:
         dataset.add(StudyMember(0, {"x": -0.0}), MemberOutcome(0, "complete"))
     with pytest.raises(DatasetError, match=r"member 0 was x = -0.0, is 0.0"):
-        StudyDataset.open_or_create(folder, one, design=Planned({"x": [0.0]}))
+        StudyDataset.open_or_create(folder, one, planned=planned_by({"x": [0.0]}))
 
 
 def test_what_is_no_dataset_is_left_alone(folder, tmp_path):
@@ -576,7 +572,7 @@ def test_what_is_no_dataset_is_left_alone(folder, tmp_path):
     with pytest.raises(DatasetError, match=r"study\.json is not that of a dataset; choose another"):
         opened(folder, 30, new=True)
     assert (folder / "study.json").read_text() == '{"a": 1}'
-    for of in ([metric_column("status")], [metric_column("y"), metric_column("y")]):
+    for of in ([metric_column("status", "")], [metric_column("y", ""), metric_column("y", "")]):
         with pytest.raises(DatasetError, match="already has this name"):
             StudyDataset.open_or_create(tmp_path / "y", identity(3, of=tuple(of)))
     with pytest.raises(DatasetError, match=r"no study.json there; expected the dataset of a stud"):

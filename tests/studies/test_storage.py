@@ -7,10 +7,11 @@ import fsspec
 import pytest
 
 import cosim
-from cosim.errors import DatasetError, DatasetWriteError
+from cosim.errors import DatasetError, DatasetWriteError, UsageError
 from cosim.studies import dataset as dataset_module
+from cosim.studies import storage
 from cosim.studies.dataset import StudyDataset
-from cosim.studies.storage import Folder, open_storage
+from cosim.studies.storage import Storage
 from tests.studies.test_dataset import add, content, identity, opened
 
 
@@ -57,7 +58,7 @@ def test_a_new_beginning_removes_the_objects_of_a_dataset_only(place, tmp_path):
     files, root = fsspec.core.url_to_fs(place)
     files.pipe_file(f"{root}/notes.txt", b"mine")
     assert StudyDataset.open(place).logs() == {3: f"{place}/logs/3.mcap"}
-    with pytest.raises(DatasetError, match=f"{place} holds the dataset of another study: it was"):
+    with pytest.raises(DatasetError, match=f"{place} holds the dataset of another study: the"):
         StudyDataset.open_or_create(place, identity(20, version="2.0"))
     with StudyDataset.open_or_create(place, identity(20, version="2.0"), new=True) as dataset:
         assert dataset.missing() == [range(20)]
@@ -68,7 +69,7 @@ def test_a_new_beginning_removes_the_objects_of_a_dataset_only(place, tmp_path):
 def test_a_journal_elsewhere_is_put_now_and_then(memory, monkeypatch):
     """With the first member after ten seconds, and in the end."""
     clock = [0.0]
-    monkeypatch.setattr(dataset_module, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(storage, "monotonic", lambda: clock[0])
     found = []
     with opened(f"{memory}/x", 100) as dataset:
         for number in range(35):
@@ -88,23 +89,23 @@ def test_storage_that_is_not_there_is_said(bucket):
 
 def test_kinds_of_storage_that_are_unknown_are_refused(tmp_path, monkeypatch):
     """With what is missing; a URL of a file is a folder."""
-    with pytest.raises(DatasetError, match="nothing://x: Protocol not known: nothing"):
-        StudyDataset.open("nothing://x")
-    monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(DatasetError, match=r"s3://x: .* needs fsspec, which is not installed"):
-        StudyDataset.open("s3://x")
     with opened(f"file://{tmp_path}/x%20y", 5) as dataset:
         add(dataset, range(5))
     assert len(StudyDataset.open(tmp_path / "x y")) == 5
+    with pytest.raises(DatasetError, match="nothing://x: Protocol not known: nothing"):
+        StudyDataset.open("nothing://x")
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(UsageError, match=r"studies need fsspec, which is not installed"):
+        StudyDataset.open("s3://x")
 
 
 def test_files_that_cannot_be_used_are_said(tmp_path, monkeypatch):
     """A folder in place of a file, a file in place of a folder, a folder that is not writable."""
     (tmp_path / "study.json").mkdir()
     with pytest.raises(DatasetError, match=r"study.json: Is a directory"):
-        Folder(tmp_path).read("study.json")
+        Storage(tmp_path).read("study.json")
     (tmp_path / "file").touch()
-    file = open_storage(str(tmp_path / "file"))
+    file = Storage(str(tmp_path / "file"))
     assert file.read("study.json") is None
     assert file.names("parts") == []
     with pytest.raises(DatasetWriteError, match=r"x: (Not a directory|File exists)"):
@@ -114,7 +115,7 @@ def test_files_that_cannot_be_used_are_said(tmp_path, monkeypatch):
     if os.getuid():  # all is allowed to root
         tmp_path.chmod(0o500)
         with pytest.raises(DatasetError, match="Permission denied; expected a writable folder"):
-            Folder(tmp_path).lock()
+            Storage(tmp_path).lock()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks")

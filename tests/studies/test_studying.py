@@ -78,8 +78,11 @@ def test_every_member_is_its_run_alone(grid):
         ({"set": {**GRID["set"], "scenario.until": "t > 1"}}, "key scenario.until is new; choose"),
         ({"vary": {"observer.filter_rate": [10.0, 20.0, 5.0, 1.0]}}, "member 1 was observer."),
         ({"vary": {"observer.filter_rate": [10.0]}}, "member 3 is recorded, but only 1 member"),
-        ({"vary": {"plant.x_a0[0]": [1.0, 2.0]}}, "plant.x_a0[0] is varied now"),
-        ({"vary": {"observer.filter_rate": [10, 900]}}, "of type double, are int64"),
+        ({"vary": {"plant.x_a0[0]": [1.0, 2.0]}}, "varied key plant.x_a0[0] is new"),
+        (
+            {"vary": {"observer.filter_rate": [10, 900]}},
+            "filter_rate was double, is int64",
+        ),
     ],
 )
 def test_the_dataset_of_another_study_is_refused(grid, changed, text):

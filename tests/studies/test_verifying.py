@@ -116,7 +116,7 @@ def test_what_members_are_made_of_must_be_as_it_was(recorded, tmp_path):
     finally:
         plant.write_bytes(before)
     tampered(recorded, tmp_path, version="9")
-    with pytest.raises(DatasetError, match="it was made by cosim 9, this is"):
+    with pytest.raises(DatasetError, match="the version of cosim was 9, is"):
         verify_study(tmp_path)
 
 
