@@ -23,7 +23,9 @@ import zlib
 from bisect import bisect, insort
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, TypeAlias, final
 
@@ -50,7 +52,7 @@ PlannedColumn: TypeAlias = Callable[[str, int, int], Any]
 class _PartFile(NamedTuple):
     first: int
     last: int
-    name: str  # of its file; empty: rows of the journal
+    name: str
 
 
 @final
@@ -68,7 +70,8 @@ class StudyDataset:
         self._writes = writes
         # the journal before the parts: its lines end when they are in one
         rows = self._read_journal()
-        self._parts = self._listed_parts()
+        found = map(_PART.fullmatch, storage.names(PARTS))
+        self._parts = sorted(_PartFile(int(p[1]), int(p[2]), p[0]) for p in found if p is not None)
         self._rows = {number: row for number, row in rows.items() if not self._is_in_part(number)}
         if writes:
             for number in sorted(self._rows):
@@ -79,7 +82,7 @@ class StudyDataset:
     @staticmethod
     def is_at(place: str | Path) -> bool:
         """Return whether the description of a dataset is there."""
-        return _opened(place).read(DESCRIPTION) is not None
+        return Storage(place).read(DESCRIPTION) is not None
 
     @classmethod
     def open(cls, place: str | Path) -> Self:
@@ -90,7 +93,7 @@ class StudyDataset:
         DatasetError
             If there is none, or it is damaged.
         """
-        storage = _opened(place)
+        storage = Storage(place)
         identity = _recorded(storage)
         if identity is None:
             raise DatasetError(
@@ -127,7 +130,7 @@ class StudyDataset:
         DatasetError
             If another study's is there, it is damaged, or another process writes there.
         """
-        storage = _opened(place)
+        storage = Storage(place)
         storage.lock()
         try:
             if new:
@@ -161,15 +164,15 @@ class StudyDataset:
         found = differences(self.identity, identity)
         if found:
             raise DatasetError(f"{label} holds the dataset of another study: {found}; {otherwise}")
-        names = [column.name for column in self.columns if column.role == "parameter"]
-        for table in self.tables([MEMBER, *names]):
-            last = table[MEMBER][-1].as_py()
-            if last >= identity.members:
-                raise DatasetError(
-                    f"{label}: member {last} is recorded, but only {identity.members} members are "
-                    f"planned; a study can only grow: plan at least as many, {otherwise}"
-                )
-            wrong = "" if planned is None else self._renumbered(table, planned)
+        last = max([*self._rows, *(part.last for part in self._parts)], default=-1)
+        if last >= identity.members:
+            raise DatasetError(
+                f"{label}: member {last} is recorded, but only {identity.members} members are "
+                f"planned; a study can only grow: plan at least as many, {otherwise}"
+            )
+        columns = [column for column in self.columns if column.role == "parameter"]
+        for table in self.tables([MEMBER, *(column.name for column in columns)]):
+            wrong = "" if planned is None else next(_renumbered(table, columns, planned), "")
             if wrong:
                 raise DatasetError(
                     f"{label}: {wrong}; members keep their numbers where random or Sobol samples, "
@@ -179,24 +182,6 @@ class StudyDataset:
         own = self.identity
         digests = {**own.digests, **identity.digests}
         return replace(identity, digests=digests, columns=own.columns, salt=own.salt)
-
-    def _renumbered(self, table: Any, planned: PlannedColumn) -> str:
-        """Return which member has not, bit for bit, a value that is planned for its number."""
-        members = table[MEMBER].to_numpy()
-        columns = {}
-        for column in self.columns:
-            if column.role == "parameter":
-                found = planned(column.name, members[0], members[-1] + 1)
-                values = found.tolist() if isinstance(found, np.ndarray) else found
-                stored = [column.stored(values[place]) for place in members - members[0]]
-                kind = table.schema.field(column.name).type
-                columns[column.name] = library("pyarrow").array(stored, kind).to_pylist()
-        for place, row in enumerate(table.to_pylist()):
-            for name, values in columns.items():
-                was, now = row[name], values[place]
-                if repr(was) != repr(now):
-                    return f"member {row[MEMBER]} was {name} = {quoted(was)}, is {quoted(now)}"
-        return ""
 
     def __enter__(self) -> Self:
         return self
@@ -259,7 +244,7 @@ class StudyDataset:
 
         stream = io.BytesIO()
         texts = [column.name for column in self.columns if column.type in ("string", "json")]
-        table = self._table(begin, end - 1)
+        table = self._table(self._rows[other] for other in range(begin, end))
         parquet.write_table(table, stream, compression="zstd", use_dictionary=texts)
         content = stream.getvalue()
         name = f"part-{begin:010d}-{end - 1:010d}-{self._checksum(content)}.parquet"
@@ -304,13 +289,17 @@ class StudyDataset:
         names = [MEMBER, *(name for name in schema.names if name not in (MEMBER, LOG))]
         chosen = None if members is None else np.asarray(list(members), np.int64)
         logs = self.logs() if LOG in schema.names else {}
+        pieces: list[tuple[int, int, Callable[[], Any]]] = [
+            (part.first, part.last, partial(self._read_part, part.name, names))
+            for part in self._parts
+        ]
         between = groupby(sorted(self._rows), lambda number: bisect(self._parts, (number,)))
-        others = [[*numbers] for _, numbers in between]
-        parts = sorted([*self._parts, *(_PartFile(n[0], n[-1], "") for n in others)])
-        for first, last, name in parts:
+        for own in ([self._rows[number] for number in numbers] for _, numbers in between):
+            pieces.append((own[0][MEMBER], own[-1][MEMBER], partial(self._table, own)))
+        for first, last, table in sorted(pieces, key=itemgetter(0)):
             if chosen is not None and not ((first <= chosen) & (chosen <= last)).any():
                 continue
-            rows = self._read_part(name, names) if name else self._table(first, last)
+            rows = table()
             if chosen is not None:
                 rows = rows.filter(arrow.array(np.isin(rows[MEMBER].to_numpy(), chosen)))
             places = [logs.get(number) for number in rows[MEMBER].to_pylist()]
@@ -319,9 +308,7 @@ class StudyDataset:
 
     def row_of(self, member: StudyMember, outcome: MemberOutcome) -> dict[str, Any]:
         """Return the row of an outcome as it would be read when it was added; nothing is."""
-        rows = [self._row(member, outcome)]
-        table = library("pyarrow").Table.from_pylist(rows, schema=self._schema)
-        row: dict[str, Any] = table.to_pylist()[0]
+        row: dict[str, Any] = self._table([self._row(member, outcome)]).to_pylist()[0]
         return row
 
     def logs(self) -> dict[int, str]:
@@ -359,10 +346,8 @@ class StudyDataset:
             "other_results": json.dumps(others, ensure_ascii=False) if others else None,
         }
 
-    def _table(self, first: int, last: int) -> Any:
-        """Return the rows of the journal from one member to another."""
-        rows = [self._rows[number] for number in sorted(self._rows) if first <= number <= last]
-        return library("pyarrow").Table.from_pylist(rows, schema=self._schema)
+    def _table(self, rows: Iterable[Mapping[str, Any]]) -> Any:
+        return library("pyarrow").Table.from_pylist(list(rows), schema=self._schema)
 
     def _line(self, row: Mapping[str, Any]) -> bytes:
         text = json.dumps(row)
@@ -391,29 +376,15 @@ class StudyDataset:
     def _read_part(self, name: str, columns: list[str]) -> Any:
         from pyarrow import parquet
 
-        content = self.storage.read(f"{PARTS}/{name}")
-        if content is None:
-            raise self._wrong_part(name, "removed while it was read")
-        if not name.endswith(f"{self._checksum(content)}.parquet"):
-            raise self._wrong_part(name, "damaged, or not of it")
+        path = f"{PARTS}/{name}"
+        content = self.storage.read(path)
+        if content is None or not name.endswith(f"{self._checksum(content)}.parquet"):
+            what = "removed while it was read" if content is None else "damaged, or of another one"
+            raise DatasetError(
+                f"{self.storage.label(path)}: {what}; remove it and run the study again: its "
+                "members are rerun"
+            )
         return parquet.read_table(io.BytesIO(content), columns=columns, use_threads=False)
-
-    def _listed_parts(self) -> list[_PartFile]:
-        """Return the parts that are there, in order."""
-        found = map(_PART.fullmatch, self.storage.names(PARTS))
-        parts = sorted(_PartFile(int(p[1]), int(p[2]), p[0]) for p in found if p is not None)
-        begin = 0
-        for part in parts:
-            if not begin <= part.first <= part.last:
-                raise self._wrong_part(part.name, "not a part of this dataset")
-            begin = part.last + 1
-        return parts
-
-    def _wrong_part(self, name: str, what: str) -> DatasetError:
-        return DatasetError(
-            f"{self.storage.label(f'{PARTS}/{name}')}: {what}; remove it and run the study again: "
-            "its members are rerun"
-        )
 
     def _is_in_part(self, number: int) -> bool:
         place = bisect(self._parts, (number, math.inf))
@@ -438,6 +409,21 @@ def _plain(text: str) -> str | None:
     return text.encode(errors="backslashreplace").decode() or None
 
 
+def _renumbered(
+    table: Any, columns: Iterable[StudyColumn], planned: PlannedColumn
+) -> Iterator[str]:
+    """Yield which members have not, bit for bit, the values that are planned for their numbers."""
+    members = table[MEMBER].to_pylist()
+    for column in columns:
+        found = planned(column.name, members[0], members[-1] + 1)
+        values = found.tolist() if isinstance(found, np.ndarray) else found
+        stored = [column.stored(values[number - members[0]]) for number in members]
+        again = library("pyarrow").array(stored, table.schema.field(column.name).type).to_pylist()
+        for number, was, now in zip(members, table[column.name].to_pylist(), again, strict=True):
+            if repr(was) != repr(now):
+                yield f"member {number} was {column.name} = {quoted(was)}, is {quoted(now)}"
+
+
 def _arrow_schema(columns: Iterable[StudyColumn]) -> Any:
     arrow = library("pyarrow")
     fields = []
@@ -449,11 +435,6 @@ def _arrow_schema(columns: Iterable[StudyColumn]) -> Any:
         kept = {key: text for key, text in about.items() if text}
         fields.append(arrow.field(column.name, kind, column.name != MEMBER, metadata=kept))
     return arrow.schema(fields)
-
-
-def _opened(place: str | Path) -> Storage:
-    library("pyarrow")
-    return Storage(place)
 
 
 def _recorded(storage: Storage) -> StudyIdentity | None:

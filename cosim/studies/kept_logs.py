@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,6 @@ from cosim.studies.workers import FACTOR, LEAST, UNTIL_TIMED, LocalExecutor
 from cosim.temporary import TemporaryFolder
 
 MembersDone = Callable[[int, int, int], None]
-_COMPARED: Final = ("status", "reason", "steps", "other_results")  # beside metrics
 
 
 def keep_logs(
@@ -85,10 +84,9 @@ def keep_logs(
                 reason = _keep(dataset, folder, outcome)
                 if reason:
                     without.append(f"{member.number} ({reason})")
-                now = dataset.row_of(member, outcome)
-                for name, was, value in different(rows[member.number], now, dataset):
+                for name, was, now in different(dataset, rows[member.number], member, outcome):
                     notice(
-                        f"member {member.number} was rerun for its log: {name} = {value!r}; "
+                        f"member {member.number} was rerun for its log: {name} = {now!r}; "
                         f"recorded: {was!r}; the model is not deterministic, or it ran on another "
                         "machine"
                     )
@@ -168,16 +166,17 @@ def limit_again(dataset: StudyDataset, timeout: float | None) -> float:
 
 
 def different(
-    recorded: Mapping[str, Any], now: Mapping[str, Any], dataset: StudyDataset
+    dataset: StudyDataset, recorded: Mapping[str, Any], member: StudyMember, outcome: MemberOutcome
 ) -> list[tuple[str, Any, Any]]:
     """Return what is otherwise now than it is recorded: name, recorded, now; bit for bit."""
+    row = dataset.row_of(member, outcome)
     metrics = [column.name for column in dataset.columns if column.role == "metric"]
     found = []
-    for name in (*metrics, *_COMPARED):
-        one, other = recorded[name], now[name]
-        both_hang = name == "reason" and all((r or "").startswith(HANGS) for r in (one, other))
-        if repr(one) != repr(other) and not both_hang:
-            found.append((name, one, other))
+    for name in (*metrics, "status", "reason", "steps", "other_results"):
+        was, now = recorded[name], row[name]
+        both_hang = name == "reason" and all((r or "").startswith(HANGS) for r in (was, now))
+        if repr(was) != repr(now) and not both_hang:
+            found.append((name, was, now))
     return found
 
 

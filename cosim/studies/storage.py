@@ -1,6 +1,7 @@
 """Where a dataset is: files by name in a folder, or in a bucket that fsspec reaches.
 
-A file is whole at any instant, also where its writer is killed; a line is appended whole, or not.
+A file is whole at any instant, also where its writer is killed; of a line that is appended, a part
+may be left then, or where the disk is full.
 """
 
 from __future__ import annotations
@@ -73,6 +74,7 @@ class Storage:
         self._lock = -1
         self._later: dict[str, bytes] = {}  # files behind a URL that lines are appended to
         self._due = monotonic() + _PERIOD
+        library("pyarrow")  # with which parts are read and written
         fsspec = library("fsspec")
         if self._folder is not None:
             self._files = fsspec.filesystem("file")
@@ -129,12 +131,7 @@ class Storage:
         path = self._folder / name
         explained = _explained(self.label(name), DatasetWriteError, _RESUME)
         with explained, open(path, "ab", buffering=0) as file:
-            length = os.fstat(file.fileno()).st_size
-            try:
-                _write(file.fileno(), line)
-            except OSError:
-                file.truncate(length)
-                raise
+            _write(file.fileno(), line)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files."""

@@ -110,8 +110,7 @@ def verify_study(
     count = min(workers, len(numbers))
     with LocalExecutor(subject, count, timeout=limit, members_per_worker=1) as executor:
         for done, (member, outcome) in enumerate(executor.run(study.members(numbers)), 1):
-            row = rows[member.number]
-            for item in different(row, dataset.row_of(member, outcome), dataset):
+            for item in different(dataset, rows[member.number], member, outcome):
                 found.append(VerifiedDifference(member.number, *item))
             if progress is not None:
                 progress(done, len(numbers), len({item.member for item in found}))
