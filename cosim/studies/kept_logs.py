@@ -24,6 +24,7 @@ from cosim.studies.contracts import (
 from cosim.studies.dataset import LOGS, StudyDataset
 from cosim.studies.identity import StudyColumn
 from cosim.studies.members import run_member
+from cosim.studies.plan import StudyPlan
 from cosim.studies.study_file import KeptLogs
 from cosim.studies.workers import FACTOR, LEAST, UNTIL_TIMED, LocalExecutor
 from cosim.temporary import TemporaryFolder
@@ -32,13 +33,10 @@ MembersDone = Callable[[int, int, int], None]
 
 
 def keep_logs(
-    kept: KeptLogs,
-    subject: StudySubject,
-    members: Callable[[int], StudyMember],
+    plan: StudyPlan,
     dataset: StudyDataset,
     *,
     workers: int,
-    timeout: float | None,
     notice: Callable[[str], None],
     progress: MembersDone | None = None,
 ) -> None:
@@ -46,22 +44,18 @@ def keep_logs(
 
     Parameters
     ----------
-    kept : KeptLogs
-    subject : StudySubject
-    members : callable
-        Returns a member by its number.
+    plan : StudyPlan
     dataset : StudyDataset
         Complete.
     workers : int
         Processes at a time.
-    timeout : float or None
-        Wall time that a member may take [s].
     notice : callable
         Takes what is noteworthy.
     progress : callable, optional
         Called with how many logs are there, of how many, and how many members have none.
     """
-    chosen = chosen_members(kept, dataset).tolist()
+    timeout = plan.study.settings.timeout
+    chosen = chosen_members(plan.study.kept_logs, dataset).tolist()
     settled = {name.partition(".")[0] for name in dataset.storage.names(LOGS)}
     missing = [number for number in chosen if str(number) not in settled]
     rows = {row["member"]: row for row in dataset.read(members=missing).to_pylist()}
@@ -78,9 +72,10 @@ def keep_logs(
             continue
         with (
             TemporaryFolder("logs") as folder,
-            LocalExecutor(subject, min(workers, len(numbers)), timeout=limit) as executor,
+            LocalExecutor(plan.subject, min(workers, len(numbers)), timeout=limit) as executor,
         ):
-            for member, outcome in executor.run(map(members, numbers), partial(log_member, folder)):
+            members = map(plan.design.member, numbers)
+            for member, outcome in executor.run(members, partial(log_member, folder)):
                 reason = _keep(dataset, folder, outcome)
                 if reason:
                     without.append(f"{member.number} ({reason})")

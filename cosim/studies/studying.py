@@ -123,17 +123,19 @@ timeout, keep, results : optional
         executor = executor_of(plan, count, scheduler, notice)
         resources.enter_context(executor)  # before the dataset that is there is removed
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
-        _complete(plan, dataset, executor, progress)
-        keep_logs(
-            file.kept_logs,
-            plan.subject,
-            plan.design.member,
-            dataset,
-            workers=count,
-            timeout=file.settings.timeout,
-            notice=notice,
-            progress=keep_progress,
+        chunks = (
+            plan.design.members(begin, min(begin + _CHUNK, numbers.stop))
+            for numbers in dataset.missing()
+            for begin in numbers[::_CHUNK]
         )
+        status = dataset.tables(["status"])
+        failed = sum(table["status"].to_pylist().count(FAILED) for table in status)
+        for member, outcome in executor.run(chain.from_iterable(chunks)):
+            dataset.add(member, outcome)
+            failed += outcome.status == FAILED
+            if progress is not None:
+                progress(len(dataset), len(plan.design), failed)
+        keep_logs(plan, dataset, workers=count, notice=notice, progress=keep_progress)
     done = open_study(place)
     pairs = [(number, line) for number, lines in done.warnings.items() for line in lines]
     warn(warning_lines(grouped(pairs), len(done)))
@@ -155,26 +157,6 @@ def executor_of(
     return ClusterExecutor(
         scheduler, plan.subject, plan.trial, plan.files, timeout=timeout, notice=notice
     )
-
-
-def _complete(
-    plan: StudyPlan,
-    dataset: StudyDataset,
-    executor: MemberExecutor,
-    progress: MembersDone | None,
-) -> None:
-    """Run the members that have no outcome yet."""
-    failed = sum(table["status"].to_pylist().count(FAILED) for table in dataset.tables(["status"]))
-    chunks = (
-        plan.design.members(begin, min(begin + _CHUNK, numbers.stop))
-        for numbers in dataset.missing()
-        for begin in numbers[::_CHUNK]
-    )
-    for member, outcome in executor.run(chain.from_iterable(chunks)):
-        dataset.add(member, outcome)
-        failed += outcome.status == FAILED
-        if progress is not None:
-            progress(len(dataset), len(plan.design), failed)
 
 
 def worker_count(workers: int | None) -> int:
@@ -283,15 +265,14 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     outcomes = _timed(plan, _TIMED)
     total = len(plan.design)
     first, last = outcomes[0].wall_time, outcomes[-1]
+    member = plan.design.member(last.number)
     log_bytes = kept_count(plan.study.kept_logs, total)
     log_time = 0.0
     if log_bytes:
-        member = plan.design.member(last.number)
         with TemporaryFolder("estimate") as folder, LocalExecutor(plan.subject, 1) as executor:
             ((_, logged),) = executor.run([member], partial(log_member, folder))
             log_time = -(-log_bytes // workers) * logged.wall_time
             log_bytes *= sum(path.stat().st_size for path in folder.glob("*.mcap"))
-    member = plan.design.member(last.number)
     texts = (last.status, last.reason, "\n".join(last.warnings), last.worker)
     values = (*member.set.values(), *member.swap.values(), *last.metrics.values(), *texts)
     row_bytes = 4 * 8  # of number, steps, wall time, other results

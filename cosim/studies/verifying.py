@@ -100,10 +100,10 @@ def verify_study(
     """
     dataset = StudyDataset.open(place)
     recorded = RecordedStudy.read(dataset.identity.text)
-    numbers = _chosen(dataset, members, sample)
-    _check_unchanged(dataset, recorded)
-    rows = {row["member"]: row for row in dataset.read(members=numbers).to_pylist()}
     study = Study(dataset)
+    numbers = _chosen(study, members, sample)
+    _check_unchanged(dataset, recorded)
+    rows = {row["member"]: row for row in study.table(members=numbers).to_pylist()}
     found: list[VerifiedDifference] = []
     limit = limit_again(dataset, recorded.study.settings.timeout)
     subject = recorded.study.subject
@@ -130,17 +130,13 @@ def verify_study(
     )
 
 
-def _chosen(dataset: StudyDataset, members: Collection[int], sample: int | None) -> list[int]:
+def _chosen(study: Study, members: Collection[int], sample: int | None) -> list[int]:
     """Return the members that run again, in order."""
-    there = dataset.read(["member"])["member"].to_numpy()
+    there = study.table(["member"])["member"].to_numpy()
     if not len(there):
-        raise UsageError(f"{dataset.storage.label()}: no member has run yet; run the study first")
+        raise UsageError(f"{study.name}: no member has run yet; run the study first")
     for number in members:
-        if number not in there:
-            raise UsageError(
-                f"{option('member')}: no outcome of member {number}; available: {len(there)} of "
-                f"{dataset.identity.members} members, numbered from 0"
-            )
+        study.member(number)  # UsageError: there is none
     count = SAMPLE if sample is None and not members else sample
     chosen = set(members)
     if count is not None:
