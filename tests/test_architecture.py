@@ -151,6 +151,7 @@ ROOMS = {
         "members",
         "worker",
         "workers",
+        "identity",
         "storage",
         "dataset",
         "study",

@@ -27,7 +27,7 @@ from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.cases import ColumnValues, packed, read_cases
-from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember
+from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember, member_of
 from cosim.studies.layout import NumberColumn, SampleKind, StudyLayout
 from cosim.studies.study_file import SamplingMethod, StudyFile
 from cosim.studies.variations import GridVariation, SampledVariation, chosen, quantiles
@@ -157,15 +157,6 @@ class StudyDesign:
     def _numbers(self, begin: int, end: int | None) -> NumberColumn:
         last = len(self) if end is None else min(end, len(self))
         return np.arange(max(0, begin), last, dtype=np.int64)
-
-
-def member_of(number: int, values: Mapping[str, Any]) -> StudyMember:
-    """Return the member that has some values; None stands for the scenario's own."""
-    given = {name: value for name, value in values.items() if value is not None}
-    recording = given.pop(RECORDING, None)
-    swaps = {n.removeprefix(SWAP): str(v) for n, v in given.items() if n.startswith(SWAP)}
-    changes = {name: value for name, value in given.items() if not name.startswith(SWAP)}
-    return StudyMember(number, changes, swaps, recording)
 
 
 # --- planning ---
