@@ -171,7 +171,6 @@ ROOMS = {
         "verifying",
         "show",
         "panels",
-        "over_keys",
         "plots",
     ],
     "scenario": [

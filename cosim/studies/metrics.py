@@ -160,23 +160,12 @@ class Reduction:
         return tuple(dict.fromkeys(chain.from_iterable(one.signals for one in programs)))
 
 
-@dataclass(frozen=True, eq=False)
-class Metric:
+class Metric(NamedTuple):
     """A metric: what joins its reductions."""
 
     name: str
     reductions: tuple[Reduction, ...]
     joined: _Values
-
-    def value(self, kept: Iterable[KeptValues]) -> float | None:
-        """Return its value, of what was kept by its reductions."""
-        values = np.full(len(self.reductions), NAN)
-        for number, (reduction, part) in enumerate(zip(self.reductions, kept, strict=True)):
-            if part.number or not reduction.kind.parts:
-                band = None if reduction.band is None else reduction.band(values)
-                values[number] = reduction.kind.value(part, band)
-        value = self.joined(values)
-        return value if math.isfinite(value) else None
 
 
 def parse_metric_text(name: str, text: str) -> Metric:
@@ -234,7 +223,7 @@ def _operand(text: str, names: Collection[str]) -> str | float:
     return text if parser.reductions else joined(np.zeros(1))
 
 
-class _Parser:
+class _Parser(ast.NodeTransformer):
     """Parses one text, and finds its reductions.
 
     In the source that Python parses a duration is an argument behind its condition:
@@ -278,33 +267,30 @@ class _Parser:
     def arithmetic(self) -> _Values:
         """Return the arithmetic of the text, which may be a number alone."""
         try:
-            tree = self._arithmetic(self.tree)
+            tree = self.visit(self.tree)
         except RecursionError as error:
             raise nested_too_deep(self._start) from error
         return _values_of(compile_arithmetic(tree, self._source))
 
-    def _arithmetic(self, node: ast.expr) -> ast.expr:
+    def visit(self, node: ast.AST) -> Any:
         """Return arithmetic in which the number of each reduction, as a text, stands for it."""
         match node:
-            case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
-                node.operand = self._arithmetic(node.operand)
-            case ast.BinOp():
-                node.left = self._arithmetic(node.left)
-                node.right = self._arithmetic(node.right)
+            case ast.BinOp() | ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+                self.generic_visit(node)
             case ast.Call(func=ast.Name(id=name), keywords=[]) if _is_reduction(node):
                 self.reductions.append(self._reduction(name, node))
                 return ast.copy_location(ast.Constant(str(len(self.reductions) - 1)), node)
             case ast.Call(func=ast.Name(id=name), keywords=[]):
                 self._check_function(name, node)
-                node.args = [self._arithmetic(argument) for argument in node.args]
-            case _ if is_condition(node):
+                node.args = [self.visit(argument) for argument in node.args]
+            case ast.expr() if is_condition(node):
                 raise self.refusal(
                     "expected a number, such as share(plant.y < 1), got the condition "
                     f"{quoted(self.written(node))} outside of a reduction"
                 )
             case ast.Name(id="pi" | "e"):
                 pass
-            case _ if is_signal(node) or isinstance(node, ast.Name):
+            case ast.expr() if is_signal(node) or isinstance(node, ast.Name):
                 part = self.written(node)
                 raise self.refusal(
                     f"expected a reduction, such as last({part}), got {quoted(part)} outside of one"
@@ -351,17 +337,14 @@ class _Parser:
         is_of_condition = words[0] == "CONDITION"
         values = condition(first) if is_of_condition else compile_part(first, self._source)
         where = condition(call.args[-1]) if "CONDITION" in words[1:] else None
-        band = self._band(call.args[1]) if "BAND" in words else None
-        return Reduction(kind, values, where, band)
-
-    def _band(self, node: ast.expr) -> _Values:
-        """Return the band of a settling time."""
-        written = self.written(node)
-        program = compile_arithmetic(self._arithmetic(node), self._source)
+        if "BAND" not in words:
+            return Reduction(kind, values, where)
+        written = self.written(call.args[1])
+        program = compile_arithmetic(self.visit(call.args[1]), self._source)
         band = _values_of(program)
         if not program.signals and not band(np.zeros(1)) >= 0.0:
             raise self.refusal(f"expected a band >= 0, got {quoted(written)}")
-        return band
+        return Reduction(kind, values, where, band)
 
 
 def _values_of(program: Program) -> _Values:
@@ -447,10 +430,17 @@ class Metrics:
         """Return the metrics, of the numbers of reductions and what they have reduced."""
         kept = {n: rows.kept(place) for own, rows in groups for place, n in enumerate(own)}
         numbers = iter(range(len(self.reductions)))
-        return {
-            metric.name: metric.value([kept[next(numbers)] for _ in metric.reductions])
-            for metric in self._metrics
-        }
+        found: dict[str, float | None] = {}
+        for metric in self._metrics:
+            values = np.full(len(metric.reductions), NAN)
+            for place, reduction in enumerate(metric.reductions):
+                part = kept[next(numbers)]
+                if part.number or not reduction.kind.parts:
+                    band = None if reduction.band is None else reduction.band(values)
+                    values[place] = reduction.kind.value(part, band)
+            value = metric.joined(values)
+            found[metric.name] = value if math.isfinite(value) else None
+        return found
 
 
 def _signals_of(reductions: Iterable[Reduction]) -> tuple[str, ...]:
