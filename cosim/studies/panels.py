@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any, Final
 
@@ -148,7 +149,7 @@ class Scale:
         shown = short if len(set(short)) == len(names) else names
         return cls(positions, tuple(broken(shown_text(name), _LONGEST) for name in shown))
 
-    @property
+    @cached_property
     def logarithmic(self) -> bool:
         """Whether its axis is."""
         return not self.names and is_logarithmic(self.positions)

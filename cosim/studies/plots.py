@@ -138,18 +138,17 @@ def _objective(search: RecordedSearch | None, shown: Sequence[str]) -> str:
 def _plot_histograms(picture: StudyPicture) -> None:
     for panel, column, label in picture.each():
         shown = values = column.values
-        logarithmic = is_logarithmic(values)
         low, high = np.quantile(values, [0.01, 0.99])
         reach = 3.0 * (high - low)  # beyond are single values, which would hide the others
-        if reach > 0.0 and not logarithmic:
+        if reach > 0.0 and not is_logarithmic(values):
             shown = values[(values >= low - reach) & (values <= high + reach)]
         if len(shown) < len(values):
             beyond = len(values) - len(shown)
             panel.set_title(f"{panel.get_title()}, {beyond} outside of the axis", **NOTE)
-        Scale(shown).draw_histogram(panel)
-        if logarithmic:
-            panel.set_xscale("log")
-        panel.set(xlabel=label, ylabel="members", xlim=panel.get_xlim())  # a mean may be beyond it
+        scale = Scale(shown)
+        scale.draw_histogram(panel)
+        scale.show(panel.xaxis, label)
+        panel.set(ylabel="members", xlim=panel.get_xlim())  # a mean may be beyond it
         panel.yaxis.get_major_locator().set_params(integer=True)
         low, middle, high = np.quantile(values, PROBABILITIES)
         panel.axvline(values.mean(), color=COLORS[1], linewidth=2.0, label="mean")
@@ -207,10 +206,10 @@ def _plot_lines(picture: StudyPicture) -> None:
     """Draw metrics over a key, with a line for each value of a second one."""
     columns, keys = picture.results.columns, picture.keys
     scale = Scale.of(columns.parameters[keys[0]])
-    count = len(np.unique(scale.positions))
-    is_binned = count > _MOST_PLACES
+    is_binned = len(np.unique(scale.positions)) > _MOST_PLACES
     is_joined = is_binned or (not scale.names and picture.results.layout.kind == "grid")
     lines = _lines(picture)
+    bands = False
     for panel, column, label in picture.each():
         rows = columns.rows_of(column.numbers)
         for number, (name, of_line) in enumerate(lines):
@@ -221,14 +220,14 @@ def _plot_lines(picture: StudyPicture) -> None:
                 style = {"color": _COLORS[number], "label": name}
                 if not is_joined:
                     style["linestyle"] = "none"
-                _draw_line(panel, x, values, style, is_binned=is_binned)
+                bands |= _draw_line(panel, x, values, style, is_binned=is_binned)
         mark_failed(panel, scale.positions[columns.rows_of(column.failed)])
         scale.show(panel.xaxis, picture.label(keys[0]))
         panel.set_ylabel(label)
         if is_logarithmic(column.values):
             panel.set_yscale("log")
     what = f"over {keys[0]}"
-    if count * len(lines) < picture.results.done or is_binned:
+    if bands:
         what += f"; median and 5 % to 95 % of the members{' of each bin' if is_binned else ''}"
     picture.save(what, legend=picture.label(keys[1]) if len(lines) > 1 else "")
 
@@ -246,8 +245,8 @@ def _lines(picture: StudyPicture) -> list[tuple[str, Mask]]:
 
 def _draw_line(
     panel: Any, x: Vector, values: Vector, style: dict[str, Any], *, is_binned: bool
-) -> None:
-    """Draw median and band of the members at each place, or in each bin of as many members."""
+) -> bool:
+    """Draw the median at each place, or in each bin of as many members; return whether a band."""
     order = np.argsort(x, kind="stable")
     x, values = x[order], values[order]
     bins = min(max(len(x) // 20, 1), 40)
@@ -259,7 +258,7 @@ def _draw_line(
     marker = "." if len(places) <= 25 or not is_joined else ""
     panel.plot(places, middle, linewidth=WIDTH, marker=marker, markersize=5.0, **style)
     if len(places) == len(x):
-        return
+        return False
     color = style["color"]
     if len(x) <= _MOST_POINTS:
         panel.plot(x, values, ".", color=color, markersize=4.0, alpha=0.5, markeredgewidth=0.0)
@@ -267,6 +266,7 @@ def _draw_line(
         panel.fill_between(places, low, high, linewidth=0.0, color=color, alpha=panels.FAINT)
     else:
         panel.vlines(places, low, high, linewidth=12.0, color=color, alpha=panels.FAINT)
+    return True
 
 
 def _plot_maps(picture: StudyPicture) -> None:
