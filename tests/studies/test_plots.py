@@ -1,6 +1,5 @@
 """Pictures of studies: what they show, as matplotlib has it."""
 
-import re
 import sys
 
 import numpy as np
@@ -86,13 +85,10 @@ def test_every_picture_shows_all_members_and_counts_those_it_does_not(kind, draw
         return
     for panel, name in zip(panels, ("rms", "settling"), strict=False):
         column = study.columns.metric(name)
-        keys = {
-            key: values[study.columns.rows_of(column.numbers)]
-            for key, values in study.columns.parameters.items()
-        }
+        rows = study.columns.rows_of(column.numbers)
+        keys = {key: values[rows] for key, values in study.columns.parameters.items()}
         CHECKS[kind](panel, column.values, keys)
-    without = "56 members, 3 failed, 2 without value"
-    assert {without, "58 members, 3 failed"} <= set(shown)
+    assert {"56 members, 3 failed, 2 without value", "58 members, 3 failed"} <= set(shown)
     assert any("settling [s]" in text for text in shown)
     assert ("members that failed" in shown) is (kind in ("line", "map"))
 
@@ -235,7 +231,7 @@ def test_many_values_of_a_key_are_put_together(draw, tmp_path):
     many.columns.failed[::2] = True
     figure, _ = draw(many, kind="line")
     assert "300 of the 10002 members that failed" in words(figure)
-    plot_study(many, tmp_path / "a.svg", kind="distribution")
+    plot_study(many, tmp_path / "a.svg", kind="distribution", metrics=["rms"])
     assert (tmp_path / "a.svg").stat().st_size < 5e5
 
 
@@ -354,14 +350,13 @@ def test_parameters_without_a_number_have_no_place(draw):
     figure, (panel,) = draw(study, kind="line")
     note = "; 1 member without a finite rate; 1 member without a finite bound"
     assert f"tolerances: over rate{note}" in words(figure)
-    kept = [number for number in range(12) if number not in (2, 4)]
-    assert panel.lines[0].get_ydata() == pytest.approx(np.array(kept) + 1.0)
-    figure, (panel, _) = draw(study, kind="map", keys=["gains", "bound"])
+    assert panel.lines[0].get_ydata().tolist() == [1, 2, 4, *range(6, 13)]
+    _, (panel, _) = draw(study, kind="map", keys=["gains", "bound"])
     names = [label.get_text() for label in panel.get_xticklabels()]
     assert names == ["[1.0, 2.0]", "[3.0]", "[]"]
     matrix = np.reshape(draw(study, kind="scatter")[1], (4, 4))
-    for row, count in enumerate([11, 11, 12, 12]):  # rate, bound, gains, rms
-        assert sum(bar.get_height() for bar in matrix[row, row].patches) == count
+    bars = [sum(bar.get_height() for bar in panel.patches) for panel in matrix.diagonal()]
+    assert bars == [11, 11, 12, 12]  # rate, bound, gains, rms
 
 
 LONG = "subsystem_of_the_{}_actuator.hydraulic_cylinder.initial_pressure_of_the_chamber"
@@ -381,32 +376,26 @@ def test_no_text_is_cut_off(kind, draw):
         shown += [*legend.get_texts(), legend.get_title()]
     for panel in panels:
         shown += [panel.xaxis.label, panel.yaxis.label, panel.title]
-    inside = figure.bbox.padded(2.0)
     for text in shown:
-        extent = text.get_window_extent()
-        is_inside = inside.contains(extent.x0, extent.y0) and inside.contains(extent.x1, extent.y1)
-        assert is_inside or not text.get_text(), text.get_text()
+        if text.get_text():
+            (x0, y0), (x1, y1) = text.get_window_extent().get_points()
+            assert -2.0 < x0 < x1 < figure.bbox.width + 2.0, text.get_text()
+            assert -2.0 < y0 < y1 < figure.bbox.height + 2.0, text.get_text()
 
 
 def long_names():
     """Return a study whose keys, plants and metrics have names as long as those of projects."""
     points = np.random.default_rng(3).uniform(1e5, 2e5, (2, 60))
-    left, right = LONG.format("left"), LONG.format("right")
+    keys = (LONG.format("left"), LONG.format("right"), "swap.plant")
     plants = [f"plants/{side}_pump_of_version_2026.fmu" for side in "abc"] * 20
     metric = "root_mean_square_of_the_difference_between_estimated_and_true_disturbance"
-    columns = {left: points[0], right: points[1].round(-5), "swap.plant": plants}
+    columns = dict(zip(keys, (points[0], points[1].round(-5), plants), strict=True))
     columns |= {metric: points[0] / points[1], "status": ["complete"] * 58 + ["failed"] * 2}
-    keys = (left, right, "swap.plant")
-    return made(columns, keys, (metric,), units={left: "Pa", metric: "kg.m2.s-3.A-1"}), keys
+    return made(columns, keys, (metric,), units={keys[0]: "Pa", metric: "kg.m2.s-3.A-1"}), keys
 
 
-def test_size_and_title_can_be_chosen_and_a_size_without_room_is_an_error(tmp_path):
+def test_a_size_without_room_is_an_error(tmp_path):
     """Not a picture whose panels have no size."""
-    options = PictureOptions(title="mine $x$", size=(10.0, 8.0))
-    plot_study(RANDOM, tmp_path / "a.svg", metrics=["rms"], options=options)
-    text = (tmp_path / "a.svg").read_text(encoding="utf-8")
-    assert 'width="283.4' in text  # 10 cm [points]
-    assert "rms" in re.findall(r"<text[^>]*>([^<]*)</text>", text)
     study, keys = long_names()
     options = PictureOptions(size=(6.0, 6.0))
     with pytest.raises(UsageError, match=r"size: .*6 x 6 cm"):
