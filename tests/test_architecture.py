@@ -172,7 +172,6 @@ ROOMS = {
         "verifying",
         "show",
         "panels",
-        "over_keys",
         "plots",
     ],
     "scenario": [
