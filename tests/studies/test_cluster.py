@@ -17,7 +17,7 @@ from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember
 from cosim.studies.workers import LocalExecutor
 from tests.studies.dask_processes import LIMIT, cluster
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("worker_processes")]
 distributed = pytest.importorskip("distributed")
 
 HERE = "/proc/self/cwd"  # another folder in every process
