@@ -235,7 +235,7 @@ def test_a_scheduler_that_is_not_there_is_one_error(address, study, monkeypatch)
 @pytest.fixture
 def client(monkeypatch):
     """Return a client of a cluster with one worker, where nobody waits for another."""
-    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    monkeypatch.setattr(module, "PATIENCE", 0.1)
     with (
         distributed.LocalCluster(
             processes=False, n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0"
@@ -284,7 +284,7 @@ def test_a_scheduler_without_workers_is_one_error(client, study):
         pytest.raises(RunError, match="the scheduler has no workers"),
     ):
         list(workers.run([acting(0)]))
-    assert "waiting 0 s" in notices[0]
+    assert "waiting 0.1 s" in notices[0]
 
 
 def test_the_scheduler_holds_as_much_for_a_hundred_thousand_members(client, study, monkeypatch):
@@ -298,7 +298,6 @@ def test_the_scheduler_holds_as_much_for_a_hundred_thousand_members(client, stud
         for taken in range(1, 100_001):
             yield StudyMember(taken - 1)
 
-    monkeypatch.setattr(module, "_admit", lambda study, files: "")
     monkeypatch.setattr(module, "_run_part", stub)
     with executor(client, study) as workers:
         threads = threading.active_count()
@@ -311,5 +310,5 @@ def test_the_scheduler_holds_as_much_for_a_hundred_thousand_members(client, stud
     assert most[1] <= 3 * module.MOST
 
 
-def stub(study, members):
+def stub(name, members):
     return 0.0, [MemberOutcome(member.number, COMPLETE) for member in members]
