@@ -53,17 +53,6 @@ _LOOK: Final = 1.0  # [s] between looks at the workers
 _Plain = TypeVar("_Plain", StudyMember, StudySubject)
 
 
-@dataclass(frozen=True)
-class _ClusterStudy:
-    """What a worker has to know of a study."""
-
-    subject: StudySubject
-    trial: StudyMember
-    files: Mapping[str, str]
-    timeout: float | None
-    name: str = field(default_factory=lambda: f"cosim-{secrets.token_hex(6)}")
-
-
 @final
 class ClusterExecutor:
     """Runs members of one study on a cluster; a context manager that ends what it began there.
@@ -94,7 +83,7 @@ class ClusterExecutor:
         self._scheduler = scheduler
         codes = {name: digest for name, digest in subject.digests.items() if CODE in name}
         own = replace(subject, digests={**files, **codes})
-        self._study = _ClusterStudy(own, trial, files, timeout)
+        self._study = _Site(own, trial, files, timeout)
         self._environment = environment()
         self._notice = notice
         self._resources = ExitStack()
@@ -363,62 +352,68 @@ _LACKS_FILES: Final = "files are missing"
 _sites: dict[str, _Site] = {}  # by study
 
 
-@final
+@dataclass
 class _Site:
-    """A study at a worker of dask; a folder has copies of its files, empty: they are as planned."""
+    """A study at a worker of dask: what it has to know of it, and what it has there."""
 
-    def __init__(self, study: _ClusterStudy, root: str) -> None:
-        self._study = study
-        self._root = root
-        subject = self._moved(study.subject)
-        if root and study.subject.scenario in study.files:  # it may name others absolutely
+    subject: StudySubject
+    trial: StudyMember
+    files: Mapping[str, str]
+    timeout: float | None
+    name: str = field(default_factory=lambda: f"cosim-{secrets.token_hex(6)}")
+    root: str = ""  # folder with copies of the files; empty: they are as planned
+    problem: str | None = None  # None: nobody knows whether there is one
+    parts: list[Sequence[StudyMember]] = field(default_factory=list)  # that are run
+
+    def open(self) -> None:
+        """Prepare to run members."""
+        subject = self._moved(self.subject)
+        if self.root and self.subject.scenario in self.files:  # it may name others absolutely
             path = Path(subject.scenario)
             path.write_text(self._with_copies(path.read_text("utf-8")), "utf-8")
             digests = {**subject.digests, subject.scenario: sha256_of(path)}
             subject = replace(subject, digests=digests)
-        self._executor = LocalExecutor(subject, 1, timeout=study.timeout).__enter__()
-        self._at_work: list[Sequence[StudyMember]] = []
-        self._problem: str | None = None  # None: nobody knows whether there is one
+        self._executor = LocalExecutor(subject, 1, timeout=self.timeout).__enter__()
 
     def run(self, part: Sequence[StudyMember]) -> str | tuple[float, list[MemberOutcome]]:
         """Return wall time [s] and outcomes of members; or why they cannot be built here."""
-        self._at_work.append(part)
+        self.parts.append(part)
         try:
-            if self._problem is None:
-                self._problem = self._try()
-            if self._problem:
-                return self._problem
+            if self.problem is None:
+                self.problem = self._try()
+            if self.problem:
+                return self.problem
             began = monotonic()
             outcomes = {}
             for member, one in self._executor.run(map(self._moved, part)):
-                reason, *warnings = (t.replace(self._root, "") for t in (one.reason, *one.warnings))
+                reason, *warnings = (t.replace(self.root, "") for t in (one.reason, *one.warnings))
                 outcomes[member.number] = replace(one, reason=reason, warnings=warnings)
             return monotonic() - began, [outcomes[member.number] for member in part]
         finally:
-            self._at_work.pop()
-            if self._study.name not in _sites:
+            self.parts.pop()
+            if self.name not in _sites:
                 self.close()
 
     def _try(self) -> str:
         try:
-            ((_, found),) = self._executor.run([self._moved(self._study.trial)], inspect_member)
+            ((_, found),) = self._executor.run([self._moved(self.trial)], inspect_member)
         except CosimError as error:
             problem = str(error)
         else:
             problem = found.reason if isinstance(found, MemberOutcome) else found.refused
-        return problem.replace(self._root, "")
+        return problem.replace(self.root, "")
 
     def close(self) -> None:
         """End the children, and remove the copies; the last part that is at work does so."""
         self._executor.stop()
-        if not self._at_work:
+        if not self.parts:
             self._executor.__exit__(None)
-            if self._root:
-                shutil.rmtree(self._root, ignore_errors=True)
+            if self.root:
+                shutil.rmtree(self.root, ignore_errors=True)
 
     def _moved(self, value: _Plain) -> _Plain:
         """Return a subject or a member with the paths of copies."""
-        if not self._root:
+        if not self.root:
             return value
         text = json.dumps(asdict(value), ensure_ascii=False)
         return type(value)(**json.loads(self._with_copies(text)))
@@ -428,7 +423,7 @@ class _Site:
         for quote in "\"'":
             text = re.sub(
                 f"(?<={quote})[^{quote}#\n]+(?=[{quote}#])",
-                lambda found: f"{self._root * (found[0] in self._study.files)}{found[0]}",
+                lambda found: f"{self.root * (found[0] in self.files)}{found[0]}",
                 text,
             )
         return text
@@ -441,15 +436,16 @@ def _prepare(
     problem = _differences(expected)
     if problem:
         return problem
-    study: _ClusterStudy = pickle.loads(content)
-    root = ""
+    site: _Site = pickle.loads(content)
+    if site.name in _sites:
+        return ""
     if archive is not None:
-        root = os.path.abspath(os.path.join(dask_worker.local_directory, study.name))
-        zipfile.ZipFile(io.BytesIO(archive)).extractall(root)
-    elif not all(os.path.isfile(f) and sha256_of(f) == h for f, h in study.files.items()):
+        site.root = os.path.abspath(os.path.join(dask_worker.local_directory, site.name))
+        zipfile.ZipFile(io.BytesIO(archive)).extractall(site.root)
+    elif not all(os.path.isfile(f) and sha256_of(f) == h for f, h in site.files.items()):
         return _LACKS_FILES
-    if study.name not in _sites:
-        _sites[study.name] = _Site(study, root)
+    site.open()
+    _sites[site.name] = site
     return ""
 
 

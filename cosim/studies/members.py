@@ -7,6 +7,7 @@ import platform
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
@@ -22,7 +23,6 @@ from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError, Interrupted, UsageError
 from cosim.files import file_type
 from cosim.fmi.unpacked import UnpackedFmus
-from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
@@ -112,11 +112,11 @@ class OpenedSubject:
         finally:  # also where it cannot be read any more
             self._check([subject.scenario] if subject.scenario in self._expected else [])
         self._fmus = UnpackedFmus(self._digests)
-        self._logs: dict[str, Log] = {}
+        self._log = lru_cache(_OPEN_LOGS)(open_joined)
 
     def close(self) -> None:
         """Close logs, unload FMUs."""
-        self._logs.clear()
+        self._log.cache_clear()
         self._fmus.close()
 
     def run(
@@ -138,17 +138,15 @@ class OpenedSubject:
             status = FAILED
             reason = without_folders(error_text(error), "fmu")
             values = dict.fromkeys(self.subject.metrics)
-        seconds = perf_counter() - began
-        worker = f"{platform.node()}:{os.getpid()}"
         return MemberOutcome(
             member.number,
             status,
             reason,
             measured.steps,
             values,
-            seconds,
-            worker,
-            measured.warnings,
+            wall_time=perf_counter() - began,
+            worker=f"{platform.node()}:{os.getpid()}",
+            warnings=measured.warnings,
         )
 
     def _run(
@@ -159,15 +157,18 @@ class OpenedSubject:
             experiment = self._experiment(member, resources)
             read = self._read(experiment, member)
             self._check(read)
+            results: dict[str, MetricValue] = {}
             if out is None and not self.subject.with_results:  # verdicts are of a log
                 run_rows(measured, _in_short_blocks(experiment))
-                results = {}
             else:
-                target = Target(out, force=out is not None)
                 recording = record(
-                    experiment, target, progress=None, beside=lambda r: TwoRecorders(r, measured)
+                    experiment,
+                    Target(out, force=out is not None),
+                    progress=None,
+                    beside=lambda recorder: TwoRecorders(recorder, measured),
                 )
-                results = results_of(summarize(recording)) if self.subject.with_results else {}
+                if self.subject.with_results:
+                    results |= results_of(summarize(recording))
             self._check(read)  # one may have changed meanwhile
         return results
 
@@ -204,13 +205,6 @@ class OpenedSubject:
         )
         return replays.experiment(values, resources, self._fmus)
 
-    def _log(self, path: str) -> Log:
-        if path not in self._logs:
-            while len(self._logs) >= _OPEN_LOGS:
-                del self._logs[next(iter(self._logs))]
-            self._logs[path] = open_joined(path)
-        return self._logs[path]
-
     def _read(self, experiment: Experiment, member: StudyMember) -> list[str]:
         """Return what a member reads; what was not known has to stay as it is now."""
         if not self._expected:
@@ -227,11 +221,8 @@ class OpenedSubject:
     def _check_all(self, member: StudyMember) -> None:
         """Check all files, but for the logs of other members: they are many, and large."""
         own = _parts(member)
-        self._check(
-            path
-            for path in self._expected
-            if not path.startswith(CODE) and (file_type(path) != "log" or path in own)
-        )
+        files = [path for path in self._expected if not path.startswith(CODE)]
+        self._check(path for path in files if file_type(path) != "log" or path in own)
 
     def _check(self, paths: Iterable[str]) -> None:
         for path in paths:
@@ -252,7 +243,6 @@ class _Measured(PassingRecorder):
 
     def __init__(self, sink: Recorder) -> None:
         super().__init__(sink)
-        self.sink = sink
         self.steps = 0
         self.end = EndOfRun()
         self._warnings = DistinctWarnings()
