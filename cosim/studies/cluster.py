@@ -292,10 +292,10 @@ def connected(scheduler: str | Client) -> Iterator[Client]:
     """
     library = distributed()
     if isinstance(scheduler, library.Client):
-        if scheduler.asynchronous:
+        if scheduler.asynchronous or scheduler.status != "running":
             raise UsageError(
-                f"{option('scheduler')}: expected a synchronous client, such as "
-                "distributed.Client(address), got one that is asynchronous"
+                f"{option('scheduler')}: expected a connected synchronous client, such as "
+                f"distributed.Client(address), got {scheduler!r}"
             )
         yield scheduler
         return

@@ -48,7 +48,7 @@ from cosim.temporary import without_folders
 
 CODE: Final = "code of "  # before the name of a class of users
 _OPEN_LOGS: Final = 4  # whose rows may be in memory
-_BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
+BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
 _SHOWN: Final = 12  # characters of a SHA-256
 
 
@@ -304,5 +304,5 @@ def _codes(experiment: Experiment) -> dict[str, str]:
 def _in_short_blocks(experiment: Experiment) -> Experiment:
     if experiment.until is not None:  # how far a run looks ahead for its end is its own affair
         return experiment
-    steps = max(1, _BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
+    steps = max(1, BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
     return replace(experiment, clock=replace(experiment.clock, block=steps))

@@ -25,8 +25,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from cosim.studies.members.runner import BLOCK_BYTES
-
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
@@ -35,6 +33,7 @@ from cosim.core.recording import Plan
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.studies.measuring import MetricRecorder
+from cosim.studies.members import BLOCK_BYTES
 from cosim.studies.metrics import parse_metrics
 from tests.bench.masters.core_systems import without_identifier
 
