@@ -1,6 +1,6 @@
 """Members on the workers of dask.distributed, each in a process beside its worker.
 
-A worker is admitted when it computes with what this machine does and builds a member. Files that it
+A worker is used when it computes with what this machine does and builds a member. Files that it
 misses are sent to it, in one archive. A task is a second of members; two for each thread are on
 their way, so that the scheduler holds as much for a million members as for a thousand.
 """
@@ -8,11 +8,13 @@ their way, so that the scheduler holds as much for a million members as for a th
 from __future__ import annotations
 
 import io
+import json
+import os
+import pickle
 import platform
 import re
 import secrets
 import shutil
-import threading
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,11 +22,12 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
+from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, final
 
 from cosim.digests import sha256_of, source_digest
 from cosim.errors import CosimError, RunError, UsageError, listing, option, quoted, shortened
@@ -47,17 +50,7 @@ _CONNECTING: Final = 5.0  # [s]
 _FETCHING: Final = 5.0  # [s] for a result; its worker may have died with it
 _LOOK: Final = 1.0  # [s] between looks at the workers
 
-
-@dataclass(frozen=True)
-class ClusterStudy:
-    """What a worker has to know of a study: a member that can be built, files by SHA-256, ..."""
-
-    subject: StudySubject
-    trial: StudyMember
-    files: Mapping[str, str]
-    timeout: float | None
-    environment: Mapping[str, str]  # where it was planned
-    name: str = field(default_factory=lambda: secrets.token_hex(6))
+_Plain = TypeVar("_Plain", StudyMember, StudySubject)
 
 
 @final
@@ -90,20 +83,19 @@ class ClusterExecutor:
         self._scheduler = scheduler
         codes = {name: digest for name, digest in subject.digests.items() if CODE in name}
         own = replace(subject, digests={**files, **codes})
-        self._study = ClusterStudy(own, trial, files, timeout, environment())
+        self._study = _Site(own, trial, files, timeout)
+        self._environment = environment()
         self._notice = notice
         self._resources = ExitStack()
         self._threads: dict[str, int] = {}  # of the workers that are used
-        self._asked: dict[str, Future] = {}  # of those that may be
         self._excluded: dict[str, str] = {}  # why others are not
-        self._waits_since: float | None = None
         self._next_look = 0.0
         self._seconds = 0.0  # of a member
 
     def __enter__(self) -> Self:
         self._client = self._resources.enter_context(connected(self._scheduler))
         try:
-            _check_scheduler(self._client, self._study.environment)
+            _check_scheduler(self._client, self._environment)
         except BaseException:
             self._resources.close()
             raise
@@ -111,9 +103,7 @@ class ClusterExecutor:
 
     def __exit__(self, *error: object) -> None:
         with uninterrupted(), self._resources, suppress(OSError, RuntimeError):
-            if self._threads:
-                workers = list(self._threads)
-                self._client.run(_close, self._study.name, workers=workers, on_error="ignore")
+            self._client.run(_close, self._study.name, on_error="ignore")
 
     def run(self, members: Iterable[StudyMember]) -> Iterator[tuple[StudyMember, MemberOutcome]]:
         """Yield members with their outcomes, as they come.
@@ -126,140 +116,113 @@ class ClusterExecutor:
             If workers or the scheduler are lost, or dask gives tasks up.
         """
         waiting = iter(members)
-        again: deque[list[StudyMember]] = deque()
-        running: dict[Future, tuple[list[StudyMember], set[str]]] = {}
+        again: deque[Sequence[StudyMember]] = deque()
+        running: dict[Future, tuple[Sequence[StudyMember], set[str]]] = {}  # on one of the workers
         done: SimpleQueue[Future] = SimpleQueue()
-        given_up: list[StudyMember] = []
+        given_up: list[int] = []
         try:
             while True:
-                self._look(wait=not running)
+                self._look()
+                again += self._stranded(running)
                 while len(running) < _PER_THREAD * sum(self._threads.values()):
                     part = again.popleft() if again else list(islice(waiting, self._size))
                     if not part:
                         break
-                    future = self._submit(_run_part, self._study, part, workers=[*self._threads])
-                    running[future] = part, set(self._threads)
+                    workers = set(self._threads)
+                    future = self._call(
+                        "submit", _run_part, self._study.name, part, workers=workers, pure=False
+                    )
+                    running[future] = part, workers
                     future.add_done_callback(done.put)
-                if not running and self._threads:
+                if not running:
                     break
                 try:
                     future = done.get(timeout=_LOOK)
                     part, _ = running.pop(future)
                 except (Empty, KeyError):
-                    again += self._stranded(running)
                     continue
                 outcomes = self._outcomes(future, part)
-                if outcomes:
-                    yield from zip(part, outcomes, strict=True)
-                elif future.status == "error":
-                    given_up += part
-                else:  # its worker died with the result
+                yield from zip(part, outcomes, strict=bool(outcomes))
+                if future.status == "error":
+                    given_up += [member.number for member in part]
+                elif not outcomes:
                     again.append(part)
         finally:
-            if running:
-                with uninterrupted(), suppress(OSError, RuntimeError):
-                    self._client.cancel(list(running), force=True)
+            running.clear()  # dask cancels what nobody waits for
         if given_up:
-            numbers = listing(list(map(str, sorted(member.number for member in given_up))), 10)
+            numbers = listing(list(map(str, sorted(given_up))), 10)
             raise RunError(
                 f"dask gave up members {numbers}: every worker that ran them died; run the same "
                 "study again to continue from its dataset"
             )
 
-    def _outcomes(self, future: Future, part: Sequence[StudyMember]) -> list[MemberOutcome]:
-        """Return the outcomes of a task; none: its workers died."""
-        library = distributed()
-        outcomes: list[MemberOutcome] = []
-        try:
-            seconds, outcomes = future.result(timeout=_FETCHING)
-            self._seconds = max(seconds / len(part), 1e-6)
-        except (library.CancelledError, TimeoutError, OSError) as error:
-            if self._client.status != "running":
-                raise self._lost() from error
-        except library.KilledWorker:
-            pass
-        except CosimError:
-            raise
-        except Exception as error:
-            numbers = f"{part[0].number} to {part[-1].number}"
-            raise RunError(f"members {numbers}: {type(error).__name__}: {error}") from error
-        return outcomes
+    def _stranded(
+        self, running: dict[Future, tuple[Sequence[StudyMember], set[str]]]
+    ) -> Iterator[Sequence[StudyMember]]:
+        """Take back tasks that no worker is left for; yield their members."""
+        for future, (part, workers) in [*running.items()]:
+            if not workers & self._threads.keys() and future.status == "pending":
+                del running[future]
+                yield part
 
     @property
     def _size(self) -> int:
         """How many members the next task has: the first ones tell how long they take."""
         return min(MOST, max(1, int(_SECONDS / self._seconds))) if self._seconds else 1
 
-    def _submit(self, function: Callable[..., Any], *values: Any, workers: list[str]) -> Future:
+    def _outcomes(self, future: Future, part: Sequence[StudyMember]) -> list[MemberOutcome]:
+        """Return the outcomes of a task; none: its worker died with them, or cannot run it."""
+        library = distributed()
         try:
-            return self._client.submit(function, *values, workers=workers, pure=False)
-        except (OSError, RuntimeError) as error:
-            raise self._lost() from error
+            result = future.result(timeout=_FETCHING)
+        except (TimeoutError, OSError, library.CancelledError, library.KilledWorker):
+            return []
+        except CosimError:
+            raise
+        except Exception as error:
+            numbers = f"{part[0].number} to {part[-1].number}"
+            raise RunError(f"members {numbers}: {type(error).__name__}: {error}") from error
+        if isinstance(result, str):
+            for address in self._call("who_has", [future])[future.key]:
+                self._exclude({address: result})
+            return []
+        seconds, outcomes = result
+        self._seconds = max(seconds / len(part), 1e-6)
+        return list(outcomes)
 
-    def _stranded(
-        self, running: dict[Future, tuple[list[StudyMember], set[str]]]
-    ) -> Iterator[list[StudyMember]]:
-        """Yield the members of tasks that no worker is left for."""
-        for future, (part, workers) in list(running.items()):
-            if not workers & self._threads.keys() and future.status != "error":
-                del running[future]
-                self._client.cancel([future], force=True)
-                yield part
-
-    def _look(self, *, wait: bool) -> None:
-        """Take notice of workers that came and went; wait for one if none is left."""
-        while monotonic() >= self._next_look or (wait and not self._threads):
-            try:
-                present: dict[str, int] = dict(self._client.nthreads())
-                known = self._threads.keys() | self._excluded.keys() | self._asked.keys()
-                self._ask(sorted(present.keys() - known))
-            except (OSError, RuntimeError) as error:
-                raise self._lost() from error
+    def _look(self) -> None:
+        """Take notice of workers that came and went; wait for one if there is none to use."""
+        while not self._threads or monotonic() >= self._next_look:
+            present: dict[str, int] = dict(self._call("nthreads"))
             for address in sorted(self._threads.keys() - present.keys()):
                 del self._threads[address]
                 self._notice(f"worker {address} is gone; {len(self._threads)} left")
             self._excluded = {a: why for a, why in self._excluded.items() if a in present}
-            self._asked = {a: future for a, future in self._asked.items() if a in present}
-            for address, future in [*self._asked.items()]:
-                if future.status != "pending":
-                    del self._asked[address]
-                    self._take(address, present[address], _problem(future))
+            new = sorted(present.keys() - self._threads.keys() - self._excluded.keys())
+            if new:
+                self._exclude(self._problems(new))
+                self._threads |= {a: present[a] for a in new if a not in self._excluded}
+            if not self._threads:
+                self._wait(len(present))
             self._next_look = monotonic() + _LOOK
-            if self._threads:
-                self._waits_since = None
-                return
-            if not self._asked:
-                self._be_patient()
-            threading.Event().wait(0.1)
 
-    def _ask(self, addresses: Sequence[str]) -> None:
-        """Ask workers whether they can run the study, while others run it."""
-        if not addresses:
-            return
-        # not by a task, which a worker without cosim cannot read, and never answers
-        found = self._client.run(environment, workers=list(addresses), on_error="return")
-        for address, own in found.items():
-            problem = f"{type(own).__name__}: {own}"
-            if isinstance(own, dict):
-                problem = _differences(self._study.environment, own)
-            if problem:
-                self._take(address, 0, problem)
-            else:
-                self._asked[address] = self._submit(_admit, self._study, None, workers=[address])
-
-    def _take(self, address: str, threads: int, problem: str) -> None:
-        """Use a worker, or exclude it, or send it the files that it lacks."""
-        if problem == _LACKS_FILES:
-            try:  # not as an argument: the scheduler would keep it with the task
-                files = self._client.scatter(self._archive, workers=[address])
-            except (OSError, RuntimeError) as error:
-                raise self._lost() from error
-            self._asked[address] = self._submit(_admit, self._study, files, workers=[address])
-        elif problem:
-            self._excluded[address] = problem
-            self._notice(f"worker {address} is not used: {problem}")
-        else:
-            self._threads[address] = threads
+    def _problems(self, workers: Sequence[str], archive: bytes | None = None) -> dict[str, str]:
+        """Let workers prepare for the study; return why they cannot by address, or nothing."""
+        # not by tasks, which a worker without cosim cannot read, and never answers
+        found = self._call(
+            "run",
+            _prepare,
+            self._environment,
+            pickle.dumps(self._study),
+            archive,
+            workers=workers,
+            on_error="return",
+        )
+        problems = {
+            a: p if isinstance(p, str) else f"{type(p).__name__}: {p}" for a, p in found.items()
+        }
+        lacking = [address for address, problem in problems.items() if problem == _LACKS_FILES]
+        return problems | (self._problems(lacking, self._archive) if lacking else {})
 
     @cached_property
     def _archive(self) -> bytes:
@@ -269,33 +232,39 @@ class ClusterExecutor:
                 archive.write(file, file.lstrip("/"))
         return content.getvalue()
 
-    def _be_patient(self) -> None:
+    def _exclude(self, problems: Mapping[str, str]) -> None:
+        """Use workers with a problem no more."""
+        for address, problem in problems.items():
+            self._threads.pop(address, None)
+            if problem and address not in self._excluded:
+                self._excluded[address] = problem
+                self._notice(f"worker {address} is not used: {problem}")
+
+    def _wait(self, present: int) -> None:
+        """Wait for another worker than those that are there."""
         reasons = [f"{address}: {reason}" for address, reason in self._excluded.items()]
         lack = "the scheduler has no workers"
         if reasons:
             lack = f"no worker can run the study: {listing(reasons, 3)}"
-        if self._waits_since is None:
-            self._waits_since = monotonic()
-            self._notice(f"{lack}; waiting {PATIENCE:g} s for a suitable worker")
-        if monotonic() >= self._waits_since + PATIENCE:
+        self._notice(f"{lack}; waiting {PATIENCE:g} s for a suitable worker")
+        try:
+            self._client.wait_for_workers(present + 1, timeout=PATIENCE)
+        except TimeoutError as error:
             kind = UsageError if reasons else RunError
             raise kind(
                 f"{lack}; none joined within {PATIENCE:g} s: start some ('dask worker ADDRESS') "
                 "and run the study again"
-            )
+            ) from error
 
-    def _lost(self) -> RunError:
-        return RunError(
-            "the connection to the scheduler of dask was lost; run the same study again to "
-            "continue from its dataset"
-        )
-
-
-def _problem(admission: Future) -> str:
-    try:
-        return str(admission.result(timeout=_FETCHING))
-    except Exception as error:  # whatever a worker raises
-        return f"{type(error).__name__}: {error}"
+    def _call(self, method: str, *values: Any, **options: Any) -> Any:
+        """Call a method of the client."""
+        try:
+            return getattr(self._client, method)(*values, **options)
+        except (OSError, RuntimeError) as error:
+            raise RunError(
+                "the connection to the scheduler of dask was lost; run the same study again to "
+                "continue from its dataset"
+            ) from error
 
 
 # --- the connection ---
@@ -324,10 +293,9 @@ def connected(scheduler: str | Client) -> Iterator[Client]:
     library = distributed()
     if isinstance(scheduler, library.Client):
         if scheduler.asynchronous or scheduler.status != "running":
-            kind = "asynchronous" if scheduler.asynchronous else scheduler.status
             raise UsageError(
                 f"{option('scheduler')}: expected a connected synchronous client, such as "
-                f"distributed.Client(address), got one that is {kind}"
+                f"distributed.Client(address), got {scheduler!r}"
             )
         yield scheduler
         return
@@ -349,29 +317,26 @@ def connected(scheduler: str | Client) -> Iterator[Client]:
 
 def environment() -> dict[str, str]:
     """Return what a process computes with."""
-    from numpy import __version__ as numpy_version
-    from scipy import __version__ as scipy_version
-
     return {
-        "Python": ".".join(platform.python_version_tuple()[:2]),
+        "Python": platform.python_version().rpartition(".")[0],
         "cosim": f"{__version__} {source_digest()}",
-        "numpy": numpy_version,
-        "scipy": scipy_version,
+        **{name: version(name) for name in ("numpy", "scipy")},
         "system": f"{platforms.SYSTEM} {platforms.ARCHITECTURE}",
     }
 
 
-def _differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
+def _differences(expected: Mapping[str, str]) -> str:
+    """Return what this process computes with, and should not."""
+    found = environment()
     names = [name for name in expected if expected[name] != found[name]]
     return "; ".join(f"expected {n} {expected[n]}, got {found[n]}" for n in names)
 
 
 def _check_scheduler(client: Client, own: Mapping[str, str]) -> None:
     """Check that a scheduler can read the tasks of a study."""
-    names = ("Python", "cosim")
+    needed = {name: own[name] for name in ("Python", "cosim")}
     try:
-        found = client.run_on_scheduler(environment)
-        problem = _differences({name: own[name] for name in names}, found)
+        problem = client.run_on_scheduler(_differences, needed)
     except Exception as error:  # whatever its Python raises, such as an ImportError
         problem = f"{type(error).__name__}: {error}"
     if problem:
@@ -384,115 +349,114 @@ def _check_scheduler(client: Client, own: Mapping[str, str]) -> None:
 # --- in a worker of dask ---
 
 _LACKS_FILES: Final = "files are missing"
-_roots: dict[str, str] = {}  # by study: where copies of its files are; empty: as planned
-_executors: dict[tuple[str, int], tuple[LocalExecutor, threading.Lock]] = {}  # by thread, too
+_sites: dict[str, _Site] = {}  # by study
 
 
-def _admit(study: ClusterStudy, files: bytes | None) -> str:
-    """Return why this worker cannot run a study; empty: it can."""
-    root = ""
-    if not all(_has(path, digest) for path, digest in study.files.items()):
-        if files is None:
-            return _LACKS_FILES
-        folder = Path(distributed().get_worker().local_directory)
-        root = str(folder.absolute() / f"cosim-{study.name}")
-        with zipfile.ZipFile(io.BytesIO(files)) as archive:
-            archive.extractall(root)
-        _name_copies(study, root)
-    _roots[study.name] = root
-    with _executor(study) as executor:
-        trial = _moved_member(study, study.trial)
-        ((_, found),) = executor.run([trial], inspect_member)
-    problem = found.reason if isinstance(found, MemberOutcome) else found.refused
-    return problem.replace(root, "") if root else problem
+@dataclass
+class _Site:
+    """A study at a worker of dask: what it has to know of it, and what it has there."""
+
+    subject: StudySubject
+    trial: StudyMember
+    files: Mapping[str, str]
+    timeout: float | None
+    name: str = field(default_factory=lambda: f"cosim-{secrets.token_hex(6)}")
+    root: str = ""  # folder with copies of the files; empty: they are as planned
+    problem: str | None = None  # None: nobody knows whether there is one
+    parts: list[Sequence[StudyMember]] = field(default_factory=list)  # that are run
+
+    def open(self) -> None:
+        """Prepare to run members."""
+        subject = self._moved(self.subject)
+        if self.root and self.subject.scenario in self.files:  # it may name others absolutely
+            path = Path(subject.scenario)
+            path.write_text(self._with_copies(path.read_text("utf-8")), "utf-8")
+            digests = {**subject.digests, subject.scenario: sha256_of(path)}
+            subject = replace(subject, digests=digests)
+        self._executor = LocalExecutor(subject, 1, timeout=self.timeout).__enter__()
+
+    def run(self, part: Sequence[StudyMember]) -> str | tuple[float, list[MemberOutcome]]:
+        """Return wall time [s] and outcomes of members; or why they cannot be built here."""
+        self.parts.append(part)
+        try:
+            if self.problem is None:
+                self.problem = self._try()
+            if self.problem:
+                return self.problem
+            began = monotonic()
+            outcomes = {}
+            for member, one in self._executor.run(map(self._moved, part)):
+                reason, *warnings = (t.replace(self.root, "") for t in (one.reason, *one.warnings))
+                outcomes[member.number] = replace(one, reason=reason, warnings=warnings)
+            return monotonic() - began, [outcomes[member.number] for member in part]
+        finally:
+            self.parts.pop()
+            if self.name not in _sites:
+                self.close()
+
+    def _try(self) -> str:
+        try:
+            ((_, found),) = self._executor.run([self._moved(self.trial)], inspect_member)
+        except CosimError as error:
+            problem = str(error)
+        else:
+            problem = found.reason if isinstance(found, MemberOutcome) else found.refused
+        return problem.replace(self.root, "")
+
+    def close(self) -> None:
+        """End the children, and remove the copies; the last part that is at work does so."""
+        self._executor.stop()
+        if not self.parts:
+            self._executor.__exit__(None)
+            if self.root:
+                shutil.rmtree(self.root, ignore_errors=True)
+
+    def _moved(self, value: _Plain) -> _Plain:
+        """Return a subject or a member with the paths of copies."""
+        if not self.root:
+            return value
+        text = json.dumps(asdict(value), ensure_ascii=False)
+        return type(value)(**json.loads(self._with_copies(text)))
+
+    def _with_copies(self, text: str) -> str:
+        """Return JSON or TOML with the paths of copies instead of those of the files."""
+        for quote in "\"'":
+            text = re.sub(
+                f"(?<={quote})[^{quote}#\n]+(?=[{quote}#])",
+                lambda found: f"{self.root * (found[0] in self.files)}{found[0]}",
+                text,
+            )
+        return text
 
 
-def _run_part(
-    study: ClusterStudy, members: Sequence[StudyMember]
-) -> tuple[float, list[MemberOutcome]]:
-    """Run members; return the wall time that they took together [s], and their outcomes."""
-    began = monotonic()
-    with _executor(study) as executor:
-        moved = (_moved_member(study, member) for member in members)
-        outcomes: dict[int, MemberOutcome] = {m.number: o for m, o in executor.run(moved)}
-    root = _roots[study.name]
-    if root:
-        for number, outcome in outcomes.items():
-            warnings = [text.replace(root, "") for text in outcome.warnings]
-            reason = outcome.reason.replace(root, "")
-            outcomes[number] = replace(outcome, reason=reason, warnings=warnings)
-    return monotonic() - began, [outcomes[member.number] for member in members]
+def _prepare(
+    expected: Mapping[str, str], content: bytes, archive: bytes | None, dask_worker: Any
+) -> str:
+    """Return why this worker cannot run a study, as far as is known without foreign code."""
+    problem = _differences(expected)
+    if problem:
+        return problem
+    site: _Site = pickle.loads(content)
+    if site.name in _sites:
+        return ""
+    if archive is not None:
+        site.root = os.path.abspath(os.path.join(dask_worker.local_directory, site.name))
+        zipfile.ZipFile(io.BytesIO(archive)).extractall(site.root)
+    elif not all(os.path.isfile(f) and sha256_of(f) == h for f, h in site.files.items()):
+        return _LACKS_FILES
+    site.open()
+    _sites[site.name] = site
+    return ""
+
+
+def _run_part(name: str, members: Sequence[StudyMember]) -> str | tuple[float, list[MemberOutcome]]:
+    """Run members; a worker that has been started anew has to be prepared again: nothing."""
+    site = _sites.get(name)
+    return "" if site is None else site.run(members)
 
 
 def _close(name: str) -> None:
     """End the children of a study, and remove the copies of its files."""
-    executors = [_executors.pop(key) for key in [*_executors] if key[0] == name]
-    root = _roots.pop(name, "")
-
-    def end() -> None:
-        for executor, lock in executors:
-            executor.stop()
-            with lock:
-                executor.__exit__(None)
-        if root:
-            shutil.rmtree(root, ignore_errors=True)
-
-    threading.Thread(target=end).start()  # as the worker answers its scheduler meanwhile
-
-
-@contextmanager
-def _executor(study: ClusterStudy) -> Iterator[LocalExecutor]:
-    """Have what runs the members of a study beside this thread, which nobody closes meanwhile."""
-    key = study.name, threading.get_ident()
-    if key not in _executors:
-        subject = study.subject
-        root = _roots[study.name]
-        if root:
-            subject = StudySubject(**_moved(asdict(subject), study.files, root))
-            if subject.scenario in subject.digests:
-                digests = {**subject.digests, subject.scenario: sha256_of(subject.scenario)}
-                subject = replace(subject, digests=digests)
-        executor = LocalExecutor(subject, 1, timeout=study.timeout)
-        _executors[key] = executor.__enter__(), threading.Lock()
-    executor, lock = _executors[key]
-    with lock:
-        yield executor
-
-
-def _has(path: str, digest: str) -> bool:
-    try:
-        return sha256_of(path) == digest
-    except OSError:
-        return False
-
-
-def _moved_member(study: ClusterStudy, member: StudyMember) -> StudyMember:
-    root = _roots[study.name]
-    return StudyMember(**_moved(asdict(member), study.files, root)) if root else member
-
-
-def _moved(value: Any, files: Mapping[str, str], root: str) -> Any:
-    """Return a value with the paths of copies instead of those of the files."""
-    match value:
-        case str():
-            path, mark, rest = value.partition("#")
-            return root + path + mark + rest if path in files else value
-        case Mapping():
-            return {
-                _moved(key, files, root): _moved(item, files, root) for key, item in value.items()
-            }
-        case list() | tuple():
-            return [_moved(item, files, root) for item in value]
-    return value
-
-
-def _name_copies(study: ClusterStudy, root: str) -> None:
-    """Let the copy of a scenario name the copies of files that it names by absolute paths."""
-    if study.subject.scenario not in study.files:
-        return
-    scenario = Path(_moved(study.subject.scenario, study.files, root))
-    text = scenario.read_text(encoding="utf-8")
-    for path in study.files:
-        copy = root + path
-        text = re.sub(f"(?<=[\"']){re.escape(path)}(?=[\"'#])", copy, text)
-    scenario.write_text(text, encoding="utf-8")
+    site = _sites.pop(name, None)
+    if site is not None:
+        site.close()

@@ -84,9 +84,6 @@ class MemberOutcome:
     warnings: Sequence[str] = ()
 
 
-MemberResult: TypeAlias = tuple[StudyMember, MemberOutcome]  # what was run, and what it came to
-
-
 @dataclass(frozen=True, slots=True)
 class StudySubject:
     """What all members of a study have in common.

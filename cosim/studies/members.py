@@ -23,7 +23,6 @@ from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError, Interrupted, UsageError
 from cosim.files import file_type
 from cosim.fmi.unpacked import UnpackedFmus
-from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
@@ -52,7 +51,7 @@ if TYPE_CHECKING:
 
 CODE: Final = "code of "  # before the name of a class of users
 _OPEN_LOGS: Final = 4  # whose rows may be in memory
-_BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
+BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
 _SWAPS: Final = 16  # whose comparison is kept
 _SHOWN: Final = 12  # characters of a SHA-256
 
@@ -117,12 +116,12 @@ class OpenedSubject:
         finally:  # also where it cannot be read any more
             self._check([subject.scenario] if subject.scenario in self._expected else [])
         self._fmus = UnpackedFmus(self._digests)
-        self._logs: dict[str, Log] = {}
+        self._log = lru_cache(_OPEN_LOGS)(open_joined)
         self._compared = lru_cache(_SWAPS)(self._compare)
 
     def close(self) -> None:
         """Close logs, unload FMUs."""
-        self._logs.clear()
+        self._log.cache_clear()
         self._fmus.close()
 
     def run(
@@ -144,17 +143,15 @@ class OpenedSubject:
             status = FAILED
             reason = without_folders(error_text(error), "fmu")
             values = dict.fromkeys(self.subject.metrics)
-        seconds = perf_counter() - began
-        worker = f"{platform.node()}:{os.getpid()}"
         return MemberOutcome(
             member.number,
             status,
             reason,
             measured.steps,
             values,
-            seconds,
-            worker,
-            measured.warnings,
+            wall_time=perf_counter() - began,
+            worker=f"{platform.node()}:{os.getpid()}",
+            warnings=measured.warnings,
         )
 
     def _run(
@@ -165,15 +162,18 @@ class OpenedSubject:
             experiment = self._experiment(member, resources)
             read = self._read(experiment, member)
             self._check(read)
+            results: dict[str, MetricValue] = {}
             if out is None and not self.subject.with_results:  # verdicts are of a log
                 run_rows(measured, _in_short_blocks(experiment))
-                results = {}
             else:
-                target = Target(out, force=out is not None)
                 recording = record(
-                    experiment, target, progress=None, beside=lambda r: TwoRecorders(r, measured)
+                    experiment,
+                    Target(out, force=out is not None),
+                    progress=None,
+                    beside=lambda recorder: TwoRecorders(recorder, measured),
                 )
-                results = results_of(summarize(recording)) if self.subject.with_results else {}
+                if self.subject.with_results:
+                    results |= results_of(summarize(recording))
             self._check(read)  # one may have changed meanwhile
         return results
 
@@ -223,13 +223,6 @@ class OpenedSubject:
             return None
         return None if reports.refusals else reports
 
-    def _log(self, path: str) -> Log:
-        if path not in self._logs:
-            while len(self._logs) >= _OPEN_LOGS:
-                del self._logs[next(iter(self._logs))]
-            self._logs[path] = open_joined(path)
-        return self._logs[path]
-
     def _read(self, experiment: Experiment, member: StudyMember) -> list[str]:
         """Return what a member reads; what was not known has to stay as it is now."""
         if not self._expected:
@@ -246,11 +239,8 @@ class OpenedSubject:
     def _check_all(self, member: StudyMember) -> None:
         """Check all files, but for the logs of other members: they are many, and large."""
         own = _parts(member)
-        self._check(
-            path
-            for path in self._expected
-            if not path.startswith(CODE) and (file_type(path) != "log" or path in own)
-        )
+        files = [path for path in self._expected if not path.startswith(CODE)]
+        self._check(path for path in files if file_type(path) != "log" or path in own)
 
     def _check(self, paths: Iterable[str]) -> None:
         for path in paths:
@@ -271,7 +261,6 @@ class _Measured(PassingRecorder):
 
     def __init__(self, sink: Recorder) -> None:
         super().__init__(sink)
-        self.sink = sink
         self.steps = 0
         self.end = EndOfRun()
         self._warnings = DistinctWarnings()
@@ -333,5 +322,5 @@ def _codes(experiment: Experiment) -> dict[str, str]:
 def _in_short_blocks(experiment: Experiment) -> Experiment:
     if experiment.until is not None:  # how far a run looks ahead for its end is its own affair
         return experiment
-    steps = max(1, _BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
+    steps = max(1, BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
     return replace(experiment, clock=replace(experiment.clock, block=steps))

@@ -1,16 +1,19 @@
 """A worker: a child process that does what its parent asks, one thing after the other.
 
-Both write pickled values to one socket, each behind a mark and its length. The first has where to
-import from, the second the subject; each further one a function and a member of it.
+The parent writes pickles to a socket: where to import from, the subject, then functions and members
+of it, in pairs. What comes of opening the subject and of each pair goes back behind a mark and its
+length, by which the parent tells it from what foreign code writes there.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
+import socket
 import struct
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 from cosim.errors import ChangedFileError, CosimError, RunError, UsageError
@@ -24,77 +27,50 @@ LOST: Final = "lost"  # with a reason: the member ended, or would have ended, th
 REFUSED: Final = "refused"  # with a class of error and its text: nothing can be run
 
 
-def packed(value: object) -> bytes:
-    """Return a value as it goes through the socket."""
-    content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
-    return HEAD.pack(MARK, len(content)) + content
-
-
 def answer(work: Callable[[], Any]) -> bytes:
     """Do some work; return what there is to say of it, as it goes through the socket."""
     try:
-        return packed((DONE, work()))
+        return _packed(DONE, work())
     except ChangedFileError as error:  # the parent adds the way out, in its language
-        return packed((REFUSED, ChangedFileError, error.problem))
+        return _packed(REFUSED, ChangedFileError, error.problem)
     except CosimError as error:
-        return packed((REFUSED, UsageError if error.exit_code == 2 else RunError, str(error)))
+        return _packed(REFUSED, UsageError if error.exit_code == 2 else RunError, str(error))
     except SystemExit as error:
-        code = error.code
-        return packed(
-            (LOST, describe_exit(code if isinstance(code, int) else int(code is not None)))
-        )
+        code = error.code if isinstance(error.code, int) else int(error.code is not None)
+        return _packed(LOST, describe_exit(code))
     except BaseException as error:
-        return packed((LOST, f"{type(error).__name__}: {error}".removesuffix(": ")))
+        return _packed(LOST, f"{type(error).__name__}: {error}".removesuffix(": "))
 
 
-def serve(socket: int) -> None:
+def _packed(*reply: Any) -> bytes:
+    content = pickle.dumps(reply, pickle.HIGHEST_PROTOCOL)
+    return HEAD.pack(MARK, len(content)) + content
+
+
+def serve(parent: socket.socket) -> None:
     """Answer requests until the socket is closed."""
-    sys.path[:] = pickle.loads(_read_packed(socket))
+    requests = parent.makefile("rb")
+    sys.path[:] = pickle.load(requests)
     from cosim.studies import members
 
-    content = _read_packed(socket)
-    opened: list[members.OpenedSubject] = []
-    _write(socket, answer(lambda: opened.append(members.opened(pickle.loads(content)))))
+    subject = pickle.load(requests)
+    parent.sendall(answer(lambda: bool(members.opened(subject))))
     try:
         while True:
-            request = _read_packed(socket)
-
-            def work(request: bytes = request) -> Any:
-                function, member = pickle.loads(request)
-                return function(opened[0].subject, member)
-
-            _write(socket, answer(work))
+            function, member = pickle.load(requests)
+            parent.sendall(answer(partial(function, subject, member)))
     finally:
         members.close()
 
 
-def _read_packed(socket: int) -> bytes:
-    return _read(socket, HEAD.unpack(_read(socket, HEAD.size))[1])
-
-
-def _read(socket: int, count: int) -> bytes:
-    data = bytearray()
-    while len(data) < count:
-        part = os.read(socket, count - len(data))
-        if not part:
-            raise EOFError
-        data += part
-    return bytes(data)
-
-
-def _write(socket: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(socket, view) :]
-
-
-def main(socket: int) -> None:
+def main(number: int) -> None:
     """Serve; nothing else is done at the end, as what a member left behind might hang there."""
     end_with_parent()
     leave_no_core()
-    os.set_inheritable(socket, False)  # what a member starts must not keep it open
+    parent = socket.socket(fileno=number)  # what a member starts does not keep it open
+    parent.set_inheritable(False)
     try:
-        serve(socket)
+        serve(parent)
     except (OSError, EOFError):
         os._exit(SOCKET_LOST)
 

@@ -31,7 +31,7 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.members import run_member
-from cosim.studies.worker import DONE, HEAD, LOST, MARK, REFUSED, SOCKET_LOST, packed
+from cosim.studies.worker import DONE, HEAD, MARK, REFUSED, SOCKET_LOST
 from cosim.temporary import TemporaryFolder
 
 VARIABLE: Final = "COSIM_WORKER"  # set in a worker
@@ -46,7 +46,8 @@ _LOOK: Final = 0.25  # [s] between looks at workers that do not answer
 _CLOSING: Final = 1.0  # [s] that a process may take to end once its socket is closed
 _CHUNK: Final = 65536  # bytes that are read at once
 _CRASHED: Final = "crashed"  # with a reason: the process is lost, perhaps by an earlier member
-_HUNG: Final = "hung"  # with nothing
+_HUNG: Final = "hung"  # with a reason
+_AGAIN: Final = object()  # instead of a result: another worker has to do the member
 _Reply: TypeAlias = tuple[Any, ...]  # what came of a request: one of those words, and what it has
 
 
@@ -122,7 +123,7 @@ class LocalExecutor:
         """Yield members with what a function returns of them, as they come.
 
         Members are taken as workers need them. Where the iterator is closed before its end, members
-        that were begun are lost.
+        that were begun are lost. Threads may have iterators of their own, each with its workers.
 
         Parameters
         ----------
@@ -156,22 +157,23 @@ class LocalExecutor:
                     member = again.popleft() if is_fresh else next(waiting, None)
                     if member is None:
                         break
-                    child = self._start() if is_fresh or not self._idle else self._idle.pop()
+                    child = self._child(is_fresh)
                     busy[child] = member
-                    child.ask(packed((function, member)))
+                    child.send(pickle.dumps((function, member)))
                 if done:  # while workers are at work, however long the caller takes
                     yield done.popleft()
                 elif not busy:
                     break
                 wait([child.socket for child in busy], 0.0 if done or not busy else _LOOK)
                 for child in [*busy]:
-                    reply = child.reply(self._limit[0])
+                    reply = child.reply(self._limit)
                     if reply is not None:
                         member = busy.pop(child)
-                        if self._is_lost(child, reply):
+                        result = self._result(child, member, *reply)
+                        if result is _AGAIN:
                             again.append(member)
                         else:
-                            done.append((member, self._result(child, member, reply)))
+                            done.append((member, result))
         finally:
             for child in busy:
                 self._end(child)
@@ -180,62 +182,54 @@ class LocalExecutor:
         """Let what runs members end, soon and without the rest of them; any thread may ask."""
         self._is_stopped = True
 
-    def _is_lost(self, child: _Child, reply: _Reply) -> bool:
-        """Return whether a member has to be done once more, by another worker."""
-        kind, *values = reply
+    @property
+    def _limit(self) -> float:
+        """Wall time after which a member hangs [s]."""
+        if self._timeout is not None:
+            return self._timeout
+        return max(LEAST, FACTOR * max(self._times)) if self._times else UNTIL_TIMED
+
+    def _result(self, child: _Child, member: StudyMember, kind: str, *values: Any) -> Any:
+        """Return what came of a member, and let its worker wait for the next one, or end it."""
         if child.is_open:
             self._lost_openings = 0
-            is_lost = kind == _CRASHED and child.answered > 0
-            if is_lost:
-                self._end(child)
-            return is_lost
-        self._end(child)
-        if kind == REFUSED:
-            raise values[0](values[1])
-        scenario = quoted(self._subject.scenario)
-        if kind == LOST:
-            raise RunError(f"{scenario} cannot be opened: {values[0]}")
-        self._lost_openings += 1
-        if kind == _HUNG or self._lost_openings >= _OPENINGS:
-            times = f", {self._lost_openings} times in a row" if kind == _CRASHED else ""
-            raise RunError(f"the process that opens {scenario} {values[0]}{times}")
-        return True
-
-    def _result(self, child: _Child, member: StudyMember, reply: _Reply) -> Any:
-        """Return what came of a member, and let its worker wait for the next, or end it."""
-        kind, *values = reply
-        if kind in (DONE, REFUSED) and child.answered != self._most:
+        if child.is_open and kind in (DONE, REFUSED) and child.answered != self._most:
             self._idle.append(child)
         else:
-            self._end(child, 0.0 if kind == _HUNG else _ENDING)
+            self._end(child, 0.0 if kind in (_CRASHED, _HUNG) else _ENDING)
         if kind == REFUSED:
-            raise values[0](values[1])
-        if kind == DONE:
-            result = values[0]
-            if isinstance(result, MemberOutcome) and result.status == COMPLETE:
-                self._times = [*self._times, result.wall_time][:FIRST_MEMBERS]
-            return result
-        reason = values[0] + (self._limit[1] if kind == _HUNG else "")
-        seconds = monotonic() - child.began
-        return MemberOutcome(
-            member.number, FAILED, reason=reason, wall_time=seconds, worker=child.name
-        )
+            error_type, text = values
+            raise error_type(text)
+        (result,) = values
+        if kind == _CRASHED and child.answered:
+            return _AGAIN
+        if not child.is_open:
+            self._lost_openings += 1
+            if kind == _CRASHED and self._lost_openings < _OPENINGS:
+                return _AGAIN
+            times = f", {_OPENINGS} times in a row" if kind == _CRASHED else ""
+            raise RunError(f"{quoted(self._subject.scenario)} cannot be opened: {result}{times}")
+        if kind != DONE:
+            if kind == _HUNG and self._timeout is None:
+                result += (
+                    f", the larger of {LEAST:g} s and {FACTOR:g} times the longest of the first "
+                    f"members ({UNTIL_TIMED:g} s for these); set a timeout for another limit"
+                )
+            seconds = monotonic() - child.began
+            return MemberOutcome(
+                member.number, FAILED, result, wall_time=seconds, worker=child.name
+            )
+        if isinstance(result, MemberOutcome) and result.status == COMPLETE:
+            self._times = [*self._times, result.wall_time][:FIRST_MEMBERS]
+        return result
 
-    @property
-    def _limit(self) -> tuple[float, str]:
-        """Wall time after which a member hangs [s], and where it comes from."""
-        if self._timeout is not None:
-            return self._timeout, ""
-        hint = "; set a timeout for another one"
-        if not self._times:
-            return UNTIL_TIMED, f", the limit until a member is completed{hint}"
-        text = f", the larger of {LEAST:g} s and {FACTOR:g} times the longest of the first members"
-        return max(LEAST, FACTOR * max(self._times)), text + hint
-
-    def _start(self) -> _Child:
-        first = packed(list(map(str, sys.path))) + packed(self._subject)
+    def _child(self, is_fresh: bool) -> _Child:
+        """Return a worker that waits, or a new one."""
+        if not is_fresh:
+            with suppress(IndexError):
+                return self._idle.pop()
         with uninterrupted():
-            child = _Child(self._folder.path, first)
+            child = _Child(self._folder.path, self._subject)
             self._children.add(child)
         return child
 
@@ -251,9 +245,9 @@ class LocalExecutor:
 
 @final
 class _Child:
-    """A child process that answers one request after the other, the first of them by opening."""
+    """A child process that opens a subject, then answers one request after the other."""
 
-    def __init__(self, folder: Path, first: bytes) -> None:
+    def __init__(self, folder: Path, subject: StudySubject) -> None:
         self.socket, other = socket.socketpair()
         with other:
             number = other.fileno()
@@ -270,62 +264,58 @@ class _Child:
         self.is_open = False
         self.answered = 0  # requests
         self._received = bytearray()
-        self._send(first)
+        self.send(pickle.dumps(list(map(str, sys.path))) + pickle.dumps(subject))
 
-    def ask(self, request: bytes) -> None:
-        """Send a request, if it is open; else once it is."""
-        self._request = request
-        if self.is_open:
-            self._send(request)
-
-    def _send(self, data: bytes) -> None:
+    def send(self, request: bytes) -> None:
+        """Send a request; until the subject is open it waits in the socket."""
         self.began = monotonic()
         with suppress(OSError):  # it has ended, or hangs: what comes of it says so
             self.socket.settimeout(_OPENING)
-            self.socket.sendall(data)
+            self.socket.sendall(request)
         self.socket.setblocking(False)
 
     def reply(self, limit: float) -> _Reply | None:
         """Return what came of a request that may take so long [s]; None: nothing yet."""
         limit = limit if self.is_open else _OPENING
         has_ended = self.process.poll() is not None  # what it started keeps the socket open
+        part = b""
         try:
             part = self.socket.recv(_CHUNK)
         except BlockingIOError:
-            if has_ended:
-                return self._ended()
-            is_late = monotonic() - self.began > limit
-            return (_HUNG, f"{HANGS}did not end within {limit:g} s") if is_late else None
+            if not has_ended:
+                is_late = monotonic() - self.began > limit
+                return (_HUNG, f"{HANGS}did not end within {limit:g} s") if is_late else None
         except OSError:
-            part = b""
-        if not part:
-            return self._ended()
+            pass
         self._received += part
-        reply = self._unpacked()
-        if reply == (DONE, None) and not self.is_open:
-            self.is_open = True
-            self._send(self._request)
-            return None
-        return reply
+        return self._unpacked() if part else self._ended()
 
     def _unpacked(self) -> _Reply | None:
-        """Return a reply that is there as a whole."""
-        garbled = _CRASHED, "writes into the pipe of its worker process"
+        """Return the reply that is there as a whole; None: nothing but the opening is."""
         received = self._received
+        garbled = _CRASHED, "writes into the pipe of its worker process"
         if not received.startswith(MARK[: len(received)]):
             return garbled
-        if len(received) < HEAD.size or len(received) < HEAD.size + HEAD.unpack_from(received)[1]:
+        end = HEAD.size
+        if len(received) >= end:
+            end += HEAD.unpack_from(received)[1]
+        if len(received) < end:
             return None
         try:
-            reply: _Reply = pickle.loads(received[HEAD.size :])
+            reply: _Reply = pickle.loads(received[HEAD.size : end])
         except Exception:  # whatever was written there
             return garbled
-        received.clear()
-        self.answered += self.is_open
+        del received[:end]
+        if self.is_open:
+            self.answered += 1
+        elif reply[0] == DONE:
+            self.is_open = True
+            self.began = monotonic()
+            return self._unpacked()
         return reply
 
     def _ended(self) -> _Reply:
-        code: int | None = None
+        code = None
         with suppress(subprocess.TimeoutExpired):
             code = self.process.wait(_CLOSING)
         if code is None or code == SOCKET_LOST:

@@ -33,6 +33,7 @@ from cosim.core.recording import Plan
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.studies.measuring import MetricRecorder
+from cosim.studies.members import BLOCK_BYTES
 from cosim.studies.metrics import parse_metrics
 from tests.bench.masters.core_systems import without_identifier
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
-from cosim.studies import dataset
-from tests.studies.dask_processes import cluster
 from tests.studies.in_process import run_members_in_this_process, run_members_in_workers
 
 S3_SERVER = """
@@ -39,12 +36,6 @@ def worker_processes() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def parts_of_ten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let parts of datasets have ten members."""
-    monkeypatch.setattr(dataset, "PART_SIZE", 10)
-
-
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[str]:
     """Serve S3 in a process of its own until its input ends; return the URL."""
@@ -61,41 +52,23 @@ def s3_server() -> Iterator[str]:
         process.stdin.close()
 
 
-@pytest.fixture(scope="session")
-def s3_variables(s3_server: str) -> dict[str, str]:
-    """Return the variables of the environment with which clients find the server."""
-    return {
-        "AWS_ENDPOINT_URL": s3_server,
-        "AWS_ACCESS_KEY_ID": "nobody",
-        "AWS_SECRET_ACCESS_KEY": "nothing",
-        "AWS_DEFAULT_REGION": "us-east-1",
-        "AWS_CONFIG_FILE": "/nonexistent",
-        "AWS_SHARED_CREDENTIALS_FILE": "/nonexistent",
-        "AWS_EC2_METADATA_DISABLED": "true",
-    }
-
-
 @pytest.fixture
-def bucket(s3_variables: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def bucket(s3_server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Return the URL of a bucket, with credentials of nobody."""
     import fsspec
 
-    for name, value in s3_variables.items():
-        monkeypatch.setenv(name, value)
+    for name, value in {
+        "ENDPOINT_URL": s3_server,
+        "ACCESS_KEY_ID": "nobody",
+        "SECRET_ACCESS_KEY": "nothing",
+        "DEFAULT_REGION": "us-east-1",
+        "CONFIG_FILE": "/nonexistent",
+        "SHARED_CREDENTIALS_FILE": "/nonexistent",
+        "EC2_METADATA_DISABLED": "true",
+    }.items():
+        monkeypatch.setenv(f"AWS_{name}", value)
     files = fsspec.filesystem("s3", skip_instance_cache=True)
     if not files.exists("studies"):
         files.mkdir("studies")
     yield "s3://studies"
     fsspec.get_filesystem_class("s3").clear_instance_cache()
-
-
-@pytest.fixture(scope="module")
-def two_workers(
-    tmp_path_factory: pytest.TempPathFactory, s3_variables: dict[str, str]
-) -> Iterator[Any]:
-    """Serve a scheduler of dask with two workers, which find the bucket; nobody ends them.
-
-    For a module: idle, they take a tenth of a processor as long as they are there.
-    """
-    with cluster(tmp_path_factory.mktemp("cluster"), **s3_variables) as processes:
-        yield processes

@@ -19,6 +19,25 @@ SCENARIO = 'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
 SCENARIO += 'u = { kind = "constant", value = 1.0 }\n'
 
 
+def processes():
+    """Return parent and group of each process that is no zombie, by its number."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, *numbers = path.read_text().rpartition(")")[2].split()[:3]
+            if state != "Z":
+                found[int(path.parent.name)] = tuple(map(int, numbers))
+    return found
+
+
+def wait_until(condition):
+    """Wait for at most a minute."""
+    limit = time.monotonic() + 60.0
+    while not condition() and time.monotonic() < limit:
+        time.sleep(0.02)
+    assert condition()
+
+
 def leave_a_process(exit_code, *, session=False):
     """Start one that keeps the files of this one open, perhaps in its own session, and end."""
     if os.fork() == 0:
@@ -98,8 +117,6 @@ def do(subject, member):
         os.abort()
     if "begun" in member.set:
         Path(member.set["begun"], str(os.getpid())).touch()
-    while "until" in member.set and not Path(member.set["until"]).exists():
-        time.sleep(0.01)
     does = member.set.get("does", "nothing")
     poisoned = does == "poison"
     found = DEEDS.get(does, DEEDS["nothing"])()
