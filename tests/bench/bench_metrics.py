@@ -38,7 +38,6 @@ from cosim.studies.metrics import parse_metrics
 from tests.bench.masters.core_systems import without_identifier
 
 ROUNDS = 31
-BLOCK_BYTES = 2**19  # as a study's members have
 TARGET = 0.04
 METRICS = {
     "error": "rms(observer.delta - delta.y, t > 5)",
