@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.errors import UsageError, command, listing, option, quoted
 from cosim.files import file_type
@@ -27,7 +28,7 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember
-from cosim.studies.design import StudyDesign, ValueColumn, edited_scenario, member_of
+from cosim.studies.design import StudyDesign, edited_scenario, member_of
 from cosim.studies.members import MemberSources, OpenedSubject, inspect_member
 from cosim.studies.study_file import STUDY
 from cosim.studies.workers import LocalExecutor
@@ -116,12 +117,13 @@ class _DesignCheck:
     def _chosen(self) -> dict[int, int]:
         """Return the first member with each value, and how it is checked."""
         levels = {0: _RUN}
-        for key, column in self._design.values.items():
-            firsts = [] if key in self._drawn else _firsts(column)[:MOST_CHECKED]
+        free = {*self._drawn, *self._design.layout.noise_seeds}
+        for key, column in self._design.columns.items():
+            firsts = [] if key in free else _firsts(column.values)[:MOST_CHECKED]
             built = np.linspace(0, len(firsts) - 1, min(len(firsts), MOST_BUILT)).astype(int)
             for count, place in enumerate(firsts):
                 level = _BUILT if count in built else _EDITED
-                if isinstance(column.at(place), str) and count < MOST_INSPECTED:
+                if isinstance(column.values[place], str) and count < MOST_INSPECTED:
                     level = _RUN
                 number = place * column.stride
                 levels[number] = max(levels.get(number, level), level)
@@ -131,7 +133,7 @@ class _DesignCheck:
         """Return how many of the samples are refused, if the first or an extreme one is."""
         layout = self._design.layout
         each = layout.seeds * layout.grid
-        draws = [np.asarray(self._design.values[key].values) for key in self._drawn]
+        draws = [self._design.columns[key].values for key in self._drawn]
         extremes = [int(find(values)) for values in draws for find in (np.argmin, np.argmax)]
         first = self._design.member(0)
         is_first = bool(self._problem(first, _RUN))
@@ -235,16 +237,16 @@ class _DesignCheck:
         return self._resources.enter_context(executor)
 
 
-def _firsts(column: ValueColumn) -> list[int]:
-    """Return the first place of each value that is to be checked."""
-    values = column.values
-    if column.indices is not None:
-        return list(map(int, np.unique(column.indices, return_index=True)[1]))
-    if isinstance(values, np.ndarray) and len(values) > MOST_CHECKED:
+def _firsts(values: NDArray[Any]) -> list[int]:
+    """Return the first place of each value that is to be checked; of many numbers, the extremes."""
+    if values.dtype == object:
+        places = {repr(value): place for place, value in reversed([*enumerate(values)])}
+        places.pop("None", None)
+        return sorted(places.values())
+    firsts = np.unique(values, return_index=True)[1]
+    if len(firsts) > MOST_CHECKED:
         return [0, int(values.argmin()), int(values.argmax())]
-    texts = {repr(value): place for place, value in reversed([*enumerate(values)])}
-    texts.pop("None", None)
-    return sorted(texts.values())
+    return sorted(firsts.tolist())
 
 
 def without_key(problem: str, key: str) -> str:

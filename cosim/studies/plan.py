@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import InstanceOf, TypeAdapter, ValidationError
+from pydantic import InstanceOf, TypeAdapter
 
 from cosim.digests import digest_of, sha256_of, source_digest
 from cosim.errors import RunError, UsageError, listing, option
@@ -33,7 +33,7 @@ from cosim.studies.dataset import (
     result_columns,
     scenario_digests,
 )
-from cosim.studies.design import StudyDesign, plain_values, plan_design
+from cosim.studies.design import StudyDesign, plan_design
 from cosim.studies.layout import StudyLayout, count_text
 from cosim.studies.members import MemberSources
 from cosim.studies.metrics import parse_metrics
@@ -100,7 +100,7 @@ class StudyPlan:
             edits = {k: v for k, v in subject.set.items() if not own or not k.startswith(own)}
             common = [edits, dict(subject.swap), dict(subject.map), study.settings.allow_code]
             digests["what all members have"] = digest_of(common)
-        columns = [parameter_column(n, self.design.column(n)) for n in self.design.names]
+        columns = [parameter_column(n, self.design.column(n)) for n in self.design.columns]
         columns += [metric_column(name, text) for name, text in study.metrics.items()]
         columns += result_columns(results, [column.name for column in columns])
         layout = self.design.layout
@@ -135,7 +135,7 @@ def plan_study(study: StudyFile) -> StudyPlan:
     files = scenario_digest(study.subject)
     scenario = load_scenario(study.scenario)
     design = plan_design(study, scenario)
-    last = max(study.kept_logs.numbers, default=0)
+    last = max(study.settings.keep.numbers, default=0)
     if last >= len(design):
         text = f"no member {last}; the study has {len(design)}, numbered from 0"
         raise UsageError(f"{option('keep')}: {text}")
@@ -175,7 +175,7 @@ def plan_members(
 
 def _empty_cells(design: StudyDesign) -> list[str]:
     """Return a notice where a table of cases has empty cells."""
-    columns = [plain_values(column.values) for column in design.cases.values()]
+    columns = [column.values.tolist() for column in design.cases.values()]
     is_empty = np.array([[value is None for value in values] for values in columns])
     if not is_empty.any():
         return []
@@ -312,16 +312,15 @@ class RecordedStudy:
         """
         try:
             described = read_json(text)
-            study, problems = study_of(described.pop("tables"), str(described.pop("source")))
-            problem = "; ".join(text for _, text in problems)
-            if study is not None:
-                return TypeAdapter(cls).validate_python({**described, "study": study})
-        except (ValidationError, ValueError, KeyError, TypeError, AttributeError) as error:
+            study = study_of(described.pop("tables"), str(described.pop("source")))
+            return TypeAdapter(cls).validate_python({**described, "study": study})
+        except (UsageError, ValueError, KeyError, TypeError, AttributeError) as error:
             problem = f"{type(error).__name__}: {error}".replace("\n", " ")
-        raise UsageError(
-            f"the description of the study in the dataset cannot be read by cosim {__version__} "
-            f"({problem}); read it with the version that wrote it, or start the study over"
-        )
+            raise UsageError(
+                "the description of the study in the dataset cannot be read by cosim "
+                f"{__version__} ({problem}); read it with the version that wrote it, or start the "
+                "study over"
+            ) from error
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member alone."""

@@ -137,7 +137,7 @@ timeout, keep, results : optional
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
         _complete(plan, dataset, executor, progress)
         keep_logs(
-            file.kept_logs,
+            file.settings.keep,
             plan.subject,
             plan.design.member,
             dataset,
@@ -216,7 +216,7 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
         else:
             columns = StudyDataset.open(place).columns
     identity = plan.identity(results)
-    check_kept_metric(plan.study.kept_logs, columns or identity.columns)
+    check_kept_metric(plan.study.settings.keep, columns or identity.columns)
     return StudyDataset.open_or_create(place, identity, design=plan.design, new=new)
 
 
@@ -296,7 +296,7 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     outcomes = _timed(plan, _TIMED)
     total = len(plan.design)
     first, last = outcomes[0].wall_time, outcomes[-1]
-    log_bytes = kept_count(plan.study.kept_logs, total)
+    log_bytes = kept_count(plan.study.settings.keep, total)
     log_time = 0.0
     if log_bytes:
         member = plan.design.member(last.number)

@@ -57,7 +57,7 @@ def test_a_file_says_all_of_a_study(write, tmp_path):
     settings = study.settings
     assert (settings.sampling, settings.samples, settings.seed) == ("sobol", 64, 7)
     assert (settings.seeds, settings.timeout) == (2, 30.0)
-    assert study.kept_logs == KeptLogs("worst", 5, "error")
+    assert study.settings.keep == KeptLogs("worst", 5, "error")
     assert [item.key for item in study.variations] == KEYS
     assert study.grid[1] == GridVariation("identifier.P0", (1e3, 1e6))
     assert study.sampled == (SampledVariation("delta.terms[0].theta", "uniform", (-0.2, -0.1)),)
@@ -78,7 +78,7 @@ def test_a_scenario_without_a_study_has_an_empty_one(write):
     for name in ("academic", write(find("academic").text, "mine.toml")):
         study = read_study(name)
         assert (study.name, study.scenario, study.settings.seed) == ("academic", str(name), 0)
-        assert (study.variations, study.kept_logs) == ((), KeptLogs())
+        assert (study.variations, study.settings.keep) == ((), KeptLogs())
         assert study.subject.with_results
     assert os.path.isabs(study.scenario)
 
@@ -150,7 +150,7 @@ def test_options_extend_and_replace(write):
     assert (settings.set["u.amplitude"], settings.set["scenario.stop"]) == (2.0, 1.0)
     assert settings.map == {"plant.y": "out", "plant.x": ["a", "b"]}
     assert (settings.sampling, settings.samples) == ("sobol", 10)
-    assert study.kept_logs == KeptLogs("numbers", numbers=(1, 3))
+    assert study.settings.keep == KeptLogs("numbers", numbers=(1, 3))
     assert not study.subject.with_results
 
 
@@ -173,6 +173,7 @@ OF_ACADEMIC = '[study]\nscenario = "academic"\n'
             [
                 "3: study.samples: .*0",
                 "4: study.sampling: .*'sobl'; did you mean 'sobol'",
+                "5: study.keep: .*'faild'",
                 "7: vary.u.rate.uniform: ",
                 "8: vary.observer.filter_rate: .*got 3",
                 "9: vary.u.amplitude.normal: ",
