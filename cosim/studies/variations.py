@@ -91,11 +91,6 @@ class SampledVariation:
     numbers: tuple[float, ...]
     values: tuple[Any, ...] = ()
 
-    def __str__(self) -> str:
-        is_unbounded = self.numbers[2:] == (-math.inf, math.inf)
-        numbers = self.numbers[:2] if is_unbounded else self.numbers
-        return f"{self.distribution} {quoted(list(numbers))}"
-
 
 Variation: TypeAlias = GridVariation | SampledVariation
 
