@@ -87,14 +87,8 @@ def test_a_study_of_more_samples_begins_with_the_same_members(sampling, samples,
     few = planned(vary=vary, sampling=sampling, seeds=2, seed=9, samples=samples)
     many = planned(vary=vary, sampling=sampling, seeds=2, seed=9, samples=samples + more)
     assert few.members() == many.members(0, len(few))
-
-
-def test_more_seeds_of_a_grid_come_behind_it():
-    """Where there are no samples; and so do values of the first key."""
-    few, more = planned(vary=RATES, seeds=2), planned(vary=RATES, seeds=5)
-    assert more.members(0, len(few)) == few.members()
-    longer = {**RATES, "observer.filter_rate": [100.0, 300.0, 1000.0, 3000.0]}
-    assert planned(vary=longer).members(0, 6) == planned(vary=RATES).members()
+    few, many = planned(vary=RATES, seeds=2), planned(vary=RATES, seeds=2 + more)
+    assert few.members() == many.members(0, len(few))
 
 
 def test_seeds_are_of_a_source_and_a_study(tmp_path):
@@ -136,15 +130,11 @@ def test_saltelli_has_d_plus_two_blocks_with_the_same_noise():
     """A, B, and A with each of its columns from B; their rows have the same noise."""
     vary = {**THETA, "plant.x_a0[0]": {"normal": [1.0, 0.1]}}
     design = planned(vary=vary, sampling="saltelli", samples=8, seeds=2)
-    assert (design.layout.kind, design.layout.parameters, len(design)) == (
-        "saltelli",
-        tuple(vary),
-        4 * 8 * 2,
-    )
-    theta = design.column(KEY).reshape(4, 8, 2)
-    assert (theta[:, :, 0] == theta[:, :, 1]).all()
-    assert (theta[2, :, 0] == theta[1, :, 0]).all(), "AB_1 has its first column from B"
-    assert (theta[3, :, 0] == theta[0, :, 0]).all()
+    assert (design.layout.kind, design.layout.parameters) == ("saltelli", tuple(vary))
+    a, b, a_with_first, a_with_second = design.column(KEY).reshape(4, 8, 2)
+    assert (a[:, 0] == a[:, 1]).all()
+    assert (a_with_first == b).all()
+    assert (a_with_second == a).all()
     seeds = design.column("sensor.seed").reshape(4, 16)
     assert (seeds == seeds[0]).all()
     assert len(set(seeds[0].tolist())) == 16
@@ -180,7 +170,7 @@ def test_a_tolerance_is_relative_to_the_own_value(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(SCENARIO.document.text + '[components.jump]\nkind = "step"\ntime = 5.0\n')
     own = {"delta.terms[1].theta": -0.3, "plant.x_a0[1]": 8.0, "models.academic.A[1][1]": -2.0}
-    own |= {"sensor.noise": 1e-3, "scenario.stop": 40.0, "jump.after": 1.0}
+    own |= {"scenario.stop": 40.0, "jump.after": 1.0}
     vary = {key: {"tolerance": 0.1} for key in own}
     study = read_study(path).with_options(vary=vary, set={"plant.x_a0": [0.0, 8.0]})
     study = study.with_options(samples=200, sampling="latin-hypercube")
@@ -199,16 +189,13 @@ X_A0 = "plant.x_a0"
     [
         (THETA, {}, rf"--samples: .*{KEY[:11]}"),
         ({}, {"samples": 10}, "--samples: .*--seeds"),
-        (THETA, {"samples": 2, "cases": "x.csv"}, rf"--cases .*{KEY[:11]}.*both"),
         ({}, {"replay": "field-*.mcap"}, r"--replay\b.*'.*field-\*.mcap'"),
-        ({**THETA, "delta.terms": [[]]}, {"samples": 2}, r"'delta.terms' .* 'delta.terms\[0\]"),
         ({X_A0: [[0.0]]}, {"set": {f"{X_A0}[1]": 1.0}}, rf"'{X_A0}' .*'{X_A0}\[1\]' .*set"),
         ({"sensor.seed": [1, 2]}, {"seeds": 2}, r"'sensor.seed' .*varied.*seeds"),
         ({"u.rate": {"linear": [1, 2], "points": 100_000}}, {"seeds": 20_000}, "20000 x 100000 ="),
         (THETA, {"sampling": "saltelli", "samples": 100}, "--samples: .*100; .*64 or 128"),
         ({X_A0: {"tolerance": 0.1}}, {"samples": 2}, rf"--vary {X_A0}: .*{X_A0}\[0\]"),
         ({"observer.x_a0[0]": {"tolerance": 0.1}}, {"samples": 2}, "--vary observer.x_a0.* is 0"),
-        ({"plant.x0": {"tolerance": 0.1}}, {"samples": 2}, "--vary plant.x0: .*not set"),
         ({"u.rate": {"lognormal": [1.0, 1e3]}}, {"samples": 20}, "--vary u.rate: lognormal .* inf"),
     ],
 )
