@@ -161,10 +161,14 @@ def plan_members(
     UsageError
         If a member cannot be built, or has not the signals of the metrics.
     """
-    named = _named_files(_texts(design, scenario), scenario.document.folder)
+    settings, subject = study.settings, study.subject
+    texts = design.texts() | texts_in([dict(subject.set), dict(subject.swap)])
+    if settings.replay is None:
+        for tree in (scenario.tree, scenario.document.unswapped().tree()[0]):
+            texts |= texts_in({name: table for name, table in tree.items() if name != STUDY})
+    named = _named_files(texts, scenario.document.folder)
     checked = check_design(design, scenario)
     sources, warnings = _sources({**named, **files}, checked.found)
-    settings = study.settings
     edited = scenario
     if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
@@ -203,16 +207,6 @@ def scenario_digest(subject: StudySubject) -> dict[str, str]:
     if not os.path.isfile(path):
         return {}
     return dict.fromkeys((path, os.path.realpath(path)), sha256_of(path))
-
-
-def _texts(design: StudyDesign, scenario: Scenario) -> set[str]:
-    """Return all texts that may be paths of files."""
-    subject = design.study.subject
-    texts = design.texts() | texts_in([dict(subject.set), dict(subject.swap)])
-    if design.study.settings.replay is None:
-        for tree in (scenario.tree, scenario.document.unswapped().tree()[0]):
-            texts |= texts_in({name: table for name, table in tree.items() if name != STUDY})
-    return texts
 
 
 def _named_files(texts: Iterable[str], folder: Path) -> dict[str, str]:
