@@ -151,6 +151,7 @@ ROOMS = {
         "members",
         "worker",
         "workers",
+        "identity",
         "storage",
         "dataset",
         "study",
@@ -171,7 +172,6 @@ ROOMS = {
         "verifying",
         "show",
         "panels",
-        "over_keys",
         "plots",
     ],
     "scenario": [

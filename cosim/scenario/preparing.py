@@ -22,6 +22,7 @@ def build_experiment(
     block: int | None,
     *,
     unpacked: UnpackedFmus | None = None,
+    reports: SwapReports | None = None,
 ) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
 
@@ -34,13 +35,15 @@ def build_experiment(
         Fixed number of communication steps in a block.
     unpacked : UnpackedFmus, optional
         Where FMUs are unpacked and loaded for all builds of a process.
+    reports : SwapReports, optional
+        How the swaps compare, where that is known.
 
     Raises
     ------
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
-    experiment = _built(scenario, resources, block, unpacked)
+    experiment = _built(scenario, resources, block, unpacked, reports)
     if not experiment.settings:
         return experiment
     from cosim.scenario.actions.settings import prepare_settings  # rarely needed
@@ -55,6 +58,7 @@ def _built(
     resources: ExitStack,
     block: int | None,
     unpacked: UnpackedFmus | None,
+    reports: SwapReports | None,
 ) -> Experiment:
     def build() -> Experiment:
         return Builder(scenario, resources, block=block, unpacked=unpacked).experiment()
@@ -65,11 +69,14 @@ def _built(
 
     if not scenario.file.swap:
         return with_loop_gains(build(), rebuild)
-    from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
+    if reports is None:
+        from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
 
-    experiment, reports = build_swapped(scenario, resources, block, unpacked)
-    compared = with_reports(experiment, reports)
-    return with_loop_gains(compared, lambda: with_reports(rebuild(), reports))
+        experiment, known = build_swapped(scenario, resources, block, unpacked)
+    else:
+        experiment, known = build(), reports
+    compared = with_reports(experiment, known)
+    return with_loop_gains(compared, lambda: with_reports(rebuild(), known))
 
 
 def with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:

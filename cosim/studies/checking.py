@@ -26,8 +26,8 @@ from cosim.scenario.document.document import Document
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember
-from cosim.studies.design import StudyDesign, edited_scenario, member_of
+from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember, member_of
+from cosim.studies.design import StudyDesign, edited_scenario
 from cosim.studies.members import MemberSources, OpenedSubject, inspect_member
 from cosim.studies.study_file import STUDY
 from cosim.studies.workers import LocalExecutor

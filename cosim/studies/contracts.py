@@ -43,6 +43,15 @@ class StudyMember:
     recording: str | None = None
 
 
+def member_of(number: int, values: Mapping[str, Any]) -> StudyMember:
+    """Return the member that has some values; None stands for the scenario's own."""
+    given = {name: value for name, value in values.items() if value is not None}
+    recording = given.pop(RECORDING, None)
+    swaps = {n.removeprefix(SWAP): str(v) for n, v in given.items() if n.startswith(SWAP)}
+    changes = {name: value for name, value in given.items() if not name.startswith(SWAP)}
+    return StudyMember(number, changes, swaps, recording)
+
+
 @dataclass(frozen=True, slots=True)
 class MemberOutcome:
     """What a member came to.

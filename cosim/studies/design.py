@@ -28,7 +28,7 @@ from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.cases import packed, read_cases
-from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember
+from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember, member_of
 from cosim.studies.layout import SampleKind, StudyLayout
 from cosim.studies.study_file import SamplingMethod, StudyFile
 from cosim.studies.variations import GridVariation, SampledVariation, chosen, quantiles
@@ -100,15 +100,6 @@ class StudyDesign:
             member_of(number, dict(zip(self.columns, row, strict=True)))
             for number, row in zip(numbers, rows, strict=True)
         ]
-
-
-def member_of(number: int, values: Mapping[str, Any]) -> StudyMember:
-    """Return the member that has some values; None stands for the scenario's own."""
-    given = {name: value for name, value in values.items() if value is not None}
-    recording = given.pop(RECORDING, None)
-    swaps = {n.removeprefix(SWAP): str(v) for n, v in given.items() if n.startswith(SWAP)}
-    changes = {name: value for name, value in given.items() if not name.startswith(SWAP)}
-    return StudyMember(number, changes, swaps, recording)
 
 
 # --- planning ---

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,24 +21,22 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
-from cosim.studies.dataset import LOGS, StudyColumn, StudyDataset
+from cosim.studies.dataset import LOGS, StudyDataset
+from cosim.studies.identity import StudyColumn
 from cosim.studies.members import run_member
+from cosim.studies.plan import StudyPlan
 from cosim.studies.study_file import KeptLogs
 from cosim.studies.workers import FACTOR, LEAST, UNTIL_TIMED, LocalExecutor
 from cosim.temporary import TemporaryFolder
 
 MembersDone = Callable[[int, int, int], None]
-_COMPARED: Final = ("status", "reason", "steps", "other_results")  # beside metrics
 
 
 def keep_logs(
-    kept: KeptLogs,
-    subject: StudySubject,
-    members: Callable[[int], StudyMember],
+    plan: StudyPlan,
     dataset: StudyDataset,
     *,
     workers: int,
-    timeout: float | None,
     notice: Callable[[str], None],
     progress: MembersDone | None = None,
 ) -> None:
@@ -47,47 +44,42 @@ def keep_logs(
 
     Parameters
     ----------
-    kept : KeptLogs
-    subject : StudySubject
-    members : callable
-        Returns a member by its number.
+    plan : StudyPlan
     dataset : StudyDataset
         Complete.
     workers : int
         Processes at a time.
-    timeout : float or None
-        Wall time that a member may take [s].
     notice : callable
         Takes what is noteworthy.
     progress : callable, optional
         Called with how many logs are there, of how many, and how many members have none.
     """
-    chosen = chosen_members(kept, dataset).tolist()
+    timeout = plan.study.settings.timeout
+    chosen = chosen_members(plan.study.settings.keep, dataset).tolist()
     settled = {name.partition(".")[0] for name in dataset.storage.names(LOGS)}
     missing = [number for number in chosen if str(number) not in settled]
     rows = {row["member"]: row for row in dataset.read(members=missing).to_pylist()}
-    failed = [number for number in missing if rows[number]["status"] == FAILED]
-    others = [number for number in missing if rows[number]["status"] == COMPLETE]
     done = len(chosen) - len(missing)
     without: list[str] = []
-    # the end of a log says what was identified, which may take longer than the run
-    limits = (
-        (failed, timeout or limit_again(dataset, None)),
-        (others, max(UNTIL_TIMED, timeout or 0.0)),
-    )
-    for numbers, limit in limits:
+    limits = {
+        FAILED: timeout or limit_again(dataset, None),
+        # the end of a log says what was identified, which may take longer than the run
+        COMPLETE: max(UNTIL_TIMED, timeout or 0.0),
+    }
+    for status, limit in limits.items():
+        numbers = [number for number in missing if rows[number]["status"] == status]
         if not numbers:
             continue
         with (
             TemporaryFolder("logs") as folder,
-            LocalExecutor(subject, min(workers, len(numbers)), timeout=limit) as executor,
+            LocalExecutor(plan.subject, min(workers, len(numbers)), timeout=limit) as executor,
         ):
-            for member, outcome in executor.run(map(members, numbers), partial(log_member, folder)):
-                row = rows[member.number]
-                reason = _keep(dataset, _path(folder, member.number), outcome)
+            members = map(plan.design.member, numbers)
+            for member, outcome in executor.run(members, partial(log_member, folder)):
+                reason = _keep(dataset, folder, outcome)
                 if reason:
                     without.append(f"{member.number} ({reason})")
-                for name, was, now in different(row, dataset.row_of(member, outcome), dataset):
+                for name, was, now in different(dataset, rows[member.number], member, outcome):
                     notice(
                         f"member {member.number} was rerun for its log: {name} = {now!r}; "
                         f"recorded: {was!r}; the model is not deterministic, or it ran on another "
@@ -102,36 +94,26 @@ def keep_logs(
 
 def log_member(folder: Path, subject: StudySubject, member: StudyMember) -> MemberOutcome:
     """Run a member with a log in a folder."""
-    return run_member(subject, member, _path(folder, member.number))
+    return run_member(subject, member, folder / f"{member.number}.mcap")
 
 
-def _path(folder: Path, number: int) -> Path:
-    return folder / f"{number}.mcap"
-
-
-def _keep(dataset: StudyDataset, path: Path, outcome: MemberOutcome) -> str:
-    """Put a log to the others; return why there is none."""
-    log: Path | None = path
+def _keep(dataset: StudyDataset, folder: Path, outcome: MemberOutcome) -> str:
+    """Put a log to the others, or what is intact in it; return why there is none."""
+    log = folder / f"{outcome.number}.mcap"
     if outcome.status == FAILED:
-        log = _readable(path)
-    if log is not None:
-        dataset.storage.write(f"{LOGS}/{outcome.number}.mcap", log)
-        return ""
-    reason = f"{outcome.reason}, before a row of its log was written"
-    dataset.storage.write(f"{LOGS}/{outcome.number}.txt", f"{reason}\n".encode())
-    return reason
-
-
-def _readable(path: Path) -> Path | None:
-    """Return the log that a failed run has left, or what is intact in it; None: no row is."""
-    recovered = path.with_suffix(".recovered.mcap")
-    with suppress(LogError):
-        open_log(path)
-        return path
-    with suppress(LogError):
-        recover(path, recovered, force=True)
-        return recovered
-    return None
+        try:
+            open_log(log)
+        except LogError:
+            recovered = log.with_suffix(".recovered.mcap")
+            try:
+                recover(log, recovered, force=True)
+            except LogError:
+                reason = f"{outcome.reason}, before a row of its log was written"
+                dataset.storage.write(f"{LOGS}/{outcome.number}.txt", f"{reason}\n".encode())
+                return reason
+            log = recovered
+    dataset.storage.write(f"{LOGS}/{outcome.number}.mcap", log)
+    return ""
 
 
 def chosen_members(kept: KeptLogs, dataset: StudyDataset) -> NDArray[np.int64]:
@@ -179,16 +161,17 @@ def limit_again(dataset: StudyDataset, timeout: float | None) -> float:
 
 
 def different(
-    recorded: Mapping[str, Any], now: Mapping[str, Any], dataset: StudyDataset
-) -> Sequence[tuple[str, Any, Any]]:
+    dataset: StudyDataset, recorded: Mapping[str, Any], member: StudyMember, outcome: MemberOutcome
+) -> list[tuple[str, Any, Any]]:
     """Return what is otherwise now than it is recorded: name, recorded, now; bit for bit."""
+    row = dataset.row_of(member, outcome)
     metrics = [column.name for column in dataset.columns if column.role == "metric"]
     found = []
-    for name in (*metrics, *_COMPARED):
-        one, other = recorded[name], now[name]
-        both_hang = name == "reason" and all((r or "").startswith(HANGS) for r in (one, other))
-        if repr(one) != repr(other) and not both_hang:
-            found.append((name, one, other))
+    for name in (*metrics, "status", "reason", "steps", "other_results"):
+        was, now = recorded[name], row[name]
+        both_hang = name == "reason" and all((r or "").startswith(HANGS) for r in (was, now))
+        if repr(was) != repr(now) and not both_hang:
+            found.append((name, was, now))
     return found
 
 

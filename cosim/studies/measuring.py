@@ -21,6 +21,7 @@ from cosim.native.step import DOUBLE
 from cosim.scenario.recordings.recording import LiveView
 from cosim.studies.metrics import (
     Metrics,
+    Reduction,
     bind,
     channels_of,
     find_element,
@@ -44,7 +45,7 @@ class MetricRecorder(Nothing):
         self._metrics = metrics
         self._layout: Layout | None = None
         self._step_ns: StepNs = 0
-        self._groups: dict[int, tuple[list[int], RowReductions]] = {}  # by period [steps]
+        self._groups: dict[int, tuple[Mapping[int, Reduction], RowReductions]] = {}  # by period
         self._has_rows = False
 
     def begin(self, plan: Plan) -> None:
@@ -73,14 +74,13 @@ class MetricRecorder(Nothing):
             port = find_element(channels, name, "the run")
             return int(port.channel.start + port.columns.start)
 
-        numbers: dict[int, list[int]] = {}
-        for number, reduction in enumerate(self._metrics.reductions):
-            period = math.lcm(*(one.period for one in channels_of(reduction, channels)))
-            numbers.setdefault(period, []).append(number)
-        self._groups = {}
-        for period, of_period in numbers.items():
-            reductions = [self._metrics.reductions[number] for number in of_period]
-            self._groups[period] = (of_period, bind(reductions, column_of))
+        def period_of(reduction: Reduction) -> int:
+            return math.lcm(*(one.period for one in channels_of(reduction, channels)))
+
+        self._groups = {
+            period: (own, bind(own.values(), column_of))
+            for period, own in self._metrics.grouped(period_of).items()
+        }
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Go on over the rows of a block; its first one ended the block before."""
@@ -106,10 +106,7 @@ class MetricRecorder(Nothing):
         """Return the metrics of the rows so far; None: one has no value."""
         if self._layout is None:
             return dict.fromkeys(self._metrics.names)
-        kept = {}
-        for numbers, rows in self._groups.values():
-            kept.update({number: rows.kept(place) for place, number in enumerate(numbers)})
-        return self._metrics.values(kept)
+        return self._metrics.values(self._groups.values())
 
 
 @final

@@ -7,10 +7,11 @@ import platform
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
@@ -46,9 +47,13 @@ from cosim.studies.metrics import parse_metrics
 from cosim.studies.study_file import load_scenario
 from cosim.temporary import without_folders
 
+if TYPE_CHECKING:
+    from cosim.scenario.swapping.swap_report import SwapReports
+
 CODE: Final = "code of "  # before the name of a class of users
 _OPEN_LOGS: Final = 4  # whose rows may be in memory
 _BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
+_SWAPS: Final = 16  # whose comparison is kept
 _SHOWN: Final = 12  # characters of a SHA-256
 
 
@@ -113,6 +118,7 @@ class OpenedSubject:
             self._check([subject.scenario] if subject.scenario in self._expected else [])
         self._fmus = UnpackedFmus(self._digests)
         self._logs: dict[str, Log] = {}
+        self._compared = lru_cache(_SWAPS)(self._compare)
 
     def close(self) -> None:
         """Close logs, unload FMUs."""
@@ -193,7 +199,8 @@ class OpenedSubject:
         values = {**subject.set, **member.set}
         if member.recording is None:
             scenario = self._scenario.edit(swap=swaps, map=subject.map, set=values)
-            return build_experiment(scenario, resources, None, unpacked=self._fmus)
+            reports = self._compared(tuple(swaps.items())) if scenario.file.swap else None
+            return build_experiment(scenario, resources, None, unpacked=self._fmus, reports=reports)
         is_own = not is_foreign(Path(member.recording))
         replays = replays_of(
             self._log(member.recording) if is_own else member.recording,
@@ -203,6 +210,18 @@ class OpenedSubject:
             scenario=None if is_own else self._scenario,
         )
         return replays.experiment(values, resources, self._fmus)
+
+    def _compare(self, swaps: tuple[tuple[str, str], ...]) -> SwapReports | None:
+        """Compare swaps without what is varied beside them; None: they are refused without it."""
+        from cosim.scenario.swapping.swap_comparison import compare_swaps  # rarely needed
+
+        subject = self.subject
+        try:
+            scenario = self._scenario.edit(swap=dict(swaps), map=subject.map, set=subject.set)
+            reports = compare_swaps(scenario, self._fmus)
+        except UsageError:
+            return None
+        return None if reports.refusals else reports
 
     def _log(self, path: str) -> Log:
         if path not in self._logs:

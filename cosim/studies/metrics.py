@@ -19,12 +19,13 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias, final
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, final
 
 import numpy as np
 
 from cosim.arguments import mapping_argument
 from cosim.arrays import NAN, Vector
+from cosim.core.port import Port
 from cosim.core.recorded.partial import PartialChannels
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recorders import Memory
@@ -49,21 +50,23 @@ from cosim.native.numerics.expression import (
 from cosim.native.numerics.programs import RowProgram
 from cosim.native.numerics.reductions import KeptValues, RowReduction, RowReductions
 
-COMPARISONS: Final[dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]]] = {
-    ast.Lt: ("<", operator.lt),
-    ast.LtE: ("<=", operator.le),
-    ast.Gt: (">", operator.gt),
-    ast.GtE: (">=", operator.ge),
-    ast.Eq: ("==", operator.eq),
-    ast.NotEq: ("!=", operator.ne),
+_COMPARISONS: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], Any]]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
 }
 _SETTLING_SHARE: Final = 0.02  # of the change from first to last value, where no band is given
+_REDUCTION_NEEDED: Final = "expected at least one reduction, such as last(plant.y)"
 _PLACE: Final = "metrics."  # the table of a study that has them
 _QUOTED_OR_DURATION: Final = re.compile(
     r"'(?:\\.|[^'\\])*(?:'|$)"
     r'|"(?:\\.|[^"\\])*(?:"|$)'
     r"|(?<=[\s)\]])for(?=\s)(?P<duration>[^,()\[\]'\"]*)"
 )
+_Key = TypeVar("_Key")
 _Values: TypeAlias = Callable[[Vector], float]  # a number, of the values of reductions
 # of texts of metrics, or numbers
 MetricComparison: TypeAlias = tuple[str | float, Callable[[Any, Any], Any], str | float]
@@ -77,17 +80,14 @@ class ReductionKind(NamedTuple):
     parts : tuple of str
         Of :data:`~cosim.native.numerics.reductions.PARTS`.
     value : callable
-        Of what was kept of one value or more, and the band.
+        Of what was kept of one value or more, and the band; without parts also of none.
     forms : tuple of str
         How it is called.
-    without_values : float
-        What it is of none.
     """
 
     parts: tuple[str, ...]
     value: Callable[[KeptValues, float | None], float]
     forms: tuple[str, ...] = ("EXPRESSION", "EXPRESSION, CONDITION")
-    without_values: float = NAN
 
 
 def _std(kept: KeptValues, _: float | None) -> float:
@@ -120,7 +120,7 @@ KINDS: Final[Mapping[str, ReductionKind]] = {
     "rms": ReductionKind(("squares",), lambda kept, _: math.sqrt(kept.squares / kept.number)),
     "std": ReductionKind(("shifted", "ends"), _std),
     "integral": ReductionKind(("integral",), lambda kept, _: kept.integral),
-    "count": ReductionKind((), lambda kept, _: float(kept.number), without_values=0.0),
+    "count": ReductionKind((), lambda kept, _: float(kept.number)),
     "first": ReductionKind(("ends",), lambda kept, _: kept.first, ("EXPRESSION, CONDITION",)),
     "share": ReductionKind(
         ("sum",), lambda kept, _: kept.sum / kept.number, ("CONDITION", "CONDITION, CONDITION")
@@ -155,31 +155,17 @@ class Reduction:
     @property
     def signals(self) -> tuple[str, ...]:
         """The signals in it as they are written, each once."""
-        values, where = self.values, self.where
-        program = values.program if isinstance(values, ConditionProgram) else values
-        others = () if where is None else where.program.signals
-        return tuple(dict.fromkeys((*program.signals, *others)))
+        parts = [self.values] if self.where is None else [self.values, self.where]
+        programs = [part if isinstance(part, Program) else part.program for part in parts]
+        return tuple(dict.fromkeys(chain.from_iterable(one.signals for one in programs)))
 
 
-@dataclass(frozen=True, eq=False)
-class Metric:
+class Metric(NamedTuple):
     """A metric: what joins its reductions."""
 
     name: str
     reductions: tuple[Reduction, ...]
     joined: _Values
-
-    def value(self, kept: Iterable[KeptValues]) -> float | None:
-        """Return its value, of what was kept by its reductions."""
-        values = np.full(len(self.reductions), NAN)
-        for number, (reduction, part) in enumerate(zip(self.reductions, kept, strict=True)):
-            kind = reduction.kind
-            values[number] = kind.without_values
-            if part.number:
-                band = None if reduction.band is None else reduction.band(values)
-                values[number] = kind.value(part, band)
-        value = self.joined(values)
-        return value if math.isfinite(value) else None
 
 
 def parse_metric_text(name: str, text: str) -> Metric:
@@ -193,7 +179,7 @@ def parse_metric_text(name: str, text: str) -> Metric:
     parser = _Parser(text)
     joined = parser.arithmetic()
     if not parser.reductions:
-        raise parser.refusal("expected at least one reduction, such as last(plant.y)")
+        raise parser.refusal(_REDUCTION_NEEDED)
     return Metric(name, tuple(parser.reductions), joined)
 
 
@@ -219,13 +205,12 @@ def parse_comparisons(text: str, names: Collection[str] = ()) -> list[MetricComp
             )
         nodes = [part.left, *part.comparators]
         operands = [_operand(parser.written(node), names) for node in nodes]
-        for left, kind, right in zip(operands, map(type, part.ops), operands[1:], strict=False):
-            if kind not in COMPARISONS:
-                known = " ".join(symbol for symbol, _ in COMPARISONS.values())
-                raise parser.refusal(f"expected one of the comparisons {known}")
+        for (left, right), kind in zip(pairwise(operands), map(type, part.ops), strict=True):
+            if kind not in _COMPARISONS:
+                raise parser.refusal("expected one of the comparisons < <= > >= == !=")
             if isinstance(left, float) and isinstance(right, float):
-                raise parser.refusal("expected at least one reduction, such as last(plant.y)")
-            found.append((left, COMPARISONS[kind][1], right))
+                raise parser.refusal(_REDUCTION_NEEDED)
+            found.append((left, _COMPARISONS[kind], right))
     return found
 
 
@@ -238,7 +223,7 @@ def _operand(text: str, names: Collection[str]) -> str | float:
     return text if parser.reductions else joined(np.zeros(1))
 
 
-class _Parser:
+class _Parser(ast.NodeTransformer):
     """Parses one text, and finds its reductions.
 
     In the source that Python parses a duration is an argument behind its condition:
@@ -282,54 +267,47 @@ class _Parser:
     def arithmetic(self) -> _Values:
         """Return the arithmetic of the text, which may be a number alone."""
         try:
-            tree = self._arithmetic(self.tree)
+            tree = self.visit(self.tree)
         except RecursionError as error:
             raise nested_too_deep(self._start) from error
         return _values_of(compile_arithmetic(tree, self._source))
 
-    def _arithmetic(self, node: ast.expr) -> ast.expr:
+    def visit(self, node: ast.AST) -> Any:
         """Return arithmetic in which the number of each reduction, as a text, stands for it."""
         match node:
-            case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
-                node.operand = self._arithmetic(node.operand)
-            case ast.BinOp():
-                node.left = self._arithmetic(node.left)
-                node.right = self._arithmetic(node.right)
+            case ast.BinOp() | ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+                self.generic_visit(node)
+            case ast.Call(func=ast.Name(id=name), keywords=[]) if _is_reduction(node):
+                self.reductions.append(self._reduction(name, node))
+                return ast.copy_location(ast.Constant(str(len(self.reductions) - 1)), node)
             case ast.Call(func=ast.Name(id=name), keywords=[]):
-                return self._call(name, node)
-            case _ if is_condition(node):
+                self._check_function(name, node)
+                node.args = [self.visit(argument) for argument in node.args]
+            case ast.expr() if is_condition(node):
                 raise self.refusal(
                     "expected a number, such as share(plant.y < 1), got the condition "
                     f"{quoted(self.written(node))} outside of a reduction"
                 )
-            case _ if is_signal(node) or (
-                isinstance(node, ast.Name) and node.id not in ("pi", "e")
-            ):
+            case ast.Name(id="pi" | "e"):
+                pass
+            case ast.expr() if is_signal(node) or isinstance(node, ast.Name):
                 part = self.written(node)
                 raise self.refusal(
                     f"expected a reduction, such as last({part}), got {quoted(part)} outside of one"
                 )
         return node
 
-    def _call(self, name: str, node: ast.Call) -> ast.expr:
-        """Return the arithmetic of a call: a reduction, or a function of reductions."""
-        arguments = node.args
-        if name in ("min", "max") and len(arguments) == 2 and not is_condition(arguments[1]):
-            if any(map(is_signal, arguments)):
-                part = self.written(node)
-                raise self.refusal(
-                    f"expected two reductions in {quoted(part)}; for the {name} over all rows, use "
-                    f"{name}({part})"
-                )
-        elif name in KINDS:
-            self.reductions.append(self._reduction(name, node))
-            stands_for = ast.Constant(str(len(self.reductions) - 1))
-            return ast.copy_location(stands_for, node)
-        elif name not in FUNCTIONS:
+    def _check_function(self, name: str, call: ast.Call) -> None:
+        """Refuse a function of reductions that there is not, or that is of signals."""
+        if name not in FUNCTIONS and name not in KINDS:
             known = nearest(name, [*KINDS, *FUNCTIONS])
             raise self.refusal(f"no reduction or function {quoted(name)}; {known}")
-        node.args = [self._arithmetic(argument) for argument in arguments]
-        return node
+        if name in KINDS and any(map(is_signal, call.args)):
+            part = self.written(call)
+            raise self.refusal(
+                f"expected two reductions in {quoted(part)}; for the {name} over all rows, use "
+                f"{name}({part})"
+            )
 
     def _reduction(self, name: str, call: ast.Call) -> Reduction:
         """Return a reduction, whose form fits its kind."""
@@ -359,17 +337,14 @@ class _Parser:
         is_of_condition = words[0] == "CONDITION"
         values = condition(first) if is_of_condition else compile_part(first, self._source)
         where = condition(call.args[-1]) if "CONDITION" in words[1:] else None
-        band = self._band(call.args[1]) if "BAND" in words else None
-        return Reduction(kind, values, where, band)
-
-    def _band(self, node: ast.expr) -> _Values:
-        """Return the band of a settling time."""
-        written = self.written(node)
-        program = compile_arithmetic(self._arithmetic(node), self._source)
+        if "BAND" not in words:
+            return Reduction(kind, values, where)
+        written = self.written(call.args[1])
+        program = compile_arithmetic(self.visit(call.args[1]), self._source)
         band = _values_of(program)
         if not program.signals and not band(np.zeros(1)) >= 0.0:
             raise self.refusal(f"expected a band >= 0, got {quoted(written)}")
-        return band
+        return Reduction(kind, values, where, band)
 
 
 def _values_of(program: Program) -> _Values:
@@ -383,8 +358,8 @@ def _values_of(program: Program) -> _Values:
 
 def _is_reduction(node: ast.AST) -> bool:
     match node:
-        case ast.Call(func=ast.Name(id="min" | "max"), args=arguments):
-            return len(arguments) == 1
+        case ast.Call(func=ast.Name(id="min" | "max"), args=[_, other]):
+            return is_condition(other)
         case ast.Call(func=ast.Name(id=name)):
             return name in KINDS
     return False
@@ -435,24 +410,37 @@ class Metrics:
             As from :meth:`check`.
         """
         self.check(recording.channels, source=recording.label)
-        groups: dict[frozenset[str], list[int]] = {}
-        for number, reduction in enumerate(self.reductions):
-            names = frozenset(one.name for one in channels_of(reduction, recording.channels))
-            groups.setdefault(names, []).append(number)
-        kept: dict[int, KeptValues] = {}
-        for components, numbers in groups.items():
-            reductions = [self.reductions[number] for number in numbers]
-            rows = _reduced(recording, components, reductions)
-            kept.update({number: rows.kept(place) for place, number in enumerate(numbers)})
-        return self.values(kept)
 
-    def values(self, kept: Mapping[int, KeptValues]) -> dict[str, float | None]:
-        """Return the metrics, of what was kept by the reductions by their numbers."""
+        def components_of(reduction: Reduction) -> frozenset[str]:
+            return frozenset(one.name for one in channels_of(reduction, recording.channels))
+
+        groups = self.grouped(components_of).items()
+        return self.values((own, _reduced(recording, names, own.values())) for names, own in groups)
+
+    def grouped(self, key: Callable[[Reduction], _Key]) -> dict[_Key, dict[int, Reduction]]:
+        """Return the reductions by their numbers, those with the same key together."""
+        groups: dict[_Key, dict[int, Reduction]] = {}
+        for number, reduction in enumerate(self.reductions):
+            groups.setdefault(key(reduction), {})[number] = reduction
+        return groups
+
+    def values(
+        self, groups: Iterable[tuple[Iterable[int], RowReductions]]
+    ) -> dict[str, float | None]:
+        """Return the metrics, of the numbers of reductions and what they have reduced."""
+        kept = {n: rows.kept(place) for own, rows in groups for place, n in enumerate(own)}
         numbers = iter(range(len(self.reductions)))
-        return {
-            metric.name: metric.value([kept[next(numbers)] for _ in metric.reductions])
-            for metric in self._metrics
-        }
+        found: dict[str, float | None] = {}
+        for metric in self._metrics:
+            values = np.full(len(metric.reductions), NAN)
+            for place, reduction in enumerate(metric.reductions):
+                part = kept[next(numbers)]
+                if part.number or not reduction.kind.parts:
+                    band = None if reduction.band is None else reduction.band(values)
+                    values[place] = reduction.kind.value(part, band)
+            value = metric.joined(values)
+            found[metric.name] = value if math.isfinite(value) else None
+        return found
 
 
 def _signals_of(reductions: Iterable[Reduction]) -> tuple[str, ...]:
@@ -498,10 +486,7 @@ def find_element(channels: Mapping[str, Channel], name: str, source: str) -> Rec
     except UnknownSignalError as error:
         raise UsageError(str(error)) from error
     if port.size != 1:
-        begin = port.columns.start + port.channel.start
-        first = begin - port.channel.signal_columns[port.signal.name].start
-        elements = map(port.signal.element, range(first, first + port.size))
-        names = [f"{port.channel.name}.{element}" for element in elements]
+        names = Port.parse(name).element_names(port.size)
         raise UsageError(f"'{name}' has {port.size} elements; expected one of: {listing(names)}")
     return port
 
@@ -518,24 +503,18 @@ def channels_of(reduction: Reduction, channels: Mapping[str, Channel]) -> list[C
 def bind(reductions: Iterable[Reduction], column_of: Callable[[str], int]) -> RowReductions:
     """Return reductions of rows, in which each signal has its column."""
 
-    def placed(program: Program) -> Program:
-        return program.with_columns([column_of(name) for name in program.signals])
+    def placed(part: Any) -> Any:
+        if isinstance(part, Program):
+            return part.with_columns([column_of(name) for name in part.signals])
+        return part and replace(part, program=placed(part.program))
 
-    bound = []
-    for one in reductions:
-        values, where = one.values, one.where
-        if isinstance(values, ConditionProgram):
-            values = replace(values, program=placed(values.program))
-        else:
-            values = placed(values)
-        if where is not None:
-            where = replace(where, program=placed(where.program))
-        bound.append(RowReduction(one.kind.parts, values, where))
-    return RowReductions(bound)
+    return RowReductions(
+        [RowReduction(one.kind.parts, placed(one.values), placed(one.where)) for one in reductions]
+    )
 
 
 def _reduced(
-    recording: Recording, components: Collection[str], reductions: Sequence[Reduction]
+    recording: Recording, components: Collection[str], reductions: Collection[Reduction]
 ) -> RowReductions:
     """Return reductions of the rows at the instants that all components have."""
     times = [recording.time_ns(name) for name in components]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any, Final
 
@@ -11,20 +12,18 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.report.plots.curves import LARGEST_DRAWN, shown_text
+from cosim.report.plots.curves import COLORS, LARGEST_DRAWN, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
 from cosim.studies.layout import MetricColumn, StudyResults, VariedValues, count_text, numbers_of
 from cosim.studies.plan import RecordedSearch
 
-MOST_PANELS: Final = 12
 FAILED_COLOR: Final = "#D55E00"
 FAILED: Final = "members that failed"
 FAINT: Final = 0.25  # opacity of a band
 NOTE: Final = {"fontsize": "small", "color": "0.3"}  # above a panel
+_MOST_PANELS: Final = 12
 _MOST_MARKS: Final = 300  # of members that failed; more cannot be told apart, and hide others
-_ABOVE: Final = 1.025  # of the height of a panel: above its frame, where no values are
-_SPREAD: Final = 30.0  # of nine of ten values, from which on an axis is logarithmic
 _LONGEST: Final = 18  # characters of a line of a name at an axis
 _CROWDED: Final = 30  # characters of the names side by side at an axis, which do not overlap
 
@@ -45,6 +44,11 @@ class StudyPicture:
     note : str
         Behind the title.
 
+    Attributes
+    ----------
+    columns : list of MetricColumn
+        Of the metrics, which have values.
+
     Raises
     ------
     UsageError
@@ -60,17 +64,14 @@ class StudyPicture:
     note: str = ""
 
     def __post_init__(self) -> None:
-        columns = self.results.columns
+        of_study = self.results.columns
+        all_columns = [one for one in of_study.metrics.values() if len(one.values)]
         self.title = self.results.name
-        self.columns = [columns.metric(name) for name in self.metrics]
-        for one in self.columns:
-            if not len(one.values):
-                raise UsageError(
-                    f"metric {one.name!r}: no member has a value, so there is nothing to show"
-                )
-        self.columns = self.columns or [one for one in columns.metrics.values() if len(one.values)]
-        if not self.columns:
-            raise UsageError("no metric of the study has a value, so there is nothing to show")
+        self.columns = [of_study.metric(name) for name in self.metrics] or all_columns
+        empty = [repr(one.name) for one in self.columns if not len(one.values)]
+        if empty or not self.columns:
+            needed = ", ".join(empty) or "any metric"
+            raise UsageError(f"no member has a value of {needed}, so there is nothing to show")
         for one in self.columns:
             largest = float(np.abs(one.values).max())
             if largest > LARGEST_DRAWN:
@@ -88,12 +89,14 @@ class StudyPicture:
             panel.set_axisbelow(True)  # its grid
         return self._picture.panels
 
-    def __iter__(self) -> Iterator[tuple[Any, MetricColumn, str]]:
+    def each(
+        self, across: int = 3, size: tuple[float, float] = (11.0, 7.5)
+    ) -> Iterator[tuple[Any, MetricColumn, str]]:
         """Yield a panel for each metric, with the metric and its label."""
-        columns = self.columns[:MOST_PANELS]
+        columns = self.columns[:_MOST_PANELS]
         if len(columns) < len(self.columns):
-            self.title += f": the first {MOST_PANELS} of {len(self.columns)} metrics"
-        panels = self.panels(len(columns), min(3, len(columns)), (11.0, 7.5))
+            self.title += f": the first {_MOST_PANELS} of {len(self.columns)} metrics"
+        panels = self.panels(len(columns), min(across, len(columns)), size)
         for panel, column in zip(panels, columns, strict=True):
             counts = {
                 "failed": len(column.failed),
@@ -108,11 +111,14 @@ class StudyPicture:
         """Return what an axis says of a key, or a metric: its name with its unit."""
         return shown_text(self.results.with_unit(name))
 
-    def save(self, what: str, lines: Iterable[Any] = (), *, legend: str = "") -> None:
-        """Write the picture, with a legend of the lines that differ."""
-        different = {line.get_label(): line for line in lines}
-        if different:
-            self._picture.legend(list(different.values()), below=True, title=legend)
+    def save(self, what: str, *, legend: str = "") -> None:
+        """Write the picture, with a legend of all that has a label, each once."""
+        labelled: dict[str, Any] = {}
+        for panel in self._picture.panels:
+            for handle in panel.get_legend_handles_labels()[0]:
+                labelled.setdefault(handle.get_label(), handle)
+        if labelled:
+            self._picture.legend(list(labelled.values()), below=True, title=legend)
         self._picture.save(self.out, title=shown_text(f"{self.title}: {what}{self.note}"))
 
 
@@ -125,25 +131,28 @@ class Scale:
     positions : Vector, shape (N,)
     names : tuple of str
         Of values that are no numbers, at 0, 1, ...
-    logarithmic : bool
     """
 
     positions: Vector
     names: tuple[str, ...] = ()
-    logarithmic: bool = False
 
     @classmethod
     def of(cls, values: VariedValues) -> Scale:
         """Return the scale of a parameter: of paths the last part, if these differ."""
         numbers = numbers_of(values)
         if numbers is not None:
-            return cls(numbers, logarithmic=is_logarithmic(numbers, of_key=True))
+            return cls(numbers)
         texts = [str(value) for value in values.tolist()]
         names = list(dict.fromkeys(texts))
         positions = np.array([names.index(text) for text in texts], np.float64)
         short = [PurePath(name).name or name for name in names]
         shown = short if len(set(short)) == len(names) else names
         return cls(positions, tuple(broken(shown_text(name), _LONGEST) for name in shown))
+
+    @cached_property
+    def logarithmic(self) -> bool:
+        """Whether its axis is."""
+        return not self.names and is_logarithmic(self.positions)
 
     def show(self, axis: Any, label: str) -> None:
         """Give the scale, its names and a label to an axis."""
@@ -152,84 +161,63 @@ class Scale:
         if self.logarithmic:
             axis.axes.set(**{f"{direction}scale": "log"})
         if self.names:
-            widths = [max(map(len, name.split("\n"))) for name in self.names]
-            is_crowded = direction == "x" and sum(widths) > _CROWDED
+            is_crowded = direction == "x" and len("".join(self.names)) > _CROWDED
             turned = {"rotation": 20.0, "horizontalalignment": "right"} if is_crowded else {}
             axis.set_ticks(range(len(self.names)), labels=self.names, **turned)
             axis.axes.set(**{f"{direction}lim": (-0.5, len(self.names) - 0.5)})
 
+    def edges(self, most: int, even: int) -> Vector:
+        """Return edges halfway between values; of more than ``most`` numbers those of even cells.
 
-def is_logarithmic(values: Vector, *, of_key: bool = False) -> bool:
-    """Return whether values are spread so widely that their axis is logarithmic.
+        There is a value that is finite.
+        """
+        values = self.positions[np.isfinite(self.positions)]
+        low, high = values.min(), values.max()
+        places = np.unique(np.log(values) if self.logarithmic else values)
+        if len(places) == 1:
+            reach = 0.05 * abs(low) or 0.5
+            return np.array([low - reach, low + reach])
+        if len(places) > most and not self.names:
+            spaced = np.geomspace if self.logarithmic else np.linspace
+            return np.asarray(spaced(low, high, even + 1), np.float64)  # its ends are exact
+        middles = 0.5 * (places[1:] + places[:-1])
+        edges = np.array([2.0 * places[0] - middles[0], *middles, 2.0 * places[-1] - middles[-1]])
+        return np.exp(edges) if self.logarithmic else edges
 
-    Nine of ten over a factor of 30; those of a key over a factor of 5, if they are more even so.
-    """
+    def draw_histogram(self, panel: Any) -> None:
+        """Draw how many values are where."""
+        values = self.positions[np.isfinite(self.positions)]
+        if len(values):
+            even = min(max(int(len(values) ** 0.5), 5), 40)
+            edges = self.edges(min(len(values) // 3, 20), even)
+            panel.hist(values, bins=edges, color=COLORS[5], edgecolor="white", linewidth=0.3)
+
+
+def is_logarithmic(values: Vector) -> bool:
+    """Return whether nine of ten values are over a factor of 10, and more even by factors."""
     finite = values[np.isfinite(values)]
-    different = np.unique(finite)
-    if len(different) < 3 or different[0] <= 0.0:
+    if not len(finite) or finite.min() <= 0.0:
         return False
-    low, high = np.quantile(finite, [0.05, 0.95])
-    if high > _SPREAD * low or not of_key:
-        return bool(high > _SPREAD * low)
-    low, middle, high = np.quantile(different, [0.05, 0.5, 0.95])
+    low, middle, high = np.quantile(finite, [0.05, 0.5, 0.95])
+    if high <= 10.0 * low:
+        return False
     linear = (middle - low) / (high - low) - 0.5
     logarithmic = np.log(middle / low) / np.log(high / low) - 0.5
-    return bool(high >= 5.0 * low and abs(logarithmic) < 0.5 * abs(linear))
+    return bool(abs(logarithmic) < abs(linear))
 
 
-def cell_edges(scale: Scale, values: Vector, most: int, even: int) -> Vector:
-    """Return edges halfway between values; of more than ``most`` numbers those of even cells."""
-    low, high = float(values.min()), float(values.max())
-    places = np.unique(np.log(values) if scale.logarithmic else values)
-    if len(places) == 1:
-        return np.array([low - reach_beside(low), low + reach_beside(low)])
-    if len(places) > most and not scale.names:
-        spaced = np.geomspace if scale.logarithmic else np.linspace
-        return np.asarray(spaced(low, high, even + 1), np.float64)  # its ends are exact
-    middles = 0.5 * (places[1:] + places[:-1])
-    edges = np.array([2.0 * places[0] - middles[0], *middles, 2.0 * places[-1] - middles[-1]])
-    return np.exp(edges) if scale.logarithmic else edges
-
-
-def reach_beside(value: float) -> float:
-    """Return how far an axis reaches beyond the only value that it shows."""
-    return 0.05 * abs(value) or 0.5
-
-
-def mark_failed(
-    panel: Any, x: Vector, y: Vector | None = None, *, label: str = FAILED
-) -> list[Any]:
-    """Mark members that failed; without ``y`` above the frame. Return the marks, if any."""
+def mark_failed(panel: Any, x: Vector, y: Vector | None = None, *, label: str = FAILED) -> None:
+    """Mark members that failed, if any; without ``y`` above the frame, where no values are."""
     if not len(x):
-        return []
+        return
     above: dict[str, Any] = {}
     if y is None:
-        y = np.full(len(x), _ABOVE)
+        y = np.full(len(x), 1.025)
         above = {"transform": panel.get_xaxis_transform(), "clip_on": False}
         panel.set_title(panel.get_title(), pad=11.0, **NOTE)
     points = np.unique(np.stack([x, y]), axis=1)
     count = points.shape[1]
     if count > _MOST_MARKS:
         label = f"{_MOST_MARKS} of the {count} {label}"
-    shown = points[:, spread_rows(count, _MOST_MARKS)]
-    marks: list[Any] = panel.plot(
-        *shown, "x", color=FAILED_COLOR, markersize=5.0, label=label, **above
-    )
-    return marks
-
-
-def spread_rows(count: int, most: int) -> Any:
-    """Return at most so many rows from the first to the last one."""
-    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
-
-
-def placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, str]:
-    """Return the members whose keys have a place at an axis, and a note of the others."""
-    kept = np.ones(results.done, np.bool_)
-    note = ""
-    for key in keys:
-        has_place = np.isfinite(Scale.of(results.columns.parameters[key]).positions)
-        kept &= has_place
-        if not has_place.all():
-            note += f"; {count_text(int((~has_place).sum()))} without a finite {key}"
-    return replace(results, columns=results.columns.only(kept)), note
+        points = points[:, np.linspace(0, count - 1, _MOST_MARKS).astype(np.int64)]
+    panel.plot(*points, "x", color=FAILED_COLOR, markersize=5.0, label=label, **above)

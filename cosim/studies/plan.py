@@ -25,7 +25,8 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.checking import Inspected, check_design
 from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
-from cosim.studies.dataset import (
+from cosim.studies.design import StudyDesign, plan_design
+from cosim.studies.identity import (
     OF_METRICS,
     StudyIdentity,
     metric_column,
@@ -33,7 +34,6 @@ from cosim.studies.dataset import (
     result_columns,
     scenario_digests,
 )
-from cosim.studies.design import StudyDesign, plan_design
 from cosim.studies.layout import StudyLayout, count_text
 from cosim.studies.members import MemberSources
 from cosim.studies.metrics import parse_metrics

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from importlib import import_module
+from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 from cosim.errors import UsageError
-from cosim.studies.contracts import FAILED, RECORDING, SWAP, StudyMember
-from cosim.studies.dataset import MEMBER, ColumnRole, StudyColumn, StudyDataset, json_value
+from cosim.studies.contracts import FAILED, StudyMember, member_of
+from cosim.studies.dataset import StudyDataset
+from cosim.studies.identity import ColumnRole
+from cosim.studies.storage import library
 
 if TYPE_CHECKING:
     import pandas
@@ -48,7 +49,7 @@ class Study:
     @property
     def planned(self) -> int:
         """Return how many members it has in all."""
-        return self._dataset.total
+        return self._dataset.identity.members
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -142,9 +143,11 @@ class Study:
     def members(self, numbers: Collection[int]) -> list[StudyMember]:
         """Return those of some members that have an outcome, in order, as :meth:`member` does."""
         columns = [column for column in self._dataset.columns if column.role == "parameter"]
-        names = [MEMBER, *(column.name for column in columns)]
-        rows = self.table(names, members=numbers).to_pylist()
-        return [_member_of(row, columns) for row in rows]
+        rows = self.table(["member", *self.parameters], members=numbers).to_pylist()
+        return [
+            member_of(row["member"], {c.name: c.value(row[c.name]) for c in columns})
+            for row in rows
+        ]
 
     def to_pandas(self, columns: Iterable[str] | None = None) -> pandas.DataFrame:
         """Return the table as a frame of pandas, indexed by ``member``.
@@ -156,7 +159,7 @@ class Study:
         DatasetError
             If a column is unknown, or a file is damaged.
         """
-        _library("pandas")
+        library("pandas", "to_pandas needs", "pandas")
         names = None if columns is None else ["member", *columns]
         return self.table(names).to_pandas().set_index("member")
 
@@ -170,27 +173,12 @@ class Study:
         DatasetError
             If a column is unknown, or a file is damaged.
         """
-        frame: polars.DataFrame = _library("polars").from_arrow(self.table(columns))
+        module = library("polars", "to_polars needs", "polars")
+        frame: polars.DataFrame = module.from_arrow(self.table(columns))
         return frame
 
     def _names(self, role: ColumnRole) -> tuple[str, ...]:
         return tuple(column.name for column in self._dataset.columns if column.role == role)
-
-
-def _member_of(row: Mapping[str, Any], columns: Iterable[StudyColumn]) -> StudyMember:
-    """Return the member with the parameters that a row has; null: the scenario's own value."""
-    changes: dict[str, Any] = {}
-    swaps: dict[str, str] = {}
-    for column in columns:
-        value = row[column.name]
-        if value is None:
-            continue
-        if column.name.startswith(SWAP):
-            swaps[column.name.removeprefix(SWAP)] = value
-        else:
-            changes[column.name] = json_value(value) if column.type == "json" else value
-    recording = changes.pop(RECORDING, None)
-    return StudyMember(row[MEMBER], changes, swaps, recording)
 
 
 def open_study(place: str | Path) -> Study:
@@ -207,13 +195,3 @@ def open_study(place: str | Path) -> Study:
         If there is none, or it is damaged.
     """
     return Study(StudyDataset.open(place))
-
-
-def _library(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"to_{name} needs {name}, which is not installed: pip install {name}, or, in a clone "
-            f"of cosim, pip install -e '.[{name}]'"
-        ) from error

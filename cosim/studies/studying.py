@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
+from inspect import signature
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -14,7 +16,7 @@ import numpy as np
 
 from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import UsageError, option, warn
-from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, MetricValue, StudyMember
+from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, MetricValue
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.kept_logs import (
     MembersDone,
@@ -106,26 +108,12 @@ timeout, keep, results : optional
     CosimWarning
         How many members warn of what; without ``notice`` also what is noteworthy about the run.
     """
+    given = locals()
     new = truth_argument("new", new)
     count = worker_count(workers)
     file = source if isinstance(source, StudyFile) else read_study(source)
-    file = file.with_options(
-        vary=vary,
-        metrics=metrics,
-        set=set,
-        swap=swap,
-        map=map,
-        replay=replay,
-        allow_code=allow_code,
-        cases=cases,
-        sampling=sampling,
-        samples=samples,
-        seed=seed,
-        seeds=seeds,
-        timeout=timeout,
-        keep=keep,
-        results=results,
-    )
+    options = signature(file.with_options).parameters
+    file = file.with_options(**{name: given[name] for name in options})
     place = default_place(file) if out is None else out
     plan = plan_study(file)
     notice = notice or _warn
@@ -135,17 +123,19 @@ timeout, keep, results : optional
         executor = executor_of(plan, count, scheduler, notice)
         resources.enter_context(executor)  # before the dataset that is there is removed
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
-        _complete(plan, dataset, executor, progress)
-        keep_logs(
-            file.settings.keep,
-            plan.subject,
-            plan.design.member,
-            dataset,
-            workers=count,
-            timeout=file.settings.timeout,
-            notice=notice,
-            progress=keep_progress,
+        chunks = (
+            plan.design.members(begin, min(begin + _CHUNK, numbers.stop))
+            for numbers in dataset.missing()
+            for begin in numbers[::_CHUNK]
         )
+        status = dataset.tables(["status"])
+        failed = sum(table["status"].to_pylist().count(FAILED) for table in status)
+        for member, outcome in executor.run(chain.from_iterable(chunks)):
+            dataset.add(member, outcome)
+            failed += outcome.status == FAILED
+            if progress is not None:
+                progress(len(dataset), len(plan.design), failed)
+        keep_logs(plan, dataset, workers=count, notice=notice, progress=keep_progress)
     done = open_study(place)
     pairs = [(number, line) for number, lines in done.warnings.items() for line in lines]
     warn(warning_lines(grouped(pairs), len(done)))
@@ -167,27 +157,6 @@ def executor_of(
     return ClusterExecutor(
         scheduler, plan.subject, plan.trial, plan.files, timeout=timeout, notice=notice
     )
-
-
-def _complete(
-    plan: StudyPlan,
-    dataset: StudyDataset,
-    executor: MemberExecutor,
-    progress: MembersDone | None,
-) -> None:
-    """Run the members that have no outcome yet."""
-    failed = dataset.failed
-    for member, outcome in executor.run(_missing(plan, dataset)):
-        dataset.add(member, outcome)
-        failed += outcome.status == FAILED
-        if progress is not None:
-            progress(len(dataset), len(plan.design), failed)
-
-
-def _missing(plan: StudyPlan, dataset: StudyDataset) -> Iterator[StudyMember]:
-    for numbers in dataset.missing():
-        for begin in range(numbers.start, numbers.stop, _CHUNK):
-            yield from plan.design.members(begin, min(begin + _CHUNK, numbers.stop))
 
 
 def worker_count(workers: int | None) -> int:
@@ -217,13 +186,13 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
             columns = StudyDataset.open(place).columns
     identity = plan.identity(results)
     check_kept_metric(plan.study.settings.keep, columns or identity.columns)
-    return StudyDataset.open_or_create(place, identity, design=plan.design, new=new)
+    return StudyDataset.open_or_create(place, identity, planned=plan.design.column, new=new)
 
 
 def check_place(plan: StudyPlan, place: str | Path) -> None:
     """Check that a study goes on in the dataset that is there, if there is one; change nothing."""
     if StudyDataset.is_at(place):
-        StudyDataset.check(place, plan.identity({}), design=plan.design)
+        StudyDataset.open(place).grown(plan.identity({}), plan.design.column)
 
 
 def _timed(plan: StudyPlan, count: int) -> list[MemberOutcome]:
@@ -296,15 +265,14 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     outcomes = _timed(plan, _TIMED)
     total = len(plan.design)
     first, last = outcomes[0].wall_time, outcomes[-1]
+    member = plan.design.member(last.number)
     log_bytes = kept_count(plan.study.settings.keep, total)
     log_time = 0.0
     if log_bytes:
-        member = plan.design.member(last.number)
         with TemporaryFolder("estimate") as folder, LocalExecutor(plan.subject, 1) as executor:
             ((_, logged),) = executor.run([member], partial(log_member, folder))
             log_time = -(-log_bytes // workers) * logged.wall_time
             log_bytes *= sum(path.stat().st_size for path in folder.glob("*.mcap"))
-    member = plan.design.member(last.number)
     texts = (last.status, last.reason, "\n".join(last.warnings), last.worker)
     values = (*member.set.values(), *member.swap.values(), *last.metrics.values(), *texts)
     row_bytes = 4 * 8  # of number, steps, wall time, other results

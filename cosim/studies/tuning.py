@@ -19,7 +19,7 @@ from cosim.scenario.document.document import find
 from cosim.scenario.document.edits import plain
 from cosim.studies.cases import packed
 from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember
-from cosim.studies.dataset import OF_METRICS, StudyDataset, StudyIdentity, json_value
+from cosim.studies.dataset import StudyDataset
 from cosim.studies.design import (
     StudyDesign,
     ValueColumn,
@@ -27,6 +27,7 @@ from cosim.studies.design import (
     find_recordings,
     own_value,
 )
+from cosim.studies.identity import OF_METRICS, StudyIdentity
 from cosim.studies.kept_logs import MembersDone
 from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics import parse_metrics
@@ -260,10 +261,7 @@ def _recorded(dataset: StudyDataset) -> Iterator[tuple[Point, MemberOutcome]]:
     keys = [column for column in columns if column.name != RECORDING]
     outcome = ("member", "status", "reason", "steps", "warnings")
     for row in dataset.read([*outcome, *metrics, *(key.name for key in keys)]).to_pylist():
-        point = {key.name: row[key.name] for key in keys}
-        for key in keys:
-            if key.type == "json" and row[key.name] is not None:
-                point[key.name] = json_value(row[key.name])
+        point = {key.name: key.value(row[key.name]) for key in keys}
         number, status, reason, steps, warnings = (row[name] for name in outcome)
         values = {name: row[name] for name in metrics}
         lines = (warnings or "").splitlines()

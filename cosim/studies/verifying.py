@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.errors import DatasetError, UsageError, option
-from cosim.studies.dataset import StudyDataset, differences
+from cosim.studies.dataset import StudyDataset
+from cosim.studies.identity import differences
 from cosim.studies.kept_logs import different, limit_again
 from cosim.studies.plan import RecordedStudy, own_environment, plan_study
 from cosim.studies.study import Study
@@ -99,18 +100,17 @@ def verify_study(
     """
     dataset = StudyDataset.open(place)
     recorded = RecordedStudy.read(dataset.identity.text)
-    numbers = _chosen(dataset, members, sample)
-    _check_unchanged(dataset, recorded)
-    rows = {row["member"]: row for row in dataset.read(members=numbers).to_pylist()}
     study = Study(dataset)
+    numbers = _chosen(study, members, sample)
+    _check_unchanged(dataset, recorded)
+    rows = {row["member"]: row for row in study.table(members=numbers).to_pylist()}
     found: list[VerifiedDifference] = []
     limit = limit_again(dataset, recorded.study.settings.timeout)
     subject = recorded.study.subject
     count = min(workers, len(numbers))
     with LocalExecutor(subject, count, timeout=limit, members_per_worker=1) as executor:
         for done, (member, outcome) in enumerate(executor.run(study.members(numbers)), 1):
-            row = rows[member.number]
-            for item in different(row, dataset.row_of(member, outcome), dataset):
+            for item in different(dataset, rows[member.number], member, outcome):
                 found.append(VerifiedDifference(member.number, *item))
             if progress is not None:
                 progress(done, len(numbers), len({item.member for item in found}))
@@ -130,17 +130,13 @@ def verify_study(
     )
 
 
-def _chosen(dataset: StudyDataset, members: Collection[int], sample: int | None) -> list[int]:
+def _chosen(study: Study, members: Collection[int], sample: int | None) -> list[int]:
     """Return the members that run again, in order."""
-    there = dataset.read(["member"])["member"].to_numpy()
+    there = study.table(["member"])["member"].to_numpy()
     if not len(there):
-        raise UsageError(f"{dataset.label}: no member has run yet; run the study first")
+        raise UsageError(f"{study.name}: no member has run yet; run the study first")
     for number in members:
-        if number not in there:
-            raise UsageError(
-                f"{option('member')}: no outcome of member {number}; available: {len(there)} of "
-                f"{dataset.total} members, numbered from 0"
-            )
+        study.member(number)  # UsageError: there is none
     count = SAMPLE if sample is None and not members else sample
     chosen = set(members)
     if count is not None:
@@ -162,6 +158,6 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     found = differences(dataset.identity, planned)
     if found:
         raise DatasetError(
-            f"{dataset.label}: {found} (by SHA-256), so its members cannot be rerun; restore what "
-            "they were run with"
+            f"{dataset.storage.label()}: {found} (by SHA-256), so its members cannot be rerun; "
+            "restore what they were run with"
         )

@@ -25,8 +25,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from cosim.studies.members.runner import BLOCK_BYTES
-
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
@@ -39,6 +37,7 @@ from cosim.studies.metrics import parse_metrics
 from tests.bench.masters.core_systems import without_identifier
 
 ROUNDS = 31
+BLOCK_BYTES = 2**19  # as a study's members have
 TARGET = 0.04
 METRICS = {
     "error": "rms(observer.delta - delta.y, t > 5)",

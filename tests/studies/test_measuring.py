@@ -56,8 +56,7 @@ def test_a_run_has_the_metrics_of_its_rows_whatever_its_blocks(block):
 def test_where_signals_jump_the_row_has_the_right_limit():
     """Left limits, which stand behind the signals of a row, are not seen, as in memory."""
     components = {"u": step(time=0.5), "plant": stand(), "filter": derivative_filter()}
-    connections = {"plant.u": "u.y", "filter.u": "u.y", "filter.y": "plant.y"}
-    graph = Graph(components, connections)
+    graph = Graph(components, {"plant.u": "u.y", "filter.u": "u.y", "filter.y": "plant.y"})
     texts = {"max": "max(plant.y)", "step": "first(t, plant.y < 2)", "last": "last(filter.d)"}
     found, recorded = both(graph, Clock(1.0, 1e-3), texts)
     assert graph.layout.row_width > graph.layout.width
@@ -65,9 +64,9 @@ def test_where_signals_jump_the_row_has_the_right_limit():
     assert found["step"] == 0.5
 
 
-@pytest.mark.parametrize("condition", ["plant.y > 0.3", "plant.y**2 > 0.09 for 100 ms"])
-def test_first_is_where_a_run_until_the_condition_ends(condition):
+def test_first_is_where_a_run_until_the_condition_ends():
     """``first(t, C)`` and ``until C`` name the same instant."""
+    condition = "plant.y**2 > 0.09 for 100 ms"
     found, _ = both(wave(), CLOCK, {"m": f"first(t, {condition})"})
     ended, recorded = both(wave(), CLOCK, {**TEXTS, "m": "last(t)"}, until=condition)
     assert ended == recorded
@@ -92,12 +91,8 @@ def test_a_recorder_takes_runs_of_other_graphs():
     plant = Linear(lag(time_constant=1.0, initial=3.0))
     run(Graph({"u": step(time=9.0), "plant": plant}, {"plant.u": "u.y"}), CLOCK, recorder)
     assert recorder.values()["m"] == pytest.approx(3.0 * np.exp(-2.0), rel=1e-12)
-    with pytest.raises(UsageError) as error:
+    with pytest.raises(UsageError, match=r"(?s)^metrics.m: .*'plant'.*\nmetrics.u: .*'plant'"):
         run(Graph({"p": plant, "u": step(time=9.0)}, {"p.u": "u.y"}), CLOCK, recorder)
-    assert [line.split(";")[0] for line in str(error.value).splitlines()] == [
-        "metrics.m: the run has no component 'plant'",
-        "metrics.u: the run has no component 'plant'",
-    ]
     with pytest.raises(UsageError, match="one component in the run, got none"):
         parse_metrics({"t": "last(t)"}).of(Memory())
 
@@ -128,8 +123,7 @@ def test_metrics_of_a_log_are_those_of_its_run(tmp_path):
     assert view.problems == {"error < 1e-3": f"error = {found['error']!r}"}
     later = parse_metrics(texts).of(log.window(t0=0.25))
     error = (log["observer.delta"] - log["delta.y"])[log.t >= 0.25]
-    needed = np.sqrt(np.mean(error**2))
-    assert later["error"] == pytest.approx(needed, rel=len(error) * 2.0**-52)
+    assert later["error"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=len(error) * 2.0**-52)
     view = AssertedView(Assertions(["rms(plant.q) < 1"]))
     with pytest.raises(UsageError, match=r"'plant' has no signal 'q'"):
         cosim.run("academic", live=view, out=tmp_path / "b.mcap")
@@ -158,15 +152,14 @@ def test_a_comparison_holds_or_says_what_the_metrics_are():
 
 @pytest.mark.parametrize(
     ("text", "named"),
-    {
-        "rms(a.y)": "expected a comparison, such as rms",
-        "rms(a.y) < 1 or rms(a.y) > 2": "expected a comparison, such as rms",
-        "rms(a.y) in 3": "< <= > >= == !=",
-        "1 < 2": "at least one reduction",
-        "peak < 1": r"a reduction, such as last\(peak\)",
-        "rms(a.y) <": "not a metric",
-        "__import__('os').getcwd() < 1": "allowed: numbers",
-    }.items(),
+    [
+        ("rms(a.y)", "expected a comparison, such as rms"),
+        ("rms(a.y) < 1 or rms(a.y) > 2", "expected a comparison, such as rms"),
+        ("rms(a.y) in 3", "< <= > >= == !="),
+        ("1 < 2", "at least one reduction"),
+        ("peak < 1", r"a reduction, such as last\(peak\)"),
+        ("__import__('os').getcwd() < 1", "allowed: numbers"),
+    ],
 )
 def test_what_is_no_assertion_is_refused(text, named):
     """Nothing of a text is run: it is one of the language of metrics."""

@@ -12,9 +12,8 @@ import pytest
 import cosim
 from cosim.errors import ChangedFileError, DatasetError, UsageError
 from cosim.studies.design import plan_design
-from cosim.studies.kept_logs import kept_count
 from cosim.studies.plan import RecordedStudy, plan_study
-from cosim.studies.study_file import read_keep, read_study
+from cosim.studies.study_file import read_study
 from cosim.studies.studying import estimate_study
 
 GRID = {
@@ -73,13 +72,15 @@ def test_every_member_is_its_run_alone(grid):
     ("changed", "text"),
     [
         ({"metrics": {"error": "rms(plant.y)"}}, "the metrics changed"),
-        ({"set": {"scenario.stop": 0.2}}, "study: key scenario.stop changed; choose"),
         ({"set": {**GRID["set"], "observer.L": [3.0, 0.5]}}, "key components.observer changed"),
         ({"set": {**GRID["set"], "scenario.until": "t > 1"}}, "key scenario.until is new; choose"),
         ({"vary": {"observer.filter_rate": [10.0, 20.0, 5.0, 1.0]}}, "member 1 was observer."),
         ({"vary": {"observer.filter_rate": [10.0]}}, "member 3 is recorded, but only 1 member"),
-        ({"vary": {"plant.x_a0[0]": [1.0, 2.0]}}, "plant.x_a0[0] is varied now"),
-        ({"vary": {"observer.filter_rate": [10, 900]}}, "of type double, are int64"),
+        ({"vary": {"plant.x_a0[0]": [1.0, 2.0]}}, "varied key plant.x_a0[0] is new"),
+        (
+            {"vary": {"observer.filter_rate": [10, 900]}},
+            "filter_rate was double, is int64",
+        ),
     ],
 )
 def test_the_dataset_of_another_study_is_refused(grid, changed, text):
@@ -95,12 +96,10 @@ def test_the_dataset_of_another_study_is_refused(grid, changed, text):
         ({"vary": {"observer.filter_rat": [1.0]}}, "did you mean 'filter_rate'"),
         ({"vary": {"observer.filter_rate": {"normal": [1.0, -1.0]}}, "samples": 3}, "deviation"),
         ({"metrics": {"a": "rms(observer.delt)"}}, "did you mean 'delta'"),
-        ({"metrics": {"a": "observer.delta"}}, "metrics.a"),
         ({"workers": 0}, "workers"),
         ({"keep": "worst 3 of b"}, "no metric 'b'"),
         ({"keep": [4]}, "keep: no member 4"),
         ({"metrics": {}, "keep": "worst 1 of no"}, "keep: 'no' is not a numeric metric"),
-        ({"swap": {"plant": "none.fmu"}}, "none.fmu"),
         ({"out": ""}, "empty path"),
         ({"new": 1}, "new"),
     ],
@@ -121,30 +120,28 @@ def test_a_scheduler_that_is_not_there_is_found_before_anything_is_removed(grid)
 
 
 @pytest.mark.parametrize(
-    "more",
-    [
-        [{"seeds": 3}, {"seeds": 5}],
-        [{"vary": {"sensor.noise": {"uniform": [0.0, 1.0]}}, "samples": n} for n in (3, 5)],
-    ],
+    "few",
+    [{"seeds": 3}, {"vary": {"sensor.noise": {"uniform": [0.0, 1.0]}}, "samples": 3}],
 )
-def test_a_study_that_has_grown_runs_only_what_is_new(tmp_path, more):
+def test_a_study_that_has_grown_runs_only_what_is_new(tmp_path, few):
     """The members that were there are not touched."""
     metrics = {"y": "rms(sensor.y)"}
-    given = {"metrics": metrics, "set": GRID["set"], "out": tmp_path / "grown"}
-    few = cosim.study("academic-noisy", **given, **more[0]).table()
+    given = {"metrics": metrics, "set": {"scenario.stop": 0.02}, "out": tmp_path / "grown", **few}
+    before = cosim.study("academic-noisy", **given).table()
     calls = []
-    grown = cosim.study("academic-noisy", **given, **more[1], progress=lambda *n: calls.append(n))
+    given |= {"seeds" if "seeds" in few else "samples": 5}
+    grown = cosim.study("academic-noisy", **given, progress=lambda *n: calls.append(n))
     assert calls == [(4, 5, 0), (5, 5, 0)]
-    assert grown.table(members=range(3)).equals(few)
-    whole = cosim.study("academic-noisy", **(given | {"out": tmp_path / "whole"}), **more[1])
+    assert grown.table(members=range(3)).equals(before)
+    whole = cosim.study("academic-noisy", **(given | {"out": tmp_path / "whole"}))
     assert rows(whole) == rows(grown)
     assert len({row["y"] for row in rows(grown)}) == 5
 
 
 def test_a_latin_hypercube_of_another_size_is_another_design(tmp_path):
     """Each sample is in another layer."""
-    given = {"metrics": {"y": "last(plant.y)"}, "set": GRID["set"], "out": tmp_path / "x"}
-    given |= {"vary": {"observer.filter_rate": {"uniform": [10.0, 20.0]}}}
+    given = {"metrics": {"y": "last(plant.y)"}, "set": {"scenario.stop": 0.01}}
+    given |= {"vary": {"observer.filter_rate": {"uniform": [10.0, 20.0]}}, "out": tmp_path / "x"}
     given |= {"sampling": "latin-hypercube"}
     cosim.study("academic", **given, samples=2)
     with pytest.raises(DatasetError, match=r"member 0 was observer.filter_rate = .*; members keep"):
@@ -170,23 +167,20 @@ def test_failures_are_rows_and_counted(scenario, tmp_path):
 
 def test_members_with_refused_draws_fail_and_no_others(tmp_path):
     """They are announced; a study that has only such ones is refused."""
-    for seed in range(20):
-        study = read_study("academic-noisy").with_options(
-            vary={"sensor.noise": {"normal": [0.0, 1.0]}},
-            samples=5,
-            seed=seed,
-            metrics={"y": "last(plant.y)"},
-            set={"scenario.stop": 0.01},
-        )
-        drawn = plan_design(study, cosim.load("academic-noisy")).column("sensor.noise")
-        if drawn[0] < 0.0 < drawn.max():
-            break
+    study = read_study("academic-noisy").with_options(
+        vary={"sensor.noise": {"normal": [0.0, 1.0]}},
+        samples=5,
+        metrics={"y": "last(plant.y)"},
+        set={"scenario.stop": 0.01},
+    )
+    drawn = plan_design(study, cosim.load("academic-noisy")).column("sensor.noise")
+    assert drawn.min() < 0.0 < drawn.max()
     notices = []
     done = cosim.study(study, out=tmp_path / "x", workers=1, notice=notices.append)
     assert sorted(done.failures) == np.flatnonzero(drawn < 0.0).tolist()
     assert all("noise: " in reason for reason in done.failures.values())
     count = np.count_nonzero(drawn < 0.0)
-    said = rf"\A{count} of 5 samples .* will fail, such as member 0: .*noise: .*-\d"
+    said = rf"\A{count} of 5 samples .* will fail, such as member \d: .*noise: .*-\d"
     assert re.search(said, notices[0])
     with pytest.warns(cosim.CosimWarning, match=said):
         cosim.study(study, out=tmp_path / "x", workers=1)
@@ -210,8 +204,6 @@ def test_what_members_warn_of_is_a_column_and_a_warning(tmp_path):
         )
     assert len(shown) == 3
     assert [len(lines) for lines in study.warnings.values()] == [1, 2]
-    column = study.table(["warnings"])["warnings"].to_pylist()
-    assert column == ["\n".join(lines) for lines in study.warnings.values()]
 
 
 def test_a_study_stops_where_a_file_changes(scenario, tmp_path):
@@ -281,22 +273,6 @@ def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
 # --- estimates ---
 
 
-@pytest.mark.parametrize(
-    ("keep", "count"),
-    [
-        ("all", 7),
-        ("worst 9 of y", 7),
-        ("best 3 of y", 3),
-        ((2, 5, 7), 2),
-        ("failed", None),
-        (None, 0),
-    ],
-)
-def test_kept_logs_are_counted(keep, count):
-    """Never more than there are members; how many fail is not known."""
-    assert kept_count(read_keep(keep), 7) == count
-
-
 def test_a_study_takes_what_was_said(scenario, tmp_path):
     """Logs as large as one that was timed; texts their length, numbers 8 bytes."""
     study = read_study(scenario).with_options(
@@ -313,10 +289,8 @@ def test_a_study_takes_what_was_said(scenario, tmp_path):
     done = cosim.study(study, out=tmp_path / "out", workers=2)
     size = sum(path.stat().st_size for path in (tmp_path / "out" / "logs").iterdir())
     assert estimate.log_bytes == pytest.approx(size, rel=0.1)
-    values = [
-        value for row in done.table().drop_columns("log").to_pylist() for value in row.values()
-    ]
-    total = sum(len(v) if isinstance(v, str) else 8 for v in values)
+    values = [value for row in done.table().to_pylist() for value in list(row.values())[:-1]]
+    total = sum(len(value) if isinstance(value, str) else 8 for value in values)
     assert estimate.dataset_bytes == pytest.approx(total, rel=0.1)
 
 
@@ -325,7 +299,5 @@ def test_members_that_fail_are_no_measure(scenario):
     study = read_study(scenario).with_options(
         vary={"s.rate": [1.0, 2.0]}, metrics={"y": "last(v.y)"}
     )
-    with pytest.raises(
-        UsageError, match=r"none of the first 2 members completed.*member 1: .*v\.y"
-    ):
+    with pytest.raises(UsageError, match=r"none of the first 2 members .*member 1: .*v\.y"):
         estimate_study(plan_study(study), 1)

@@ -45,10 +45,11 @@ def tampered(recorded, place, number=0, version=__version__, **changes):
     identity = StudyDataset.open(recorded / "out").identity
     with StudyDataset.open_or_create(place, replace(identity, version=version)) as dataset:
         for row, member in zip(study.table().to_pylist(), study.members(range(2)), strict=True):
-            new = row | changes if row["member"] == number else row
+            new = (
+                row | {"reason": row["reason"] or ""} | (changes if member.number == number else {})
+            )
             metrics = {name: new[name] for name in study.metrics}
             values = [new[name] for name in ("member", "status", "reason", "steps")]
-            values[2] = values[2] or ""
             dataset.add(member, MemberOutcome(*values, metrics, 0.1, new["worker"]))
 
 
@@ -57,7 +58,6 @@ def test_members_come_to_what_is_recorded(recorded, capsys):
     calls = []
     found = verify_study(recorded / "out", workers=2, progress=lambda *n: calls.append(n))
     assert (found.members, found.done, found.differences) == ((0, 1), 2, ())
-    assert found.values == ("status", "steps", "y", "early")
     assert (found.elsewhere, found.environment, found.is_searched) == ((), {}, False)
     assert calls == [(1, 2, 0), (2, 2, 0)]
     with pytest.raises(SystemExit) as ended:
@@ -72,7 +72,6 @@ def test_members_come_to_what_is_recorded(recorded, capsys):
         (0, "y", np.nextafter),
         (0, "early", 0.0),
         (0, "steps", 9),
-        (1, "status", "complete"),
         (1, "reason", "other"),
         (1, "y", 0.0),
     ],
@@ -96,7 +95,7 @@ def test_what_differs_is_found(recorded, tmp_path, capsys, number, name, value):
 
 def test_another_machine_and_other_versions_are_said(recorded, monkeypatch):
     """What is the same there may differ for their sake."""
-    monkeypatch.setattr(verifying, "own_environment", lambda: {**own_environment(), "numpy": "0"})
+    monkeypatch.setattr(verifying, "own_environment", lambda: own_environment() | {"numpy": "0"})
     node = platform.node()
     monkeypatch.setattr(verifying.platform, "node", lambda: "elsewhere")
     found = verify_study(recorded / "out", members=[1])
@@ -116,21 +115,16 @@ def test_what_members_are_made_of_must_be_as_it_was(recorded, tmp_path):
     finally:
         plant.write_bytes(before)
     tampered(recorded, tmp_path, version="9")
-    with pytest.raises(DatasetError, match="it was made by cosim 9, this is"):
+    with pytest.raises(DatasetError, match="the version of cosim was 9, is"):
         verify_study(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"members": [2]}, "member: no outcome of member 2; available: 2 of 2 members"),
-        ({"sample": 0}, "sample: .*got 0"),
-    ],
-)
-def test_members_that_cannot_run_again_are_refused(recorded, tmp_path, given, text):
+def test_members_that_cannot_run_again_are_refused(recorded, tmp_path):
     """Before anything runs."""
-    with pytest.raises(UsageError, match=text):
-        verify_study(recorded / "out", **given)
+    with pytest.raises(UsageError, match="no outcome of member 2; available: 2 of 2 members"):
+        verify_study(recorded / "out", members=[2])
+    with pytest.raises(UsageError, match=r"sample: .*got 0"):
+        verify_study(recorded / "out", sample=0)
     identity = StudyDataset.open(recorded / "out").identity
     StudyDataset.open_or_create(tmp_path, identity).close()
     with pytest.raises(UsageError, match="no member has run yet"):
