@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.errors import UsageError
 from cosim.files import file_type
@@ -23,12 +25,11 @@ from cosim.scenario.document.edits import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.study_file import absolute, varied_key
 
-ColumnValues: TypeAlias = np.ndarray[Any, Any] | list[Any]
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
 
 
-def read_cases(path: Path) -> dict[str, ColumnValues]:
+def read_cases(path: Path) -> dict[str, NDArray[Any]]:
     """Read the columns of a table of cases, by dotted key.
 
     None stands for an empty cell.
@@ -44,10 +45,14 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
         raise UsageError(
             f"cases: expected a path that ends in .csv, .txt, .xlsx or .parquet, got {str(path)!r}"
         )
-    columns = _of_parquet(path, file) if suffix == ".parquet" else _of_text(path)
+    if suffix == ".parquet":
+        columns = _of_parquet(path, file)
+    else:
+        table = read_texts(path)
+        columns = [(header.text, table.texts(header.position)) for header in table.headers]
     if not columns or not len(columns[0][1]):
         raise UsageError(f"{file} has no rows; expected a header line of keys and a row per case")
-    found: dict[str, ColumnValues] = {}
+    found: dict[str, NDArray[Any]] = {}
     for name, cells in columns:
         key = RECORDING if name.strip() == "replay" else name.strip()
         if key and key != RECORDING:
@@ -57,17 +62,12 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
             hint = "" if key else " (of pandas: to_csv(..., index=False))"
             raise UsageError(f"{file} has {problem}; expected one key per column{hint}")
         try:
-            found[key] = _read(cells)
+            values = [_value(cell) for cell in cells]
         except UsageError as error:
             raise UsageError(f"{file}, column {name!r}: {error}") from error
-        if key == RECORDING or key.startswith(SWAP):
-            found[key] = absolute(list(found[key]), path.parent)
+        is_path = key == RECORDING or key.startswith(SWAP)
+        found[key] = packed(absolute(values, path.parent) if is_path else values)
     return found
-
-
-def _of_text(path: Path) -> list[tuple[str, Sequence[Any]]]:
-    table = read_texts(path)
-    return [(header.text, table.texts(header.position)) for header in table.headers]
 
 
 def _of_parquet(path: Path, file: str) -> list[tuple[str, Sequence[Any]]]:
@@ -77,28 +77,23 @@ def _of_parquet(path: Path, file: str) -> list[tuple[str, Sequence[Any]]]:
 
     try:
         table = parquet.read_table(path)
-        for number, column in enumerate(table.columns):
-            if pyarrow.types.is_decimal(column.type):  # as the same digits in a CSV file
-                floats = pyarrow.array(
-                    [None if v is None else float(v) for v in column.to_pylist()]
-                )
-                table = table.set_column(number, table.column_names[number], floats)
         return list(zip(table.column_names, (c.to_pylist() for c in table.columns), strict=True))
     except (OSError, pyarrow.ArrowException, UnicodeDecodeError) as error:
         reason = str(error).partition("\n")[0]
         raise UsageError(f"{file} cannot be read as Parquet: {reason}") from error
 
 
-def _read(cells: Sequence[Any]) -> ColumnValues:
-    """Return the values of the cells of a column; texts are read as TOML."""
-    if not any(isinstance(cell, str) for cell in cells):
-        return packed([None if cell is None else plain(cell) for cell in cells])
-    texts = ["" if cell is None else str(cell).strip() for cell in cells]
-    if all(map(_FLOAT.fullmatch, texts)):
-        return np.array(list(map(float, texts)))
-    if all(map(_INTEGER.fullmatch, texts)):
-        return np.array(list(map(int, texts)), np.int64)
-    return packed([_parsed(text) if text else None for text in texts])
+def _value(cell: Any) -> Any:
+    """Return the value of a cell; a text is read as TOML, a decimal as its digits in a CSV file."""
+    if isinstance(cell, Decimal):
+        return float(cell)
+    if not isinstance(cell, str):
+        return None if cell is None else plain(cell)
+    text = cell.strip()
+    for form, number in ((_FLOAT, float), (_INTEGER, int)):
+        if form.fullmatch(text):
+            return number(text)
+    return _parsed(text) if text else None
 
 
 @lru_cache(maxsize=1024)  # columns of words have few different ones
@@ -106,11 +101,11 @@ def _parsed(text: str) -> Any:
     return plain(parse_value(text))
 
 
-def packed(values: Sequence[Any]) -> ColumnValues:
-    """Return values as an array where all are numbers of one type that it holds."""
+def packed(values: Sequence[Any]) -> NDArray[Any]:
+    """Return values as an array: of objects, unless all are numbers of one type that it holds."""
     kinds = {type(value) for value in values}
     if kinds == {float}:
         return np.array(values, np.float64)
     if kinds == {int} and all(-(2**63) <= value < 2**63 for value in values):
         return np.array(values, np.int64)
-    return list(values)
+    return np.fromiter(values, object, len(values))

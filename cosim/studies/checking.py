@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
-from functools import cached_property
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.errors import UsageError, command, listing, option, quoted
 from cosim.files import file_type
@@ -27,7 +27,7 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember, member_of
-from cosim.studies.design import StudyDesign, ValueColumn, edited_scenario
+from cosim.studies.design import StudyDesign, edited_scenario
 from cosim.studies.members import MemberSources, OpenedSubject, inspect_member
 from cosim.studies.study_file import STUDY
 from cosim.studies.workers import LocalExecutor
@@ -73,26 +73,34 @@ def check_design(design: StudyDesign, scenario: Scenario) -> CheckedDesign:
     UsageError
         If a value is refused, or all draws of a key are; names the key and the value.
     """
-    with ExitStack() as resources:
-        return _DesignCheck(design, scenario, resources).run()
+    subject, timeout = design.study.subject, design.study.settings.timeout
+    with (
+        closing(OpenedSubject(subject)) as opened,
+        LocalExecutor(subject, 1, timeout=timeout) as executor,
+    ):
+        return _DesignCheck(design, scenario, opened, executor).run()
 
 
 @final
+@dataclass(frozen=True, slots=True)
 class _DesignCheck:
     """Builds members of a design."""
 
-    def __init__(self, design: StudyDesign, scenario: Scenario, resources: ExitStack) -> None:
-        self._design = design
-        self._study = design.study
-        self._scenario = scenario
-        self._resources = resources
-        self._drawn = [item.key for item in design.study.sampled if not item.values]
-        self._found: dict[str, tuple[int, Inspected]] = {}
-        self._recordings: set[str] = set()  # of this scenario
+    design: StudyDesign
+    scenario: Scenario
+    opened: OpenedSubject
+    executor: LocalExecutor
+    found: dict[str, tuple[int, Inspected]] = field(default_factory=dict)
+    recordings: set[str] = field(default_factory=set)  # of this scenario
+
+    @property
+    def drawn(self) -> list[str]:
+        """The keys of drawn numbers."""
+        return [item.key for item in self.design.study.sampled if not item.values]
 
     def run(self) -> CheckedDesign:
-        first = self._design.member(0)
-        own = {key: first.set[key] for key in self._drawn}
+        first = self.design.member(0)
+        own = {key: first.set[key] for key in self.drawn}
         for given in ({}, own):  # for what is drawn: the scenario's own values, if they are right
             trial = self._member(0, given)
             if not self._problem(trial, _RUN):
@@ -104,24 +112,25 @@ class _DesignCheck:
                 refused += self._blame(member, level)
         if refused:
             raise UsageError("\n".join(dict.fromkeys(refused)))
-        notices = self._refused_samples() if self._drawn else ()
-        return CheckedDesign(trial, [*self._found.values()], tuple(notices))
+        notices = self._refused_samples() if self.drawn else ()
+        return CheckedDesign(trial, [*self.found.values()], tuple(notices))
 
     def _member(self, number: int, given: Mapping[str, Any]) -> StudyMember:
         """Return a member, with other values of what is drawn."""
-        member = self._design.member(number)
-        listed = {key: value for key, value in member.set.items() if key not in self._drawn}
+        member = self.design.member(number)
+        listed = {key: value for key, value in member.set.items() if key not in self.drawn}
         return replace(member, set={**listed, **given})
 
     def _chosen(self) -> dict[int, int]:
         """Return the first member with each value, and how it is checked."""
         levels = {0: _RUN}
-        for key, column in self._design.values.items():
-            firsts = [] if key in self._drawn else _firsts(column)[:MOST_CHECKED]
+        free = {*self.drawn, *self.design.layout.noise_seeds}
+        for key, column in self.design.columns.items():
+            firsts = [] if key in free else _firsts(column.values)[:MOST_CHECKED]
             built = np.linspace(0, len(firsts) - 1, min(len(firsts), MOST_BUILT)).astype(int)
             for count, place in enumerate(firsts):
                 level = _BUILT if count in built else _EDITED
-                if isinstance(column.at(place), str) and count < MOST_INSPECTED:
+                if isinstance(column.values[place], str) and count < MOST_INSPECTED:
                     level = _RUN
                 number = place * column.stride
                 levels[number] = max(levels.get(number, level), level)
@@ -129,14 +138,14 @@ class _DesignCheck:
 
     def _refused_samples(self) -> list[str]:
         """Return how many of the samples are refused, if the first or an extreme one is."""
-        layout = self._design.layout
+        layout = self.design.layout
         each = layout.seeds * layout.grid
-        draws = [np.asarray(self._design.values[key].values) for key in self._drawn]
-        extremes = [int(find(values)) for values in draws for find in (np.argmin, np.argmax)]
-        first = self._design.member(0)
-        is_first = bool(self._problem(first, _RUN))
-        level = _RUN if is_first and not self._problem(first, _BUILT) else _BUILT
-        if not is_first and not any(self._reasons(extremes, each, _BUILT).values()):
+        draws = [self.design.columns[key].values for key in self.drawn]
+        extremes = [int(place) for draw in draws for place in (draw.argmin(), draw.argmax())]
+        first = self.design.member(0)
+        levels = [level for level in (_BUILT, _RUN) if self._problem(first, level)] or [_BUILT]
+        level = levels[0]
+        if not any(self._reasons([0, *extremes], each, level).values()):
             return []
         most = MOST_TRIED if level == _BUILT else MOST_RUN
         tried = np.unique(np.linspace(0, layout.samples - 1, most).astype(int)).tolist()
@@ -144,7 +153,7 @@ class _DesignCheck:
         count = sum(map(bool, reasons.values()))
         reasons |= self._reasons(extremes, each, level)
         number = next(sample * each for sample, reason in reasons.items() if reason)
-        example = "; ".join(self._blame(self._design.member(number), level))
+        example = "; ".join(self._blame(self.design.member(number), level))
         example = f"such as member {number}: {example}"
         if count == len(tried):
             raise UsageError(f"all {count} samples that were tried are invalid, {example}")
@@ -157,7 +166,7 @@ class _DesignCheck:
 
     def _reasons(self, samples: Sequence[int], each: int, level: int) -> dict[int, str]:
         """Return why samples are refused, by number."""
-        return {n: self._problem(self._design.member(n * each), level) for n in samples}
+        return {n: self._problem(self.design.member(n * each), level) for n in samples}
 
     def _blame(self, member: StudyMember, level: int) -> list[str]:
         """Return what is wrong with a member, by the keys without which it is not."""
@@ -178,18 +187,21 @@ class _DesignCheck:
 
     def _place(self, key: str, number: int) -> str:
         """Return where a value stands in the table of cases, before a message; empty: nowhere."""
-        if key not in self._design.cases:
+        if key not in self.design.cases:
             return ""
-        row = number // (self._design.layout.seeds * self._design.layout.grid) + 1
-        return f"file {self._study.settings.cases!r}, row {row}: "
+        row = number // (self.design.layout.seeds * self.design.layout.grid) + 1
+        return f"file {self.design.study.settings.cases!r}, row {row}: "
 
     # --- members ---
 
     def _problem(self, member: StudyMember, level: int) -> str:
         """Return why a member is refused; empty: it is not, as far as is known."""
         try:
-            edited = edited_scenario(self._study, self._scenario, member.swap, member.set)
-            self._check_recording(member.recording)
+            edited = edited_scenario(self.design.study, self.scenario, member.swap, member.set)
+            path = member.recording
+            if path is not None and path not in self.recordings and not is_foreign(Path(path)):
+                check_is_of_scenario(path, self.scenario)
+                self.recordings.add(path)
             is_built = level == _RUN or (level == _BUILT and self._is_safe(member, edited))
             found = self._inspected(member, edited) if is_built else None
             text = found.refused if isinstance(found, MemberSources) else ""
@@ -201,14 +213,9 @@ class _DesignCheck:
             text = text.replace(option("swap", name), f"{SWAP}{name}")
         return text
 
-    def _check_recording(self, path: str | None) -> None:
-        if path is not None and path not in self._recordings and not is_foreign(Path(path)):
-            check_is_of_scenario(path, self._scenario)
-            self._recordings.add(path)
-
     def _is_safe(self, member: StudyMember, edited: Scenario) -> bool:
         """Return whether a member is built without code of others."""
-        settings = self._study.settings
+        settings = self.design.study.settings
         if member.recording is None or is_foreign(Path(member.recording)):
             return is_own_code(edited)
         has_class = any(key.endswith(".class") for key in (*settings.set, *member.set))
@@ -216,35 +223,25 @@ class _DesignCheck:
 
     def _inspected(self, member: StudyMember, edited: Scenario) -> Inspected:
         key = repr(replace(member, number=0))
-        if key not in self._found:
+        if key not in self.found:
             if self._is_safe(member, edited):
-                found: Inspected = self._opened.inspect(member)
+                self.found[key] = member.number, self.opened.inspect(member)
             else:
-                ((_, found),) = self._executor.run([member], inspect_member)
-            self._found[key] = member.number, found
-        return self._found[key][1]
-
-    @cached_property
-    def _opened(self) -> OpenedSubject:
-        return self._resources.enter_context(closing(OpenedSubject(self._study.subject)))
-
-    @cached_property
-    def _executor(self) -> LocalExecutor:
-        limit = self._study.settings.timeout
-        executor = LocalExecutor(self._study.subject, 1, timeout=limit)
-        return self._resources.enter_context(executor)
+                ((_, found),) = self.executor.run([member], inspect_member)
+                self.found[key] = member.number, found
+        return self.found[key][1]
 
 
-def _firsts(column: ValueColumn) -> list[int]:
-    """Return the first place of each value that is to be checked."""
-    values = column.values
-    if column.indices is not None:
-        return list(map(int, np.unique(column.indices, return_index=True)[1]))
-    if isinstance(values, np.ndarray) and len(values) > MOST_CHECKED:
+def _firsts(values: NDArray[Any]) -> list[int]:
+    """Return the first place of each value that is to be checked; of many numbers, the extremes."""
+    if values.dtype == object:
+        places = {repr(value): place for place, value in reversed([*enumerate(values)])}
+        places.pop("None", None)
+        return sorted(places.values())
+    firsts = np.unique(values, return_index=True)[1]
+    if len(firsts) > MOST_CHECKED:
         return [0, int(values.argmin()), int(values.argmax())]
-    texts = {repr(value): place for place, value in reversed([*enumerate(values)])}
-    texts.pop("None", None)
-    return sorted(texts.values())
+    return sorted(firsts.tolist())
 
 
 def without_key(problem: str, key: str) -> str:

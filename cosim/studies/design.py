@@ -15,81 +15,38 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, option, quoted
 from cosim.files import file_type
 from cosim.scenario.document.edits import ACTIONS, COMPONENTS, FLAT, component_in, short
 from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.studies.cases import ColumnValues, packed, read_cases
+from cosim.studies.cases import packed, read_cases
 from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember, member_of
-from cosim.studies.layout import NumberColumn, SampleKind, StudyLayout
+from cosim.studies.layout import SampleKind, StudyLayout
 from cosim.studies.study_file import SamplingMethod, StudyFile
 from cosim.studies.variations import GridVariation, SampledVariation, chosen, quantiles
 
-_BLOCK: Final = 2**16  # samples whose temporary arrays stay small
-
-
-# --- members by number ---
+_Array: TypeAlias = NDArray[Any]  # of float64, int64 or object
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class ValueColumn:
-    """Values of a key in turn, each of ``stride`` members; ``indices``: which of the values."""
+    """Values of a key, each of ``stride`` members in turn, over and over."""
 
-    values: ColumnValues
+    values: _Array
     stride: int = 1
-    indices: np.ndarray[Any, np.dtype[np.intp]] | None = None
 
-    def take(self, layout: StudyLayout, numbers: NumberColumn) -> ColumnValues:
+    def take(self, numbers: NDArray[np.int64]) -> _Array:
         """Return the values of some members."""
-        turns: np.ndarray[Any, Any] = numbers // self.stride
-        if self.indices is None:
-            turns = turns % len(self.values)
-        else:
-            turns = self.indices[turns % len(self.indices)]
-        if isinstance(self.values, np.ndarray):
-            return np.asarray(self.values[turns])
-        return [self.values[index] for index in turns.tolist()]
-
-    def at(self, place: int) -> Any:
-        """Return the value of a turn."""
-        return self.values[place if self.indices is None else self.indices[place]]
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class NoiseSeedColumn:
-    """The seeds of a noise source, from a stream of its own."""
-
-    study_seed: int
-    name: str
-
-    def take(self, layout: StudyLayout, numbers: NumberColumn) -> ColumnValues:
-        """Return the seeds of some members."""
-        indices = layout.noises_of(numbers)
-        if not len(indices):
-            return np.empty(0, np.int64)
-        begin = int(indices.min())
-        stream = np.random.PCG64(_sequence(self.study_seed, self.name))
-        stream.advance(begin)
-        raw = np.asarray(stream.random_raw(int(indices.max()) + 1 - begin), np.uint64)
-        return np.asarray((raw >> np.uint64(11)).astype(np.int64)[indices - begin])
-
-
-def _sequence(seed: int, name: str = "") -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
-
-
-def plain_values(values: ColumnValues) -> list[Any]:
-    """Return the values of a column as a list."""
-    return values.tolist() if isinstance(values, np.ndarray) else values
+        return np.asarray(self.values[numbers // self.stride % len(self.values)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,63 +57,49 @@ class StudyDesign:
     ----------
     study : StudyFile
     layout : StudyLayout
-    columns : mapping of key to ValueColumn or NoiseSeedColumn
+    columns : mapping of key to ValueColumn
         In the order of the dataset.
     """
 
     study: StudyFile
     layout: StudyLayout
-    columns: Mapping[str, ValueColumn | NoiseSeedColumn] = field(repr=False)
+    columns: Mapping[str, ValueColumn] = field(repr=False)
 
     def __len__(self) -> int:
         return self.layout.members
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The keys."""
-        return tuple(self.columns)
-
-    @property
-    def values(self) -> dict[str, ValueColumn]:
-        """The columns of all but seeds of noise."""
-        return {n: c for n, c in self.columns.items() if isinstance(c, ValueColumn)}
-
-    @property
     def cases(self) -> dict[str, ValueColumn]:
-        """Those of the table of cases."""
-        settings = self.study.settings
-        others = {item.key for item in self.study.variations}
-        others |= set() if settings.replay is None else {RECORDING}
-        columns = {} if settings.cases is None else self.values
-        return {name: column for name, column in columns.items() if name not in others}
+        """The columns of the table of cases."""
+        if self.study.settings.cases is None:
+            return {}
+        others = {*(item.key for item in self.study.variations), *self.layout.noise_seeds}
+        others |= set() if self.study.settings.replay is None else {RECORDING}
+        return {name: column for name, column in self.columns.items() if name not in others}
 
-    def column(self, name: str, begin: int = 0, end: int | None = None) -> ColumnValues:
+    def column(self, name: str, begin: int = 0, end: int | None = None) -> _Array:
         """Return the values of a key, from one member to another (not included)."""
-        return self.columns[name].take(self.layout, self._numbers(begin, end))
+        numbers = range(len(self))[begin:end]
+        return self.columns[name].take(np.arange(numbers.start, numbers.stop))
 
     def texts(self) -> set[str]:
         """Return all texts among the values: some are paths."""
-        return texts_in([c.values for c in self.values.values() if isinstance(c.values, list)])
+        columns = [column.values for column in self.columns.values()]
+        return texts_in([values.tolist() for values in columns if values.dtype == object])
 
     def member(self, number: int) -> StudyMember:
         """Return a member."""
-        if not 0 <= number < len(self):
-            raise UsageError(f"no member {number}; the study has {len(self)}, numbered from 0")
         return self.members(number, number + 1)[0]
 
     def members(self, begin: int = 0, end: int | None = None) -> list[StudyMember]:
         """Return the members from one number to another (not included)."""
-        numbers = self._numbers(begin, end)
-        columns = [plain_values(c.take(self.layout, numbers)) for c in self.columns.values()]
+        numbers = range(len(self))[begin:end]
+        columns = [self.column(name, begin, end).tolist() for name in self.columns]
         rows = zip(*columns, strict=True) if columns else ((),) * len(numbers)
         return [
             member_of(number, dict(zip(self.columns, row, strict=True)))
-            for number, row in zip(numbers.tolist(), rows, strict=True)
+            for number, row in zip(numbers, rows, strict=True)
         ]
-
-    def _numbers(self, begin: int, end: int | None) -> NumberColumn:
-        last = len(self) if end is None else min(end, len(self))
-        return np.arange(max(0, begin), last, dtype=np.int64)
 
 
 # --- planning ---
@@ -174,32 +117,43 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     _check_sampling(study)
     cases = {} if settings.cases is None else read_cases(Path(settings.cases))
     recordings = find_recordings(settings.replay)
-    is_replay = bool(recordings) or RECORDING in cases
     grid = list(study.grid)
     if recordings:
         grid.insert(0, GridVariation(RECORDING, recordings))
-    names = [*(item.key for item in grid), *(item.key for item in study.sampled), *cases]
-    swapped = {name.removeprefix(SWAP) for name in names if name.startswith(SWAP)}
+    varied = {item.key: "varied" for item in study.variations}
+    froms = {RECORDING: "of the logs"} if recordings else {}
+    given = [*froms.items(), *varied.items(), *((key, "of the cases") for key in cases)]
     firsts = {item.key: item.values[0] for item in study.variations if item.key.startswith(SWAP)}
     edited = edited_scenario(study, scenario, member_of(0, firsts).swap)
-    sources = {} if settings.seeds is None else _noise_sources(edited, swapped, is_replay)
-    froms = {RECORDING: "of the logs"} if recordings else {}
-    froms |= dict.fromkeys((item.key for item in study.variations), "varied")
-    given = [*froms.items()] + [(key, "of the cases") for key in cases]
+    sources: dict[str, str] = {}
+    if settings.seeds is not None:
+        is_replay = any(key == RECORDING for key, _ in given)
+        sources = _noise_sources(edited, {key for key, _ in given}, is_replay)
     _check_keys(study, [*given, *((key, "of the seeds") for key in sources)])
 
     layout = _layout(study, grid, [*sources], cases)
-    columns: dict[str, ValueColumn | NoiseSeedColumn] = {}
+    columns = {}
     stride = layout.grid
     for item in grid:
         stride //= len(item.values)
         columns[item.key] = ValueColumn(packed(item.values), stride)
     each = layout.grid * layout.seeds
-    for drawn, points in zip(study.sampled, _unit_points(study), strict=True):
-        columns[drawn.key] = _drawn_column(drawn, points, each, edited)
+    if study.sampled:
+        method, samples = settings.sampling or "random", settings.samples or 1
+        points = unit_points(method, layout.parameters, samples, seed=settings.seed)
+        for drawn, row in zip(study.sampled, points, strict=True):
+            columns[drawn.key] = ValueColumn(_drawn(drawn, row, edited), each)
     columns |= {key: ValueColumn(values, each) for key, values in cases.items()}
-    columns |= {key: NoiseSeedColumn(settings.seed, name) for key, name in sources.items()}
+    # Seeds are the same in every case, and of Saltelli's matrices; each sample has its own.
+    count = layout.seeds * (settings.samples or 1)
+    for key, name in sources.items():
+        raw = np.random.PCG64(_sequence(settings.seed, name)).random_raw(count)
+        columns[key] = ValueColumn((raw >> np.uint64(11)).view(np.int64), layout.grid)
     return StudyDesign(study, layout, columns)
+
+
+def _sequence(seed: int, name: str = "") -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
 
 
 def edited_scenario(
@@ -238,18 +192,18 @@ def _check_sampling(study: StudyFile) -> None:
     if not study.sampled:
         for name in ("samples", "sampling"):
             if getattr(settings, name) is not None:
-                seeds = f"; the runs of a noise source are {option('seeds')}"
                 raise UsageError(
                     f"{option(name)}: nothing is drawn: no key has a distribution, such as "
-                    f"{{ uniform = [0.0, 1.0] }}{seeds if name == 'samples' else ''}"
+                    f"{{ uniform = [0.0, 1.0] }}; the runs of a noise source are {option('seeds')}"
                 )
-    elif settings.samples is None:
+        return
+    key = study.sampled[0].key
+    if settings.samples is None:
         raise UsageError(
-            f"{option('samples')}: expected the number of draws, such as 100, as "
-            f"{study.sampled[0].key!r} has a distribution; got none"
+            f"{option('samples')}: expected the number of draws, such as 100, as {key!r} has a "
+            "distribution; got none"
         )
-    elif settings.cases is not None:
-        key = study.sampled[0].key
+    if settings.cases is not None:
         raise UsageError(f"expected either {option('cases')} or distributions ({key!r}), got both")
 
 
@@ -272,10 +226,11 @@ def _layout(
 ) -> StudyLayout:
     settings = study.settings
     kind: SampleKind = "cases" if cases else "grid"
-    samples = max(map(len, cases.values()), default=1)
-    if study.sampled and settings.samples is not None:
+    drawn = tuple(item.key for item in study.sampled)
+    samples = max(map(len, cases.values()), default=settings.samples or 1)
+    if drawn:
         kind = settings.sampling or "random"
-        samples = settings.samples * (len(study.sampled) + 2 if kind == "saltelli" else 1)
+        samples *= len(drawn) + 2 if kind == "saltelli" else 1
     counts = [samples, settings.seeds or 1, *(len(item.values) for item in grid)]
     members = math.prod(counts)
     if members > MOST_MEMBERS:
@@ -283,36 +238,31 @@ def _layout(
         raise UsageError(
             f"{study.source}: expected at most {MOST_MEMBERS} members, got {product} = {members}"
         )
-    drawn = tuple(item.key for item in study.sampled)
-    samples, seeds, *points = counts
-    return StudyLayout(
-        kind, drawn, tuple(noise), samples=samples, seeds=seeds, grid=math.prod(points)
-    )
+    points = math.prod(counts[2:])
+    return StudyLayout(kind, drawn, tuple(noise), samples=samples, seeds=counts[1], grid=points)
 
 
-def _drawn_column(item: SampledVariation, p: Any, each: int, scenario: Scenario) -> ValueColumn:
-    """Return what is drawn at probabilities, which are overwritten."""
+def _drawn(item: SampledVariation, p: Vector, scenario: Scenario) -> _Array:
+    """Return what is drawn at some probabilities."""
     if item.distribution == "choice":
-        return ValueColumn(packed(item.values), each, chosen(item, p))
+        return packed(item.values)[chosen(item, p)]
     is_tolerance = item.distribution.startswith("tolerance")
     own = _own_number(scenario, item.key) if is_tolerance else math.nan
-    for begin in range(0, len(p), _BLOCK):
-        block = p[begin : begin + _BLOCK]
-        block[:] = quantiles(item, block, own)
-    wrong = p[~np.isfinite(p)]
+    values = quantiles(item, p, own)
+    wrong = values[~np.isfinite(values)]
     if len(wrong):
         raise UsageError(
             f"{option('vary', item.key)}: {item.distribution} of {quoted(list(item.numbers))} "
             f"gives {wrong[0]}; expected numbers below {np.finfo(float).max:g}"
         )
-    return ValueColumn(p, each)
+    return values
 
 
-def _noise_sources(scenario: Scenario, swapped: set[str], is_replay: bool) -> dict[str, str]:
+def _noise_sources(scenario: Scenario, given: set[str], is_replay: bool) -> dict[str, str]:
     """Return the noise sources that get seeds, by the keys of their seeds."""
     sources = {}
     for name, table in scenario.tree["components"].items():
-        if table.get("seed") is not None and name not in swapped:
+        if table.get("seed") is not None and f"{SWAP}{name}" not in given:
             sources[short(f"{COMPONENTS}.{name}.seed")] = name
     for number, action in scenario.actions.items():
         loses = action.drop is not None and not isinstance(action.drop, bool)
@@ -368,44 +318,48 @@ def _inner(value: Any, path: Iterable[str]) -> Any:
                 is_there = part.isdigit() and int(part) < len(value)
                 value = value[int(part)] if is_there else None
             case _:
-                value = getattr(value, part, None) if part.isidentifier() else None
+                value = getattr(value, part, None)
     return value
 
 
 # --- points between 0 and 1 ---
 
 
-def _unit_points(study: StudyFile) -> Matrix:
-    settings = study.settings
-    keys = [item.key for item in study.sampled]
-    if not keys or settings.samples is None:
-        return np.empty((0, 0))
-    return unit_points(settings.sampling or "random", keys, settings.samples, seed=settings.seed)
-
-
 def unit_points(method: SamplingMethod, keys: Sequence[str], samples: int, *, seed: int) -> Matrix:
     """Return points of the unit cube, a row for each key: inside it, never on its faces.
+
+    Of Saltelli's design these are matrices A, B, and A with one column of B, one behind the other.
 
     Raises
     ------
     UsageError
-        If the method has not so many dimensions, or needs another number of samples.
+        If the method needs another number of samples.
     """
-    dimensions = len(keys)
+    count = len(keys)
     match method:
         case "random":
-            points = np.empty((dimensions, samples))
+            points = np.empty((count, samples))
             for row, key in zip(points, keys, strict=True):
                 np.random.Generator(np.random.PCG64(_sequence(seed, key))).random(out=row)
         case "latin-hypercube":
             from scipy.stats.qmc import LatinHypercube
 
-            drawn = LatinHypercube(dimensions, rng=np.random.default_rng(_sequence(seed)))
+            drawn = LatinHypercube(count, rng=np.random.default_rng(_sequence(seed)))
             points = np.ascontiguousarray(drawn.random(samples).T)
         case "sobol":
-            points = _sobol(dimensions, samples, seed)
+            points = _sobol(count, samples, seed)
         case "saltelli":
-            points = _saltelli(dimensions, samples, seed)
+            if samples & (samples - 1):
+                below = 1 << (samples.bit_length() - 1)
+                raise UsageError(
+                    f"{option('samples')}: expected a power of two for Saltelli's design, got "
+                    f"{samples}; nearest: {below} or {2 * below}"
+                )
+            first, second = np.split(_sobol(2 * count, samples, seed), 2)
+            matrices = np.repeat(first[:, np.newaxis], count + 2, axis=1)
+            matrices[:, 1] = second
+            matrices[range(count), range(2, count + 2)] = second
+            points = matrices.reshape(count, -1)
     smallest = 2.0**-54
     return np.clip(points, smallest, 1.0 - 2 * smallest, out=points)
 
@@ -413,11 +367,6 @@ def unit_points(method: SamplingMethod, keys: Sequence[str], samples: int, *, se
 def _sobol(dimensions: int, samples: int, seed: int) -> Matrix:
     from scipy.stats.qmc import Sobol
 
-    if dimensions > Sobol.MAXDIM:
-        raise UsageError(
-            f"{option('sampling')}: a Sobol sequence has at most {Sobol.MAXDIM} dimensions, "
-            f"and the study has {dimensions}"
-        )
     bits = 30
     generator = np.random.default_rng(_sequence(seed))
     sequence = Sobol(dimensions, scramble=True, bits=bits, rng=generator)
@@ -425,19 +374,3 @@ def _sobol(dimensions: int, samples: int, seed: int) -> Matrix:
     rows: Matrix = np.ascontiguousarray(points.T)
     rows += 2.0 ** -(bits + 1)
     return rows
-
-
-def _saltelli(dimensions: int, samples: int, seed: int) -> Matrix:
-    """Return matrices A, B, and A with one column of B, one behind the other."""
-    if samples & (samples - 1):
-        below = 1 << (samples.bit_length() - 1)
-        raise UsageError(
-            f"{option('samples')}: expected a power of two for Saltelli's design, got {samples}; "
-            f"nearest: {below} or {2 * below}"
-        )
-    first, second = np.split(_sobol(2 * dimensions, samples, seed), 2)
-    points = np.repeat(first[:, np.newaxis], dimensions + 2, axis=1)
-    points[:, 1] = second
-    for number in range(dimensions):
-        points[number, number + 2] = second[number]
-    return points.reshape(dimensions, -1)

@@ -55,7 +55,7 @@ def keep_logs(
         Called with how many logs are there, of how many, and how many members have none.
     """
     timeout = plan.study.settings.timeout
-    chosen = chosen_members(plan.study.kept_logs, dataset).tolist()
+    chosen = chosen_members(plan.study.settings.keep, dataset).tolist()
     settled = {name.partition(".")[0] for name in dataset.storage.names(LOGS)}
     missing = [number for number in chosen if str(number) not in settled]
     rows = {row["member"]: row for row in dataset.read(members=missing).to_pylist()}

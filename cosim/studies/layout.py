@@ -192,19 +192,6 @@ class StudyLayout:
         """Return which of the seeds members have."""
         return numbers // self.grid % self.seeds
 
-    def noises_of(self, numbers: NumberColumn) -> NumberColumn:
-        """Return the places of members in the streams of noise seeds: each sample has its own.
-
-        Those of Saltelli's matrices are the same.
-        """
-        seeds = self.seeds_of(numbers)
-        if self.kind in ("grid", "cases"):
-            return seeds
-        samples = self.samples_of(numbers)
-        if self.kind == "saltelli":
-            samples = samples % self.base_points
-        return samples * self.seeds + seeds
-
     @property
     def matrices(self) -> int:
         """Of Saltelli's design: A, B, and A with each column of B."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import InstanceOf, TypeAdapter, ValidationError
+from pydantic import InstanceOf, TypeAdapter
 
 from cosim.digests import digest_of, sha256_of, source_digest
 from cosim.errors import RunError, UsageError, listing, option
@@ -25,7 +25,7 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.checking import Inspected, check_design
 from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
-from cosim.studies.design import StudyDesign, plain_values, plan_design
+from cosim.studies.design import StudyDesign, plan_design
 from cosim.studies.identity import (
     OF_METRICS,
     StudyIdentity,
@@ -100,7 +100,7 @@ class StudyPlan:
             edits = {k: v for k, v in subject.set.items() if not own or not k.startswith(own)}
             common = [edits, dict(subject.swap), dict(subject.map), study.settings.allow_code]
             digests["what all members have"] = digest_of(common)
-        columns = [parameter_column(n, self.design.column(n)) for n in self.design.names]
+        columns = [parameter_column(n, self.design.column(n)) for n in self.design.columns]
         columns += [metric_column(name, text) for name, text in study.metrics.items()]
         columns += result_columns(results, [column.name for column in columns])
         layout = self.design.layout
@@ -135,7 +135,7 @@ def plan_study(study: StudyFile) -> StudyPlan:
     files = scenario_digest(study.subject)
     scenario = load_scenario(study.scenario)
     design = plan_design(study, scenario)
-    last = max(study.kept_logs.numbers, default=0)
+    last = max(study.settings.keep.numbers, default=0)
     if last >= len(design):
         text = f"no member {last}; the study has {len(design)}, numbered from 0"
         raise UsageError(f"{option('keep')}: {text}")
@@ -161,10 +161,14 @@ def plan_members(
     UsageError
         If a member cannot be built, or has not the signals of the metrics.
     """
-    named = _named_files(_texts(design, scenario), scenario.document.folder)
+    settings, subject = study.settings, study.subject
+    texts = design.texts() | texts_in([dict(subject.set), dict(subject.swap)])
+    if settings.replay is None:
+        for tree in (scenario.tree, scenario.document.unswapped().tree()[0]):
+            texts |= texts_in({name: table for name, table in tree.items() if name != STUDY})
+    named = _named_files(texts, scenario.document.folder)
     checked = check_design(design, scenario)
     sources, warnings = _sources({**named, **files}, checked.found)
-    settings = study.settings
     edited = scenario
     if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
@@ -175,7 +179,7 @@ def plan_members(
 
 def _empty_cells(design: StudyDesign) -> list[str]:
     """Return a notice where a table of cases has empty cells."""
-    columns = [plain_values(column.values) for column in design.cases.values()]
+    columns = [column.values.tolist() for column in design.cases.values()]
     is_empty = np.array([[value is None for value in values] for values in columns])
     if not is_empty.any():
         return []
@@ -203,16 +207,6 @@ def scenario_digest(subject: StudySubject) -> dict[str, str]:
     if not os.path.isfile(path):
         return {}
     return dict.fromkeys((path, os.path.realpath(path)), sha256_of(path))
-
-
-def _texts(design: StudyDesign, scenario: Scenario) -> set[str]:
-    """Return all texts that may be paths of files."""
-    subject = design.study.subject
-    texts = design.texts() | texts_in([dict(subject.set), dict(subject.swap)])
-    if design.study.settings.replay is None:
-        for tree in (scenario.tree, scenario.document.unswapped().tree()[0]):
-            texts |= texts_in({name: table for name, table in tree.items() if name != STUDY})
-    return texts
 
 
 def _named_files(texts: Iterable[str], folder: Path) -> dict[str, str]:
@@ -312,16 +306,15 @@ class RecordedStudy:
         """
         try:
             described = read_json(text)
-            study, problems = study_of(described.pop("tables"), str(described.pop("source")))
-            problem = "; ".join(text for _, text in problems)
-            if study is not None:
-                return TypeAdapter(cls).validate_python({**described, "study": study})
-        except (ValidationError, ValueError, KeyError, TypeError, AttributeError) as error:
+            study = study_of(described.pop("tables"), str(described.pop("source")))
+            return TypeAdapter(cls).validate_python({**described, "study": study})
+        except (UsageError, ValueError, KeyError, TypeError, AttributeError) as error:
             problem = f"{type(error).__name__}: {error}".replace("\n", " ")
-        raise UsageError(
-            f"the description of the study in the dataset cannot be read by cosim {__version__} "
-            f"({problem}); read it with the version that wrote it, or start the study over"
-        )
+            raise UsageError(
+                "the description of the study in the dataset cannot be read by cosim "
+                f"{__version__} ({problem}); read it with the version that wrote it, or start the "
+                "study over"
+            ) from error
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member alone."""

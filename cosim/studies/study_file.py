@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
-from pydantic import Field, ValidationError
+from pydantic import Field, PlainValidator, ValidationError
 
 from cosim.arguments import mapping_argument, swap_argument
 from cosim.errors import UsageError, nearest, option, quoted
@@ -44,38 +44,9 @@ from cosim.studies.variations import (
 STUDY: Final = "study"
 VARY: Final = "vary"
 METRICS: Final = "metrics"
-_KeyForm: TypeAlias = Callable[[str], str]
-_IsEntry: TypeAlias = Callable[[Any, int], bool]
+_BY_KEY: Final = ("set", "swap", "map", VARY, METRICS)
 SamplingMethod: TypeAlias = Literal["random", "latin-hypercube", "sobol", "saltelli"]
 _Drawn: TypeAlias = Annotated[Whole, Field(ge=1, le=10_000_000)]
-
-
-class StudySettings(TomlTable):
-    """The table [study]."""
-
-    name: NameOfStudy | None = None  # left out: that of its file or scenario
-    scenario: str | None = None  # a shipped one, a path relative to the file, or a log to replay
-    set: dict[str, Any] = Field({})  # of all members, as the next two
-    swap: dict[str, str] = Field({})
-    map: dict[str, str | list[str]] = Field({})
-    replay: str | tuple[str, ...] | None = None  # logs and patterns of logs
-    allow_code: Flag | None = None  # replays compute components of user classes, too
-    cases: str | None = None  # table with a column for each key and a row for each case
-    sampling: SamplingMethod | None = None  # left out: random
-    samples: _Drawn | None = None  # draws from all distributions
-    seed: Annotated[Whole, Field(ge=0, le=LARGEST_SEED)] = 0  # of all random numbers of the study
-    seeds: _Drawn | None = None  # of each noise source; left out: only its own
-    timeout: Annotated[Number, Field(gt=0.0)] | None = None  # wall time of a member [s]
-    keep: str | tuple[Whole, ...] | None = None  # members whose logs are kept
-    results: Flag | None = None  # keep what a run says; left out: only without metrics
-
-
-class StudyTables(TomlTable):
-    """The tables of a study."""
-
-    study: StudySettings
-    vary: dict[str, Any] = Field({})  # by dotted key
-    metrics: dict[str, str] = Field({})  # expressions over signals, by name
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +59,15 @@ class KeptLogs:
     numbers: tuple[int, ...] = ()
 
 
-def read_keep(value: str | tuple[int, ...] | None) -> KeptLogs:
-    """Read which logs are kept.
+def read_keep(value: object) -> KeptLogs:
+    """Read which logs are kept: a text, a list of numbers, or None.
 
     Raises
     ------
-    UsageError
+    ValueError
         If it says something else.
     """
-    words = value.strip().split(maxsplit=3) if isinstance(value, str) else []
-    match words:
+    match value.strip().split(maxsplit=3) if isinstance(value, str) else ():
         case ["failed" | "all" as which]:
             return KeptLogs(which)
         case ["worst" | "best" as which, count, "of", metric] if re.fullmatch(
@@ -106,12 +76,40 @@ def read_keep(value: str | tuple[int, ...] | None) -> KeptLogs:
             return KeptLogs(which, int(count), metric)
     if value is None:
         return KeptLogs()
-    if not isinstance(value, str) and value and min(value) >= 0:
+    if isinstance(value, list | tuple) and value and all(type(n) is int and n >= 0 for n in value):
         return KeptLogs("numbers", numbers=tuple(sorted(set(value))))
-    raise UsageError(
+    raise ValueError(
         'expected "failed", "all", "worst 5 of METRIC", "best 5 of METRIC", or a list of numbers '
-        f"from 0, got {quoted(value if isinstance(value, str) else list(value))}"
+        f"from 0, got {quoted(value)}"
     )
+
+
+class StudySettings(TomlTable):
+    """The table [study]."""
+
+    name: NameOfStudy = ""  # left out: that of its file or scenario
+    scenario: str = ""  # a shipped one, a path relative to the file, or a log to replay
+    set: dict[str, Any] = Field({})  # of all members, as the next two
+    swap: dict[str, str] = Field({})
+    map: dict[str, str | list[str]] = Field({})
+    replay: str | tuple[str, ...] | None = None  # logs and patterns of logs
+    allow_code: Flag | None = None  # replays compute components of user classes, too
+    cases: str | None = None  # table with a column for each key and a row for each case
+    sampling: SamplingMethod | None = None  # left out: random
+    samples: _Drawn | None = None  # draws from all distributions
+    seed: Annotated[Whole, Field(ge=0, le=LARGEST_SEED)] = 0  # of all random numbers of the study
+    seeds: _Drawn | None = None  # of each noise source; left out: only its own
+    timeout: Annotated[Number, Field(gt=0.0)] | None = None  # wall time of a member [s]
+    keep: Annotated[KeptLogs, PlainValidator(read_keep)] = KeptLogs()  # members whose logs are kept
+    results: Flag | None = None  # keep what a run says; left out: only without metrics
+
+
+class StudyTables(TomlTable):
+    """The tables of a study."""
+
+    study: StudySettings
+    vary: dict[str, Any] = Field({})  # by dotted key
+    metrics: dict[str, str] = Field({})  # expressions over signals, by name
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,30 +118,31 @@ class StudyFile:
 
     Parameters
     ----------
-    name : str
     source : str
         Where it was read, for messages.
     settings : StudySettings
     variations : tuple of Variation
         In the order in which they are written.
     metrics : mapping of name to expression
-    kept_logs : KeptLogs
     tables : mapping
         With dotted keys and absolute paths; :func:`study_of` reads them again.
     """
 
-    name: str
     source: str
     settings: StudySettings
     variations: tuple[Variation, ...]
     metrics: Mapping[str, str]
-    kept_logs: KeptLogs
     tables: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """That of the file or the scenario, unless it says another one."""
+        return self.settings.name
 
     @property
     def scenario(self) -> str:
         """Path, or name of a shipped scenario."""
-        return self.settings.scenario or ""
+        return self.settings.scenario
 
     @property
     def grid(self) -> tuple[GridVariation, ...]:
@@ -160,7 +159,7 @@ class StudyFile:
         """What all members have in common."""
         settings = self.settings
         return StudySubject(
-            self.scenario,
+            settings.scenario,
             settings.set,
             settings.swap,
             settings.map,
@@ -206,99 +205,95 @@ class StudyFile:
         UsageError
             With everything that is wrong with them.
         """
-        given = {
-            "replay": replay if replay is None or isinstance(replay, str) else list(replay),
-            "allow_code": allow_code,
-            "cases": None if cases is None else str(cases),
-            "sampling": sampling,
-            "samples": samples,
-            "seed": seed,
-            "seeds": seeds,
-            "timeout": timeout,
-            "keep": keep if keep is None or isinstance(keep, str) else list(keep),
-            "results": results,
-            "set": _plain("set", set) or None,
-            "swap": _plain("swap", swap_argument(swap)) or None,
-            "map": _plain("map", map) or None,
-        }
-        options = {
-            STUDY: {key: value for key, value in given.items() if value is not None},
-            VARY: _plain(VARY, vary),
-            METRICS: dict(mapping_argument(METRICS, metrics)),
-        }
-        options, _, twice = normal_tables(options, Path.cwd())
-        merged = self.to_dict()
-        for key, value in options[STUDY].items():
-            before = merged[STUDY].get(key)
-            both = isinstance(value, dict) and isinstance(before, dict)
-            merged[STUDY][key] = {**before, **value} if both else value
-        for name in (VARY, METRICS):
-            merged[name] = {**merged.get(name, {}), **options[name]}
-        study, problems = study_of(merged, self.source)
-        problems = [*twice, *problems]
-        if study is None or problems:
-            raise UsageError("\n".join(dict.fromkeys(f"{_label(k)}: {t}" for k, t in problems)))
-        return study
-
-
-def _plain(name: str, argument: object) -> dict[str, Any]:
-    found = {}
-    for key, value in mapping_argument(name, argument).items():
+        given = {**locals(), "swap": swap_argument(swap)}
+        del given["self"]
+        options: dict[str, Any] = {STUDY: {}, VARY: {}, METRICS: {}}
+        for name, value in given.items():
+            if name in _BY_KEY:
+                entries = mapping_argument(name, value).items()
+                value = {key: _plain(option(name, key), item) for key, item in entries} or None
+            if value is not None:
+                table = options if name in options else options[STUDY]
+                table[name] = value if name in _BY_KEY else _plain(option(name), value)
+        options, _, problems = normal_tables(options, Path.cwd())
+        tables = self.to_dict()
+        for name, value in {**options.pop(STUDY), **options}.items():
+            table = tables if name in options else tables[STUDY]
+            table[name] = {**table.get(name, {}), **value} if name in _BY_KEY else value
         try:
-            found[key] = str(value) if isinstance(value, Path) else plain(value)
-        except UsageError as error:
-            raise UsageError(f"{option(name, key)}: {error}") from error
-    return found
+            return study_of(tables, self.source, problems=problems)
+        except TableProblems as error:
+            lines = [f"{_label(key)}: {text}" for key, text in error.problems]
+            raise UsageError("\n".join(dict.fromkeys(lines))) from error
+
+
+def _plain(label: str, value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    try:
+        return plain(list(value) if isinstance(value, range) else value)
+    except UsageError as error:
+        raise UsageError(f"{label}: {error}") from error
 
 
 def _label(key: Key) -> str:
     """Return the name of the option that a key of the tables comes from."""
     name, *inner = map(str, key[key[0] == STUDY :] or key)
     label = option(name)
-    if inner and name in ("set", "swap", "map", VARY, METRICS):
+    if inner and name in _BY_KEY:
         label = option(name, inner.pop(0).removeprefix(SWAP if name == VARY else ""))
     return ": ".join([label, *inner])
 
 
 def study_of(
-    tables: Mapping[str, Any], source: str, name: str = ""
-) -> tuple[StudyFile | None, list[Problem]]:
-    """Return the study of normal tables, or everything that is wrong with them."""
-    problems: list[Problem] = []
+    tables: Mapping[str, Any], source: str, name: str = "", problems: Sequence[Problem] = ()
+) -> StudyFile:
+    """Return the study of normal tables.
+
+    Parameters
+    ----------
+    tables : mapping
+    source : str
+        Where they were read, for messages.
+    name : str
+        Of the study, if it does not say its own.
+    problems : sequence of Problem
+        That are known before.
+
+    Raises
+    ------
+    TableProblems
+        With everything that is wrong with them.
+    """
+    settings = tables[STUDY]
+    if name and isinstance(settings, Mapping):
+        tables = {**tables, STUDY: {**settings, "name": settings.get("name", name)}}
+    problems = list(problems)
     content = None
     try:
         content = StudyTables.model_validate(tables)
     except ValidationError as error:
         problems += problems_of(error, StudyTables, tables, ())
     variations: list[Variation] = []
-    vary = tables.get(VARY, {})
+    vary = tables.get(VARY)
     for key, value in vary.items() if isinstance(vary, Mapping) else ():
         try:
             variations.append(read_variation(key, value))
         except TableProblems as error:
             problems += [((VARY, key, *inner), text) for inner, text in error.problems]
     if content is None:
-        return None, problems
-    settings, metrics = content.study, content.metrics
-    kept = KeptLogs()
-    try:
-        kept = read_keep(settings.keep)
-    except UsageError as error:
-        problems.append(((STUDY, "keep"), str(error)))
-    has_results = not metrics if settings.results is None else settings.results
-    if kept.metric and kept.metric not in metrics and not has_results:
-        text = f"no metric {kept.metric!r}; {nearest(kept.metric, metrics)}"
+        raise TableProblems(problems)
+    study = StudyFile(source, content.study, tuple(variations), content.metrics, tables)
+    metric = content.study.keep.metric
+    if metric and metric not in study.metrics and not study.subject.with_results:
+        text = f"no metric {metric!r}; {nearest(metric, study.metrics)}"
         problems.append(((STUDY, "keep"), text))
-    common = {*map(short, settings.set), *(f"{SWAP}{component}" for component in settings.swap)}
-    for item in variations:
-        if item.key in common:
-            text = "it is varied, so it cannot also have one value for all members; use one of both"
-            problems.append(((VARY, item.key), text))
+    common = {*map(short, content.study.set), *(f"{SWAP}{name}" for name in content.study.swap)}
+    text = "it is varied, so it cannot also have one value for all members; use one of both"
+    problems += [((VARY, item.key), text) for item in variations if item.key in common]
     if problems:
-        return None, problems
-    own_name = settings.name or name
-    named = {**tables, STUDY: {**tables[STUDY], "name": own_name}}
-    return StudyFile(own_name, source, settings, tuple(variations), metrics, kept, named), []
+        raise TableProblems(problems)
+    return study
 
 
 # --- keys and paths ---
@@ -318,36 +313,35 @@ def normal_tables(
     normal = deepcopy(dict(tables))
     places: dict[Key, Key] = {}
     twice: list[Problem] = []
-
-    def flat(table: Mapping[str, Any], place: Key, form: _KeyForm, is_entry: _IsEntry) -> Any:
-        found: dict[str, Any] = {}
+    study = normal.get(STUDY)
+    settings = study if isinstance(study, dict) else {}
+    for outer, place, form, is_entry in (
+        (normal, (VARY,), varied_key, _is_varied),
+        (settings, (STUDY, "set"), short, lambda _, level: level == 1),
+    ):
+        table = outer.get(place[-1])
+        if not isinstance(table, dict):
+            continue
+        flat = outer[place[-1]] = {}
         for path, value in _entries(table, is_entry):
             key = form(".".join(map(str, path)))
-            if key in found:
+            if key in flat:
                 before = ".".join(map(str, places[*place, key][len(place) :]))
                 text = f"it is given twice, also as {before!r}; expected each key once"
                 twice.append(((*place, *path), text))
-            found[key] = value
+            flat[key] = value
             places[*place, key] = (*place, *path)
-        return found
-
-    vary, settings = normal.get(VARY), normal.get(STUDY)
-    if isinstance(vary, dict):
-        entries = flat(vary, (VARY,), varied_key, _is_varied)
-        normal[VARY] = {
-            key: absolute(_paths(value), folder) if key.startswith(SWAP) else value
-            for key, value in entries.items()
-        }
-    if isinstance(settings, dict):
-        paths = {name: settings[name] for name in ("cases", "replay", "swap") if name in settings}
-        settings |= absolute(paths, folder)
-        if isinstance(settings.get("set"), dict):
-            settings["set"] = flat(settings["set"], (STUDY, "set"), short, _is_set)
+    vary = normal.get(VARY)
+    vary = vary if isinstance(vary, dict) else {}
+    for key, value in vary.items():
+        vary[key] = absolute(value, folder) if key.startswith(SWAP) else value
+    paths = {name: settings[name] for name in ("cases", "replay", "swap") if name in settings}
+    settings |= absolute(paths, folder)
     return normal, places, twice
 
 
 def _entries(
-    table: Mapping[str, Any], is_entry: _IsEntry, path: Key = ()
+    table: Mapping[str, Any], is_entry: Callable[[Any, int], bool], path: Key = ()
 ) -> Iterator[tuple[Key, Any]]:
     """Yield the entries of nested tables by their paths; a key with dots is a whole one."""
     for name, value in table.items():
@@ -358,21 +352,10 @@ def _entries(
             yield (*path, name), value
 
 
-def _is_set(_: Any, level: int) -> bool:
-    """Return whether a table is a value, not one of keys of a component."""
-    return level == 1
-
-
 def _is_varied(value: Any, _: int) -> bool:
     """Return whether a table is a variation, not one of keys that are varied."""
     entries = [value[name] for name in FORMS if name in value]
     return any(not isinstance(entry, Mapping) and entry is not None for entry in entries)
-
-
-def _paths(value: Any) -> Any:
-    """Return a list of paths that may be the only value of a list."""
-    is_nested = isinstance(value, list) and len(value) == 1 and isinstance(value[0], list)
-    return value[0] if is_nested else value
 
 
 def absolute(value: Any, folder: Path) -> Any:
@@ -390,11 +373,6 @@ def absolute(value: Any, folder: Path) -> Any:
 # --- reading ---
 
 
-def is_log(scenario: str) -> bool:
-    """Return whether the scenario of a study is that of a log."""
-    return file_type(scenario) == "log"
-
-
 def load_scenario(scenario: str) -> Scenario:
     """Load a scenario, or that of a log.
 
@@ -403,7 +381,7 @@ def load_scenario(scenario: str) -> Scenario:
     UsageError
         If there is none, or it is wrong.
     """
-    if not is_log(scenario):
+    if file_type(scenario) != "log":
         return load(scenario)
     if is_foreign(Path(scenario)):
         raise UsageError(
@@ -428,15 +406,15 @@ def read_study(name: str | Path) -> StudyFile:
     UsageError
         With everything that is wrong with it, by lines.
     """
-    if is_log(str(name)):
+    if file_type(str(name)) == "log":
         path = str(expanded(name).absolute())
-        log = {STUDY: {"scenario": path, "replay": [path]}}
-        study, found = study_of(log, path, load_scenario(path).name)
-        assert study is not None, found
-        return study
+        return study_of(
+            {STUDY: {"scenario": path, "replay": [path]}}, path, load_scenario(path).name
+        )
     document = find(name)
     tree, _ = document.tree()
-    is_inside = "components" in tree or isinstance(tree.get("scenario"), Mapping)
+    own = tree.get("scenario")
+    is_inside = "components" in tree or isinstance(own, Mapping)
     tables = {STUDY: tree.get(STUDY, {})} if is_inside else dict(tree)
     if STUDY not in tables:
         raise UsageError(
@@ -445,48 +423,36 @@ def read_study(name: str | Path) -> StudyFile:
         )
     problems: list[Problem] = []
     if isinstance(tables[STUDY], Mapping):
-        settings = dict(tables[STUDY])
+        settings = tables[STUDY] = dict(tables[STUDY])
+        problems = _set_scenario(settings, document, is_inside)
         if is_inside:
             tables |= {key: settings.pop(key) for key in (VARY, METRICS) if key in settings}
-            problems += _of_this_file(settings, document)
-        else:
-            problems += _of_another_file(settings, document)
-        tables[STUDY] = settings
-    own = tree.get("scenario") if is_inside else {"name": Path(document.source).stem}
-    own_name = str(own.get("name", "")) if isinstance(own, Mapping) else ""
+    own_name = Path(document.source).stem
+    if is_inside:
+        own_name = str(own.get("name", "")) if isinstance(own, Mapping) else ""
     normal, places, twice = normal_tables(tables, document.folder)
-    problems += twice
-    study, found = study_of(normal, document.source, own_name)
-    if study is None or problems:
-        written = [(_written(key, places, is_inside), text) for key, text in (*problems, *found)]
+    try:
+        return study_of(normal, document.source, own_name, [*problems, *twice])
+    except TableProblems as error:
+        written = [(_written(key, places, is_inside), text) for key, text in error.problems]
         lines = key_lines(document.text)
         report = Places(document.source, lines, changes=(), swaps=(), maps=(), swapped=()).report
-        raise UsageError(report(written))
-    return study
+        raise UsageError(report(written)) from error
 
 
-def _of_this_file(settings: dict[str, Any], document: Document) -> list[Problem]:
-    """Set the scenario of a study that is written inside of it."""
-    problem = ((STUDY, "scenario"), "it is the scenario of this file; remove this key")
-    problems: list[Problem] = [problem] if "scenario" in settings else []
-    path = Path(document.source)
-    settings["scenario"] = str(path.absolute()) if path.is_file() else document.source
-    return problems
-
-
-def _of_another_file(settings: dict[str, Any], document: Document) -> list[Problem]:
-    """Make the path of the scenario absolute; a log is also replayed."""
+def _set_scenario(settings: dict[str, Any], document: Document, is_inside: bool) -> list[Problem]:
+    """Set the scenario of a study: its own file, or another one; a log is also replayed."""
     scenario = settings.get("scenario")
+    if is_inside:
+        path = Path(document.source)
+        settings["scenario"] = str(path.absolute()) if path.is_file() else document.source
+        problem = ((STUDY, "scenario"), "it is the scenario of this file; remove this key")
+        return [] if scenario is None else [problem]
     if scenario is None:
-        return [
-            (
-                (STUDY,),
-                "'scenario' is missing; expected the name of a shipped scenario, or a path to a "
-                "scenario or a log",
-            )
-        ]
+        text = "expected the name of a shipped scenario, or a path to a scenario or a log"
+        return [((STUDY,), f"'scenario' is missing; {text}")]
     if isinstance(scenario, str):
-        if is_log(scenario):
+        if file_type(scenario) == "log":
             settings.setdefault("replay", scenario)
         is_shipped = file_type(scenario) is None and scenario in shipped()
         settings["scenario"] = scenario if is_shipped else absolute(scenario, document.folder)

@@ -185,7 +185,7 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
         else:
             columns = StudyDataset.open(place).columns
     identity = plan.identity(results)
-    check_kept_metric(plan.study.kept_logs, columns or identity.columns)
+    check_kept_metric(plan.study.settings.keep, columns or identity.columns)
     return StudyDataset.open_or_create(place, identity, planned=plan.design.column, new=new)
 
 
@@ -266,7 +266,7 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     total = len(plan.design)
     first, last = outcomes[0].wall_time, outcomes[-1]
     member = plan.design.member(last.number)
-    log_bytes = kept_count(plan.study.kept_logs, total)
+    log_bytes = kept_count(plan.study.settings.keep, total)
     log_time = 0.0
     if log_bytes:
         with TemporaryFolder("estimate") as folder, LocalExecutor(plan.subject, 1) as executor:

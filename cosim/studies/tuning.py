@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Final
 from cosim.arguments import mapping_argument, path_argument, truth_argument, whole_argument
 from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted, warn
+from cosim.files import file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.document.document import find
 from cosim.scenario.document.edits import plain
+from cosim.studies.cases import packed
 from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.design import (
@@ -66,7 +68,6 @@ from cosim.studies.study_file import (
     STUDY,
     StudyFile,
     absolute,
-    is_log,
     load_scenario,
     read_study,
     study_of,
@@ -444,7 +445,7 @@ def _checked_points(study: StudyFile, search: Search, recording: str | None) -> 
         lists[key.key] = [first] if recording is None else [first, middle]
     count = max(map(len, lists.values()))
     repeated = {name: [v[n % len(v)] for n in range(count)] for name, v in lists.items()}
-    columns = {name: ValueColumn(values) for name, values in repeated.items()}
+    columns = {name: ValueColumn(packed(values)) for name, values in repeated.items()}
     return StudyDesign(study, StudyLayout("cases", samples=count), columns)
 
 
@@ -457,13 +458,11 @@ def _of_objective(text: str, search: Search) -> str:
 
 def _base(scenario: str) -> StudyFile:
     """Return the study of a scenario, without what its file says of one, or of a log."""
-    if is_log(scenario):
+    if file_type(scenario) == "log":
         return read_study(scenario)
     source = find(scenario).source
     path = str(Path(source).absolute()) if Path(source).is_file() else source
-    study, problems = study_of({STUDY: {"scenario": path}}, source, "tuning")
-    assert study is not None, problems
-    return study
+    return study_of({STUDY: {"scenario": path}}, source, "tuning")
 
 
 def is_rms(expression: str) -> bool:

@@ -31,7 +31,7 @@ from pydantic import Field, ValidationError
 from cosim.arrays import Vector
 from cosim.errors import UsageError, nearest, quoted
 from cosim.scenario.document.edits import plain
-from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.scenario.document.problems import Key, TableProblems, problems_of
 from cosim.scenario.document.schema import Number, NumberRow, TomlTable, Whole
 from cosim.scenario.document.value_lists import read_values
 from cosim.studies.contracts import SWAP
@@ -91,11 +91,6 @@ class SampledVariation:
     numbers: tuple[float, ...]
     values: tuple[Any, ...] = ()
 
-    def __str__(self) -> str:
-        is_unbounded = self.numbers[2:] == (-math.inf, math.inf)
-        numbers = self.numbers[:2] if is_unbounded else self.numbers
-        return f"{self.distribution} {quoted(list(numbers))}"
-
 
 Variation: TypeAlias = GridVariation | SampledVariation
 
@@ -112,22 +107,24 @@ def read_variation(key: str, value: Any) -> Variation:
         value = plain(value)
     except UsageError as error:
         raise _problem(str(error)) from error
-    if isinstance(value, list):
-        return GridVariation(key, _values(key, value))
-    if not isinstance(value, Mapping):
+    if not isinstance(value, list | Mapping):
         needed = "expected a list of values, or a table such as { uniform = [0.0, 1.0] }"
         raise _problem(f"{needed}; got {quoted(value)}")
+    is_swap = key.startswith(SWAP)
+    if is_swap and len(value) == 1 and isinstance(value, list) and isinstance(value[0], list):
+        value = value[0]  # of an option, where the list is its only value
+    given = {"values": value} if isinstance(value, list) else value
     try:
-        table = VariationTable.model_validate(value)
+        table = VariationTable.model_validate(given)
     except ValidationError as error:
-        raise TableProblems(problems_of(error, VariationTable, value, ())) from error
-    form = _form(value)
-    if form == "values":
-        return GridVariation(key, _values(key, value[form], form))
-    if form == "choice":
-        values = _values(key, value[form], form)
+        raise TableProblems(problems_of(error, VariationTable, given, ())) from error
+    form = _form(given)
+    if form in ("values", "choice"):
+        values = _values(given[form], is_swap, () if given is not value else (form,))
+        if form == "values":
+            return GridVariation(key, values)
         return SampledVariation(key, form, _weights(table.weights, len(values)), values)
-    if key.startswith(SWAP):
+    if is_swap:
         raise _problem(f"expected a list of paths for a component, got '{form}'")
     return _of_numbers(key, form, table)
 
@@ -168,23 +165,23 @@ def _of_numbers(key: str, form: str, table: VariationTable) -> Variation:
     return SampledVariation(key, form, numbers)
 
 
-def _values(key: str, values: Sequence[Any], *place: str) -> tuple[Any, ...]:
+def _values(values: Sequence[Any], is_swap: bool, place: Key) -> tuple[Any, ...]:
     if not values:
         raise _problem("expected at least one value, got none", *place)
-    for number, value in enumerate(values if key.startswith(SWAP) else ()):
-        if not isinstance(value, str):
+    for number, value in enumerate(values):
+        if is_swap and not isinstance(value, str):
             text = f"expected a path, or a key with a dot, got {quoted(value)}"
             raise _problem(text, *place, number)
     return tuple(values)
 
 
-def _weights(weights: Sequence[float] | None, count: int) -> tuple[float, ...]:
+def _weights(weights: tuple[float, ...] | None, count: int) -> tuple[float, ...]:
     if weights is None:
         return (1.0,) * count
     _need(len(weights) == count, "weights", weights, f"a weight for each of the {count} values")
     is_right = min(weights) >= 0.0 and 0.0 < sum(weights) < math.inf
     _need(is_right, "weights", weights, "weights of at least 0, and one above it")
-    return tuple(weights)
+    return weights
 
 
 def _need(is_right: bool, form: str, numbers: Sequence[float], needed: str) -> None:
@@ -237,6 +234,10 @@ def _uniform(p: Any, lower: float, upper: float) -> Any:
     return np.clip(lower * (1.0 - p) + upper * p, lower, upper)  # their difference could overflow
 
 
+def _log_uniform(p: Any, lower: float, upper: float) -> Any:
+    return np.clip(np.exp(_uniform(p, math.log(lower), math.log(upper))), lower, upper)
+
+
 def _normal(
     p: Any, mean: float, deviation: float, lower: float = -math.inf, upper: float = math.inf
 ) -> Any:
@@ -284,10 +285,7 @@ _KINDS: Final = {
     "tolerance": _Kind(1, lambda x: 0.0 < x < 1.0, "a fraction between 0 and 1, such as 0.05"),
     "uniform": _Kind(2, lambda a, b: a < b, "[lower, upper] with lower < upper"),
     "log-uniform": _Kind(
-        2,
-        lambda a, b: 0.0 < a < b,
-        "[lower, upper] with 0 < lower < upper",
-        lambda p, a, b: np.clip(np.exp(_uniform(p, math.log(a), math.log(b))), a, b),
+        2, lambda a, b: 0.0 < a < b, "[lower, upper] with 0 < lower < upper", _log_uniform
     ),
     "normal": _Kind(2, lambda _, s: s > 0.0, "[mean, deviation] with a deviation above 0", _normal),
     "lognormal": _Kind(

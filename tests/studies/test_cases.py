@@ -11,7 +11,6 @@ from pyarrow import parquet
 
 from cosim.errors import UsageError
 from cosim.studies.cases import read_cases
-from cosim.studies.design import plain_values
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +21,7 @@ def path(tmp_path_factory):
 def read(path, text=None):
     if text is not None:
         path.write_text(text)
-    return {name: plain_values(values) for name, values in read_cases(path).items()}
+    return {name: values.tolist() for name, values in read_cases(path).items()}
 
 
 def test_the_cells_of_a_csv_are_toml_and_empty_ones_are_left(path):
@@ -53,7 +52,6 @@ def test_the_cells_of_a_csv_are_toml_and_empty_ones_are_left(path):
     [
         ("a.x\n1\n2.0\n0x10\n", {"a.x": [1, 2.0, 16]}),
         ("a.x,a.y\n,\n\n1,2\n", {"a.x": [None, 1], "a.y": [None, 2]}),  # a row of commas is a case
-        ("\na.x\n\n 1 \n  \n", {"a.x": [1]}),
         ('a.x,a.y\n"p",q\x0cr\n', {"a.x": ["p"], "a.y": ["q\x0cr"]}),
     ],
 )
@@ -100,7 +98,7 @@ def test_a_parquet_table_has_the_same(tmp_path):
         "plant": ["x.fmu", None],
     }
     parquet.write_table(pyarrow.table(columns), path)
-    expected = {name: plain_values(values) for name, values in columns.items() if "." in name}
+    expected = {name: values for name, values in columns.items() if "." in name}
     expected |= {"a.n": [1, 2], "a.f": [0.5, 0.25], "a.d": [1.5, 0.1]}
     assert read(path) == {**expected, "swap.plant": [str(tmp_path / "x.fmu"), None]}
 
@@ -110,14 +108,12 @@ def test_a_parquet_table_has_the_same(tmp_path):
     [
         ("", "has no rows"),
         ("a.x,a.y\n1,2\n3\n", "line 3: .*2 cells, got 1"),
-        ('a.x\n"1\n', "line 2 cannot be split"),
         ('a.x,a.y\n1,"2\n' + "1.5,2.5\n" * 100_000, "line 2 cannot be split"),  # not 40 s later
         ("a.x,a.x\n1,2\n", "two columns 'a.x'"),
         ("a.x,\n1,2\n", "without a name.*pandas"),
-        ("a.x\n" + 60 * "[" + 60 * "]" + "\n", "column 'a.x': .*nested"),
         ("a.x\n1979-05-27\n", r"column 'a.x': .*datetime.date\(1979, 5, 27\)"),
     ],
-    ids=range(8),
+    ids=range(6),
 )
 def test_a_file_that_is_no_table_of_cases_is_refused(path, text, message):
     """The message names the file, and the line or the column."""

@@ -1,7 +1,6 @@
 """What a study is made of, and the command that runs a member on its own."""
 
 import shlex
-import struct
 
 import pytest
 from hypothesis import given, settings
@@ -41,10 +40,8 @@ VALUES = st.recursive(
 
 @given(VALUES)
 def test_values_are_read_as_they_were(value):
-    """By what reads --set; floats to the bit."""
+    """By what reads --set; floats to the bit, which their repr has."""
     assert repr(parse_value(toml_text(value).strip())) == repr(value)
-    if isinstance(value, float):
-        assert struct.pack("d", parse_value(toml_text(value))) == struct.pack("d", value)
 
 
 @settings(max_examples=50)
