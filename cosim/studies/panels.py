@@ -15,7 +15,7 @@ from cosim.report.plots.curves import LARGEST_DRAWN, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
 from cosim.studies.layout import MetricColumn, StudyResults, VariedValues, count_text, numbers_of
-from cosim.studies.plan import RecordedSearch
+from cosim.studies.search import Search
 
 MOST_PANELS: Final = 12
 FAILED_COLOR: Final = "#D55E00"
@@ -40,7 +40,7 @@ class StudyPicture:
     metrics, keys : sequence of str
         No metrics: all that have numbers.
     options : PictureOptions
-    search : RecordedSearch or None
+    search : Search or None
         Which has chosen the members.
     note : str
         Behind the title.
@@ -56,7 +56,7 @@ class StudyPicture:
     metrics: Sequence[str]
     keys: Sequence[str]
     options: PictureOptions
-    search: RecordedSearch | None = None
+    search: Search | None = None
     note: str = ""
 
     def __post_init__(self) -> None:

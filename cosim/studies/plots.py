@@ -19,7 +19,7 @@ from cosim.studies import panels
 from cosim.studies.layout import StudyResults, count_text, drawn_members, independence_of
 from cosim.studies.over_keys import plot_lines, plot_maps, plot_scatter
 from cosim.studies.panels import NOTE, StudyPicture, is_logarithmic, reach_beside
-from cosim.studies.plan import RecordedSearch
+from cosim.studies.search import Search
 from cosim.studies.sensitivity import SobolIndices, check_has_indices, sobol_indices
 from cosim.studies.statistics import CONFIDENCE, NO_INTERVAL, PROBABILITIES, running_mean
 
@@ -38,7 +38,7 @@ def plot_study(
     metrics: Sequence[str] = (),
     keys: Sequence[str] = (),
     options: PictureOptions = _STANDARD,
-    search: RecordedSearch | None = None,
+    search: Search | None = None,
 ) -> None:
     """Draw a study into a file, whose ending is the format.
 
@@ -52,7 +52,7 @@ def plot_study(
     metrics, keys : sequence of str
         What is shown; empty: all.
     options : PictureOptions
-    search : RecordedSearch, optional
+    search : Search, optional
         Which has chosen the members.
 
     Raises
@@ -97,7 +97,7 @@ def _standard_kind(design: str, keys: Sequence[str]) -> str:
     return "sobol" if design == "saltelli" else "histogram"
 
 
-def _checked_search(search: RecordedSearch | None, shown: Collection[str]) -> RecordedSearch:
+def _checked_search(search: Search | None, shown: Collection[str]) -> Search:
     """Return the search that a picture of it shows, with its objective only."""
     if search is None:
         raise UsageError(

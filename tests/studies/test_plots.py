@@ -12,8 +12,8 @@ from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.layout import StudyLayout, results_of_study
 from cosim.studies.panels import Scale, cell_edges, is_logarithmic
-from cosim.studies.plan import RecordedSearch
 from cosim.studies.plots import KINDS, plot_study
+from cosim.studies.search import Search
 from tests.studies.made import MadeStudy, saltelli_study, tolerances
 
 DRAWN = [kind for kind in KINDS if kind not in ("sobol", "search")]
@@ -286,7 +286,7 @@ def test_the_picture_of_a_tuning_shows_best_member_and_failures(maximize, draw):
     columns = {"gain": np.arange(7.0), "objective": objective, "samples": np.full(7, 9.0)}
     status = ["failed", *["complete"] * 6]
     study = made({**columns, "status": status}, ("gain",), ("objective", "samples"))
-    search = RecordedSearch(
+    search = Search(
         "objective", "rms(a.y)", maximize, method="cobyqa", members=9, starts=4, seed=1, keys=()
     )
     figure, (panel,) = draw(study, search=search)
@@ -306,7 +306,7 @@ def test_the_picture_of_a_tuning_shows_best_member_and_failures(maximize, draw):
 
 def test_an_objective_that_is_spread_widely_is_shown_by_powers(draw):
     """Near zero linearly, where it has either sign; equal values have an axis."""
-    search = RecordedSearch("rms", "a", False, "b", members=4, starts=1, seed=1, keys=())
+    search = Search("rms", "a", False, "b", members=4, starts=1, seed=1, keys=())
     for values, scale in (
         ([1.0, 2.0, 3.0, -4.0], "linear"),
         ([0.0, 1.0, 10.0, 1e9], "symlog"),
