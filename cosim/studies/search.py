@@ -16,7 +16,7 @@ from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector
 from cosim.errors import UsageError, option, quoted
 from cosim.studies.contracts import COMPLETE, MemberOutcome
 
@@ -361,9 +361,10 @@ class Trials:
             raise SearchEnded("all members were used")
         return [self._trials[self._name(point)] for point in points]
 
-    def costs(self, points: Sequence[Point]) -> list[float]:
-        """Return the costs of points, as :meth:`try_points` does."""
-        return [trial.cost for trial in self.try_points(points)]
+    def costs(self, points: Iterable[Iterable[float]]) -> list[float]:
+        """Return the costs at coordinates, which are tried."""
+        tried = self.try_points([self.search.point(each) for each in points])
+        return [trial.cost for trial in tried]
 
     def _try(self, points: Mapping[tuple[str, ...], Point]) -> None:
         new = [name for name in points if name not in self._outcomes]
@@ -392,15 +393,16 @@ class Trials:
 
     def _trial(self, point: Point, outcome: MemberOutcome) -> SearchTrial:
         value = outcome.metrics.get(OBJECTIVE)
-        found, cost = None, math.inf
-        problem = "" if outcome.status == COMPLETE else outcome.reason or "failed"
-        if not problem and isinstance(value, float) and math.isfinite(value):
-            found, cost = value, -value if self.search.maximize else value
-        elif not problem:
+        objective, cost, problem = None, math.inf, ""
+        if outcome.status != COMPLETE:
+            problem = outcome.reason or "failed"
+        elif isinstance(value, float) and math.isfinite(value):
+            objective, cost = value, -value if self.search.maximize else value
+        else:
             problem = f"the objective is {value}, expected a finite number"
         samples = int(outcome.metrics.get(SAMPLES) or 0)
         own = (samples, outcome.warnings)
-        return SearchTrial(outcome.number, dict(point), found, problem, cost, *own)
+        return SearchTrial(outcome.number, dict(point), objective, problem, cost, *own)
 
 
 # --- methods ---
@@ -433,7 +435,7 @@ def _locally(trials: Trials, first: Vector) -> str:
     from scipy.stats import qmc  # takes long to import
 
     search = trials.search
-    if math.isfinite(trials.costs([search.point(first)])[0]):
+    if math.isfinite(trials.costs([first])[0]):
         _from_point(trials, first, FIRST_RADIUS)
     count = search.starts - 1
     sequence = qmc.Sobol(len(search.keys), rng=np.random.default_rng(search.seed))
@@ -441,7 +443,7 @@ def _locally(trials: Trials, first: Vector) -> str:
     starts: list[Vector] = []
     for _ in range(MOST_FAILING_STARTS):
         tried = list(islice(points, count - len(starts)))
-        costs = trials.costs([search.point(point) for point in tried])
+        costs = trials.costs(tried)
         starts += [p for p, cost in zip(tried, costs, strict=True) if math.isfinite(cost)]
     for start in starts:
         _from_point(trials, start, FIRST_RADIUS)
@@ -465,7 +467,7 @@ def _from_point(trials: Trials, start: Vector, radius: float) -> None:
     def cost_at(coordinates: Vector) -> float:
         nonlocal scale, worst, best, best_at
         inside = np.clip(coordinates, 0.0, 1.0)  # beyond a bound by rounding
-        (cost,) = trials.costs([search.point(inside)])
+        (cost,) = trials.costs([inside])
         if cost < best:
             best, best_at = cost, inside
         if math.isfinite(cost):
@@ -505,17 +507,14 @@ def _globally(trials: Trials, first: Vector) -> str:
 
     search = trials.search
     close = 0.01  # of the range between the bounds
-    trials.costs([search.point(first)])
-
-    def costs(population: Matrix) -> Vector:
-        return np.array(trials.costs([search.point(column) for column in population.T]))
+    trials.costs([first])
 
     def close_together(intermediate_result: Any) -> bool:
         return bool((np.ptp(intermediate_result.population, axis=0) <= close).all())
 
     with np.errstate(invalid="ignore"):  # differences of infinite costs
         found = differential_evolution(
-            costs,
+            lambda population: np.array(trials.costs(population.T)),
             [(0.0, 1.0)] * len(search.keys),
             popsize=10,  # for every key
             maxiter=_ENDLESS,
@@ -559,6 +558,6 @@ def _with_optuna(trials: Trials, known: Point) -> str:
     while len(trials.all) < most:
         asked = [study.ask(spaces) for _ in range(4)]
         points = [{k.key: k.value(each.params[k.key]) for k in search.keys} for each in asked]
-        for each, cost in zip(asked, trials.costs(points), strict=True):
-            study.tell(each, cost)
+        for each, trial in zip(asked, trials.try_points(points), strict=True):
+            study.tell(each, trial.cost)
     return "all combinations of the values were tried"

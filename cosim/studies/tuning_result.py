@@ -143,11 +143,12 @@ class TuningResult:
     def statements(self) -> list[str]:
         """What is to be said of the result: why it ended, and what it does not exclude."""
         said = [self._ending]
-        if self.failed:
-            numbers = listing([str(trial.number) for trial in self.failed])
-            problems = listing([*dict.fromkeys(trial.problem for trial in self.failed)], 3)
-            have = "member has" if len(self.failed) == 1 else "members have"
-            said.append(f"{len(self.failed)} {have} no objective ({numbers}): {problems}")
+        failed = self.failed
+        if failed:
+            numbers = listing([str(trial.number) for trial in failed])
+            problems = listing([*dict.fromkeys(trial.problem for trial in failed)], 3)
+            have = "member has" if len(failed) == 1 else "members have"
+            said.append(f"{len(failed)} {have} no objective ({numbers}): {problems}")
         said += self.warnings
         if self.best is None:
             return said
@@ -197,14 +198,14 @@ class TuningResult:
     def _of_errors(self) -> Iterator[str]:
         if self.errors_problem:
             yield f"no standard errors: {self.errors_problem}"
-        if self.errors is None or self.errors_problem:
+        if self.errors is None:
             return
         yield f"the standard errors assume that {self._assumed(self.errors.samples)}"
         for key in self.search.bounded:
             low, high = self.errors.intervals[key.key]
             if low < key.lower or high > key.upper:
-                interval = f"the interval of {key.key}"
-                yield f"{interval} extends beyond its bounds, where nothing was tried"
+                beyond = "extends beyond its bounds, where nothing was tried"
+                yield f"the interval of {key.key} {beyond}"
         for name in self.errors.skewed:
             rises = f"along {name} the objective rises unevenly within a standard error"
             yield f"{rises}: its interval is rough"
@@ -212,21 +213,19 @@ class TuningResult:
     def _assumed(self, samples: int) -> str:
         """Return what standard errors assume of the residual, and what is known of that."""
         residual = self.residual
-        white = (
-            f"the {samples} samples of the residual are white with a constant standard deviation"
-        )
+        which = f"{samples} samples of the residual are white"
         if residual is None or not residual.samples:
-            return f"{white} (not checked{'' if residual is None else f': {residual.problem}'})"
-        found = f"the autocorrelation at lag 1 is {residual.neighbours:.2g}"
-        if residual.rows != residual.samples:
-            found += f", and the {residual.rows} rows are interpolated or held between them"
-        if samples == residual.samples and not residual.problem:
-            return f"{white}; whiteness is not rejected, {found}"
-        return (
-            f"{samples} of the {residual.samples} samples of the residual are independent with a "
-            "constant standard deviation; "
-            f"{residual.problem or f'by their color {residual.independent} are'}; {found}"
-        )
+            known = f"not checked{'' if residual is None else f': {residual.problem}'}"
+        elif samples == residual.samples and not residual.problem:
+            known = "whiteness is not rejected"
+        else:
+            which = f"{samples} of the {residual.samples} samples of the residual are independent"
+            known = residual.problem or f"by their color {residual.independent} are"
+        if residual is not None and residual.samples:
+            known += f"; the autocorrelation at lag 1 is {residual.neighbours:.2g}"
+            if residual.rows != residual.samples:
+                known += f", and the {residual.rows} rows are interpolated or held between them"
+        return f"{which}, with a constant standard deviation; {known}"
 
 
 def _trial_dict(trial: SearchTrial, name: str = "objective") -> dict[str, Any]:

@@ -92,7 +92,7 @@ def test_standard_errors_are_those_of_regression_on_the_samples(tmp_path, spacin
     result = cosim.tune(path, **options, vary=vary, members=60, workers=1)
     assert list(result.standard_errors.values()) == pytest.approx(expected, rel=0.1)
     assert (result.residual.rows, result.residual.samples) == (1001, own.sum())
-    written(tmp_path, t, y + 1.0)
+    written(tmp_path, t, y + 0.1)
     result = cosim.tune(path, **options, vary=vary, members=60, workers=1)
     assert result.standard_errors is None
     assert "noise does not explain the residual" in result.errors_problem

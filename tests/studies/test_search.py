@@ -152,7 +152,7 @@ def test_members_that_fail_are_named_and_cost_themselves():
 @pytest.mark.slow
 def test_lists_of_values_are_searched_until_all_were_tried():
     keys = (ChoiceKey("a", (1, 2, 3)), ChoiceKey("b", ("p", "q")))
-    result = search(lambda point: point["a"] + (point["b"] == "p"), keys, method="optuna")
+    result = search(lambda point: point["a"] + 0.5 * (point["b"] == "p"), keys, method="optuna")
     assert (len(result.trials), result.best.point) == (6, {"a": 1, "b": "q"})
     assert result.stop_reason == "all combinations of the values were tried"
 
