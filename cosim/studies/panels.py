@@ -16,7 +16,7 @@ from cosim.report.plots.curves import COLORS, LARGEST_DRAWN, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
 from cosim.studies.layout import MetricColumn, StudyResults, VariedValues, count_text, numbers_of
-from cosim.studies.plan import RecordedSearch
+from cosim.studies.search import Search
 
 FAILED_COLOR: Final = "#D55E00"
 FAILED: Final = "members that failed"
@@ -39,7 +39,7 @@ class StudyPicture:
     metrics, keys : sequence of str
         No metrics: all that have numbers.
     options : PictureOptions
-    search : RecordedSearch or None
+    search : Search or None
         Which has chosen the members.
     note : str
         Behind the title.
@@ -60,7 +60,7 @@ class StudyPicture:
     metrics: Sequence[str]
     keys: Sequence[str]
     options: PictureOptions
-    search: RecordedSearch | None = None
+    search: Search | None = None
     note: str = ""
 
     def __post_init__(self) -> None:

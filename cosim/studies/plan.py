@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -37,6 +37,7 @@ from cosim.studies.identity import (
 from cosim.studies.layout import StudyLayout, count_text
 from cosim.studies.members import MemberSources
 from cosim.studies.metrics import parse_metrics
+from cosim.studies.search import Search
 from cosim.studies.study import Study
 from cosim.studies.study_file import STUDY, StudyFile, load_scenario, study_of
 from cosim.version import __version__
@@ -255,25 +256,6 @@ def _sources(
 # --- what a dataset says of its study ---
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedSearch:
-    """The search that chose the members of a tuning."""
-
-    metric: str
-    expression: str
-    maximize: bool
-    method: str
-    members: int
-    starts: int
-    seed: int
-    keys: Sequence[Mapping[str, Any]]
-
-    @property
-    def goal(self) -> str:
-        """What is searched."""
-        return f"{'maximize' if self.maximize else 'minimize'} {self.expression}"
-
-
 def own_environment() -> dict[str, str]:
     """Return versions and processor, as they are here."""
     return {**environment(), "source of cosim": source_digest()}
@@ -286,7 +268,7 @@ class RecordedStudy:
     study: InstanceOf[StudyFile]
     layout: StudyLayout
     environment: Mapping[str, str]
-    search: RecordedSearch | None = None
+    search: Search | None = None
     warnings: tuple[str, ...] = ()
 
     def to_text(self) -> str:

@@ -18,7 +18,7 @@ from cosim.report.plots.picture import PictureOptions, need_plot
 from cosim.studies import panels
 from cosim.studies.layout import StudyResults, count_text, drawn_members, independence_of
 from cosim.studies.panels import NOTE, Scale, StudyPicture, is_logarithmic, mark_failed
-from cosim.studies.plan import RecordedSearch
+from cosim.studies.search import Search
 from cosim.studies.sensitivity import SobolIndices, check_has_indices, sobol_indices
 from cosim.studies.statistics import (
     CONFIDENCE,
@@ -48,7 +48,7 @@ def plot_study(
     metrics: Sequence[str] = (),
     keys: Sequence[str] = (),
     options: PictureOptions = _STANDARD,
-    search: RecordedSearch | None = None,
+    search: Search | None = None,
 ) -> None:
     """Draw a study into a file, whose ending is the format.
 
@@ -62,7 +62,7 @@ def plot_study(
     metrics, keys : sequence of str
         What is shown; empty: all.
     options : PictureOptions
-    search : RecordedSearch, optional
+    search : Search, optional
         Which has chosen the members.
 
     Raises
@@ -118,7 +118,7 @@ def _placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, s
     return replace(results, columns=results.columns.only(kept)), note
 
 
-def _objective(search: RecordedSearch | None, shown: Sequence[str]) -> str:
+def _objective(search: Search | None, shown: Sequence[str]) -> str:
     """Return what a picture of a search shows, which nothing else can be shown with."""
     start = "plot kind 'search': expected"
     if search is None:

@@ -20,13 +20,12 @@ last one, too, as noise does that passes a filter of first order.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Final, Self, final
+from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.recorded.signals import RecordedPort, find_signal
@@ -57,10 +56,8 @@ class SampledResidual:
         Instants of the samples on which these rows rest [s].
     samples : Vector, shape (n,)
         The residual there.
-    weighed : Vector, shape (n,)
-        W' times the rows.
-    are_rows : bool
-        The samples are the rows.
+    weighed : Vector, shape (n,), or None
+        W' times the rows; None: the samples are the rows.
     problem : str
         Why they are not known; empty: they are.
     """
@@ -69,49 +66,42 @@ class SampledResidual:
     rms: float
     t: Vector
     samples: Vector
-    weighed: Vector
-    are_rows: bool
+    weighed: Vector | None = None
     problem: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@final
 class Lines:
     """Values at instants, on lines between those of knots, of which the ends go on: the matrix W.
 
     Parameters
     ----------
-    before, after : array of int, shape (N,)
-        The knots beside each instant.
-    part : Vector, shape (N,)
-        The weight of the latter.
-    count : int
-        Of knots.
+    knots : Vector, shape (n,)
+        Ascending.
+    t : Vector, shape (N,)
+        The instants.
+    hold : bool
+        Each value holds until the next one.
     """
 
-    before: NDArray[np.intp]
-    after: NDArray[np.intp]
-    part: Vector
-    count: int
-
-    @classmethod
-    def between(cls, knots: Vector, t: Vector, *, hold: bool) -> Self:
-        """Return the lines between ascending knots; with ``hold`` each value until the next."""
-        before = np.maximum(np.searchsorted(knots, t, side="right") - 1, 0)
-        after = np.minimum(before + 1, len(knots) - 1)
-        distance = np.where(after > before, knots[after] - knots[before], 1.0)
-        part = np.zeros(len(t)) if hold else ((t - knots[before]) / distance).clip(0.0, 1.0)
-        return cls(before, after, part, len(knots))
+    def __init__(self, knots: Vector, t: Vector, *, hold: bool) -> None:
+        self._count = len(knots)
+        self._before = np.maximum(np.searchsorted(knots, t, side="right") - 1, 0)
+        self._after = np.minimum(self._before + 1, len(knots) - 1)
+        first = knots[self._before]
+        distance = np.where(self._after > self._before, knots[self._after] - first, 1.0)
+        self._part = np.zeros(len(t)) if hold else ((t - first) / distance).clip(0.0, 1.0)
 
     def of(self, values: Vector) -> Vector:
         """Return W times the values of knots."""
-        first = values[self.before]
-        step = np.where(self.part > 0.0, values[self.after] - first, 0.0)
-        return np.asarray(first + self.part * step, np.float64)
+        first = values[self._before]
+        step = np.where(self._part > 0.0, values[self._after] - first, 0.0)
+        return np.asarray(first + self._part * step, np.float64)
 
     def back(self, rows: Vector) -> Vector:
         """Return W' times values at the instants."""
-        first = np.bincount(self.before, (1.0 - self.part) * rows, self.count)
-        return np.asarray(first + np.bincount(self.after, self.part * rows, self.count), np.float64)
+        first = np.bincount(self._before, (1.0 - self._part) * rows, self._count)
+        return np.asarray(first + np.bincount(self._after, self._part * rows, self._count))
 
 
 # --- in the process of a member ---
@@ -119,12 +109,43 @@ class Lines:
 
 def residual_of(subject: StudySubject, member: StudyMember) -> SampledResidual | None:
     """Run a member; return the residual that the first metric is the rms of, or None: it fails."""
-    reduction = _reduction(subject)
-    kinds = _kinds(subject, _program(reduction.values).signals)
     run = Memory()
     if opened(subject).run(member, sink=run).status != COMPLETE:
         return None
-    return _Residual(run, reduction).sampled(kinds)
+    reduction = _reduction(subject)
+    ports = {name: find_element(run.channels, name, "the run") for name in reduction.signals}
+    period = math.lcm(*(port.channel.period for port in ports.values()))
+    t = _instants(run, period)
+    values = {name: run[name][:: period // port.channel.period] for name, port in ports.items()}
+    residual = _evaluated(reduction.values, t, values)
+    counts = ~np.isnan(residual)
+    if reduction.where is not None:
+        counts &= _evaluated(reduction.where, t, values) > 0.5
+    own = residual[counts]
+    rms = math.sqrt(float(np.mean(own**2))) if own.size else 0.0
+    found = SampledResidual(own.size, rms, t[counts], own)
+
+    signals = _program(reduction.values).signals
+    each = {name: _samples(run, ports[name]) for name in signals}
+    samples = {name: columns for name, columns in each.items() if columns is not None}
+    if not samples:
+        return replace(found, problem=_unknown_samples(subject, run, signals, t))
+    knots = _knots(samples, t, values)
+    if knots is None:
+        names = " and ".join(samples)
+        problem = f"the values of {names} are neither held nor on lines between common samples"
+        return replace(found, problem=problem)
+    instants, hold = knots
+    at_samples = {}  # also of signals that have none: between the rows
+    for name, port in ports.items():
+        between = Lines(t, instants, hold=port.signal.variability == "discrete").of(values[name])
+        at_samples[name] = samples[name][:, 2] if name in samples else between
+    residual = _evaluated(reduction.values, instants, at_samples)
+    lines = Lines(instants, t[counts], hold=hold)
+    is_used = (lines.back(np.ones(own.size)) > 0.0) & np.isfinite(residual)
+    used = instants[is_used]
+    weighed = None if np.array_equal(used, t[counts]) else lines.back(own)[is_used]
+    return SampledResidual(own.size, rms, used, residual[is_used], weighed)
 
 
 def _reduction(subject: StudySubject) -> Reduction:
@@ -136,19 +157,16 @@ def _program(part: Program | ConditionProgram) -> Program:
     return part.program if isinstance(part, ConditionProgram) else part
 
 
-def _kinds(subject: StudySubject, signals: Iterable[str]) -> dict[str, str]:
-    """Return the kinds of the components that signals are of, or their values at the instant."""
-    map_ = subject.map if subject.swap else {}
-    scenario = load_scenario(subject.scenario).edit(swap=subject.swap, map=map_, set=subject.set)
-    kinds: dict[str, str] = {}
-    names = [name.partition(".")[0] for name in signals]
-    while names:
-        name = names.pop()
-        spec = scenario.specs.get(name)
-        if spec is not None and name not in kinds:
-            kinds[name] = spec.kind
-            names += scenario.sources_of(name) if spec.is_static else []
-    return kinds
+def _evaluated(part: Program | ConditionProgram, t: Vector, values: Mapping[str, Vector]) -> Vector:
+    program = _program(part)
+    rows = np.stack(list(values.values()), axis=1)
+    columns = [list(values).index(name) for name in program.signals]
+    bound = RowProgram(program.with_columns(columns))
+    return bound.evaluate(np.ascontiguousarray(t), np.ascontiguousarray(rows))
+
+
+def _instants(run: Memory, period: int) -> Vector:
+    return run.grid.time(np.arange(0, run.steps + 1, period))
 
 
 def _samples(run: Memory, port: RecordedPort) -> Matrix | None:
@@ -170,111 +188,61 @@ def _samples(run: Memory, port: RecordedPort) -> Matrix | None:
     return np.stack([each[is_there] for each in (rows, instants, values)], axis=1)
 
 
-def _instants(run: Memory, period: int) -> Vector:
-    return run.grid.time(np.arange(0, run.steps + 1, period))
+def _unknown_samples(subject: StudySubject, run: Memory, signals: Iterable[str], t: Vector) -> str:
+    """Return why rows of signals may rest on samples that are not known; empty: they do not.
+
+    Signals follow those of other components, where theirs are values at the instant.
+    """
+    map_ = subject.map if subject.swap else {}
+    scenario = load_scenario(subject.scenario).edit(swap=subject.swap, map=map_, set=subject.set)
+    followed: set[str] = set()
+    names = [name.partition(".")[0] for name in signals]
+    while names:
+        name = names.pop()
+        spec = scenario.specs.get(name)
+        if spec is None or name in followed:
+            continue
+        if spec.kind == "table":
+            return (
+                f"'{name}' is a table, whose samples are not in the run, so that errors of "
+                'rows between them are not known; of kind "field-data" they are'
+            )
+        followed.add(name)
+        names += scenario.sources_of(name) if spec.is_static else []
+    channels = [run.channels[name] for name in followed.intersection(run.channels)]
+    for name in sorted(f"{c.name}.{s.name}" for c in channels for s in c.interface.outputs):
+        samples = _samples(run, find_signal(run.channels, name, source=run.label))
+        if samples is not None and not np.isin(t, samples[:, 1]).all():
+            return (
+                f"the residual follows {name}, which has samples between the rows, through "
+                "other components, so that errors of its rows are not known; in a metric of "
+                f"{name} itself they are"
+            )
+    return ""
 
 
-@final
-class _Residual:
-    """The residual of a reduction in a run."""
+def _knots(
+    samples: Mapping[str, Matrix], t: Vector, rows: Mapping[str, Vector]
+) -> tuple[Vector, bool] | None:
+    """Return the instants of samples, and whether values are held between them, if rows show that.
 
-    def __init__(self, run: Memory, reduction: Reduction) -> None:
-        self._run = run
-        self._reduction = reduction
-        names = reduction.signals
-        ports = {name: find_element(run.channels, name, "the run") for name in names}
-        periods = {name: port.channel.period for name, port in ports.items()}
-        period = math.lcm(*periods.values())
-        self._t = _instants(run, period)
-        self._rows = np.stack([run[n][:: period // p] for n, p in periods.items()], axis=1)
-        self._held = [port.signal.variability == "discrete" for port in ports.values()]
-        found = {name: _samples(run, ports[name]) for name in _program(reduction.values).signals}
-        self._samples = {name: each for name, each in found.items() if each is not None}
-
-    def sampled(self, kinds: dict[str, str]) -> SampledResidual:
-        """Return it at the samples; ``kinds`` are those of the components that it follows."""
-        t = self._t
-        residual = self._evaluated(self._reduction.values, t, self._rows)
-        counts = ~np.isnan(residual)
-        if self._reduction.where is not None:
-            counts &= self._evaluated(self._reduction.where, t, self._rows) > 0.5
-        own = residual[counts]
-        rms = math.sqrt(float(np.mean(own**2))) if own.size else 0.0
-        found = SampledResidual(own.size, rms, t[counts], own, own, are_rows=True)
-        if not self._samples:
-            return replace(found, problem=self._unknown(kinds))
-        knots = self._knots()
-        if isinstance(knots, str):
-            return replace(found, problem=knots)
-        instants, hold = knots
-        rows = self._rows_at(instants)
-        at_samples = self._evaluated(self._reduction.values, instants, rows)
-        lines = Lines.between(instants, t[counts], hold=hold)
-        is_used = (lines.back(np.ones(own.size)) > 0.0) & np.isfinite(at_samples)
-        used = instants[is_used]
-        weighed = lines.back(own)[is_used]
-        are_rows = np.array_equal(used, t[counts])
-        return SampledResidual(own.size, rms, used, at_samples[is_used], weighed, are_rows)
-
-    def _evaluated(self, part: Program | ConditionProgram, t: Vector, rows: Matrix) -> Vector:
-        program = _program(part)
-        columns = [self._reduction.signals.index(name) for name in program.signals]
-        bound = RowProgram(program.with_columns(columns))
-        return bound.evaluate(np.ascontiguousarray(t), np.ascontiguousarray(rows))
-
-    def _unknown(self, kinds: dict[str, str]) -> str:
-        """Return why the rows may rest on samples that are not known; empty: they do not."""
-        for name, kind in kinds.items():
-            if kind == "table":
-                return (
-                    f"'{name}' is a table, whose samples are not in the run, so that errors of "
-                    'rows between them are not known; of kind "field-data" they are'
-                )
-        run = self._run
-        channels = [run.channels[name] for name in kinds if name in run.channels]
-        for name in sorted(f"{c.name}.{s.name}" for c in channels for s in c.interface.outputs):
-            samples = _samples(run, find_signal(run.channels, name, source=run.label))
-            if samples is not None and not np.isin(self._t, samples[:, 1]).all():
-                return (
-                    f"the residual follows {name}, which has samples between the rows, through "
-                    "other components, so that errors of its rows are not known; in a metric of "
-                    f"{name} itself they are"
-                )
-        return ""
-
-    def _knots(self) -> tuple[Vector, bool] | str:
-        """Return the instants of the samples, and whether values are held between them.
-
-        These are those of the first rows that have them, or else their own. A text says why neither
-        explains the rows.
-        """
-        first, *others = self._samples.values()
-        names = " and ".join(self._samples)
-        if not len(first) or any(not np.array_equal(first[:, :2], one[:, :2]) for one in others):
-            return f"{names} have no samples, or not at the same instants"
-        for own, hold in product((0, 1), (False, True)):
-            instants = first[:, own]
-            if (np.diff(instants) <= 0.0).any():
-                continue
-            lines = Lines.between(instants, self._t, hold=hold)
-            inside = (self._t >= instants[0]) & (self._t <= instants[-1])
-            for name, samples in self._samples.items():
-                rows = self._rows[:, self._reduction.signals.index(name)]
-                distance = np.abs(lines.of(samples[:, 2]) - rows)[inside].max(initial=0.0)
-                if distance > 1e-9 * np.abs(samples[:, 2]).max():
-                    break
-            else:
-                return instants, hold
-        return f"the values of {names} between their samples are neither on lines nor held"
-
-    def _rows_at(self, instants: Vector) -> Matrix:
-        """Return the values at the instants of samples: these, and all others between rows."""
-        columns = []
-        names = self._reduction.signals
-        for name, held, column in zip(names, self._held, self._rows.T, strict=True):
-            between = Lines.between(self._t, instants, hold=held).of(column)
-            columns.append(self._samples[name][:, 2] if name in self._samples else between)
-        return np.stack(columns, axis=1)
+    They are those of the first rows that have the samples, or else their own.
+    """
+    first, *others = samples.values()
+    if not len(first) or any(not np.array_equal(first[:, :2], one[:, :2]) for one in others):
+        return None
+    for instants, hold in product(first[:, :2].T, (False, True)):
+        if (np.diff(instants) <= 0.0).any():
+            continue
+        lines = Lines(instants, t, hold=hold)
+        inside = (t >= instants[0]) & (t <= instants[-1])
+        for name, each in samples.items():
+            distance = np.abs(lines.of(each[:, 2]) - rows[name])[inside].max(initial=0.0)
+            if distance > 1e-9 * np.abs(each[:, 2]).max():
+                break
+        else:
+            return instants, hold
+    return None
 
 
 # --- of the best values ---
@@ -315,23 +283,20 @@ def check_residual(residual: SampledResidual) -> ResidualCheck | None:
     """Return what noise a residual is; None: it has hardly any rows, or is no noise at all."""
     from cosim.scenario.identification.residual import residual_noise  # takes long to import
 
-    rows = residual.rows
+    rows, samples = residual.rows, residual.samples.size
     if residual.problem:
         return ResidualCheck(rows, 0, 1.0, math.nan, residual.problem, 0, math.inf)
     largest = float(np.abs(residual.samples).max(initial=0.0))
     if rows < LEAST_ROWS or not 0.0 < largest < math.inf or not 0.0 < residual.rms < math.inf:
         return None
-    scaled = residual.samples / largest
-    samples = scaled.size
     if samples < LEAST_ROWS:
         few = f"{samples} samples are too few to tell whether noise explains the residual"
         return ResidualCheck(rows, samples, 1.0, math.nan, few, samples, math.inf)
+    scaled = residual.samples / largest
     problem, power, freedom = residual_noise(residual.t, scaled)
     neighbours = float(scaled[1:] @ scaled[:-1]) / max(float(scaled @ scaled), np.finfo(float).tiny)
     size = min(abs(neighbours), 1.0 - 1.0 / samples)
-    if (
-        size * math.sqrt(samples) > 2.6
-    ):  # as 1 of 100 white ones has; tests of many lags let it pass
+    if size * math.sqrt(samples) > 2.6:  # 1 of 100 white ones: tests of many lags let it pass
         power = max(power, (1.0 + size) / (1.0 - size))
     ratio = math.sqrt(float(np.mean(scaled**2))) / (residual.rms / largest)
     independent = max(1, round(samples / power))
@@ -340,29 +305,36 @@ def check_residual(residual: SampledResidual) -> ResidualCheck | None:
 
 def residual_at(
     subject: StudySubject, members: Sequence[StudyMember], *, timeout: float | None = None
-) -> tuple[SampledResidual, Matrix | None] | None:
-    """Return the residual of the first member, and how those of others differ, weighed.
+) -> tuple[ResidualCheck | None, Matrix | None]:
+    """Return what noise the residual of the first member is, and how those of others differ.
 
-    That of one column each is None where the samples are the rows, or not known; all is None where
-    nothing is known of the rows.
+    Returns
+    -------
+    ResidualCheck or None
+        None: nothing is known of the rows.
+    Matrix, shape (n, others), or None
+        The differences, weighed; None: the samples are the rows, or not known.
     """
     where = _reduction(subject).where
     if where is not None and where.duration_ns:  # it depends on rows that are left out
-        return None
+        return None, None
     try:
         with LocalExecutor(subject, 1, timeout=timeout) as executor:
             ((_, found),) = executor.run(members[:1], residual_of)
             if not isinstance(found, SampledResidual):
-                return None
-            if found.are_rows:
-                return found, None
+                return None, None
+            own = found.weighed
+            if own is None:
+                return check_residual(found), None
             others = [other for _, other in executor.run(members[1:], residual_of)]
     except RunError:  # such as a file that has changed: the result of the search stays
-        return None
+        return None, None
     columns = []
     for other in others:
-        if not isinstance(other, SampledResidual) or not np.array_equal(other.t, found.t):
+        weighed = other.weighed if isinstance(other, SampledResidual) else None
+        if weighed is None or not np.array_equal(other.t, found.t):
             problem = "how the residual moves with each value is not known: not all runs beside "
-            return replace(found, problem=f"{problem}the best values have the same rows"), None
-        columns.append(other.weighed - found.weighed)
-    return found, np.stack(columns, axis=1)
+            found = replace(found, problem=f"{problem}the best values have the same rows")
+            return check_residual(found), None
+        columns.append(weighed - own)
+    return check_residual(found), np.stack(columns, axis=1)

@@ -24,7 +24,7 @@ from cosim.studies.layout import (
 from cosim.studies.statistics import ConfidenceInterval, Figures
 
 if TYPE_CHECKING:
-    from cosim.studies.plan import RecordedSearch
+    from cosim.studies.search import Search
     from cosim.studies.study import Study
     from cosim.studies.studying import StudyEstimate
     from cosim.studies.tuning_result import TuningResult
@@ -91,7 +91,7 @@ def show_study(
     command_of: CommandOf,
     parts: ShownParts,
     *,
-    search: RecordedSearch | None = None,
+    search: Search | None = None,
 ) -> None:
     """Print parts of a study, or of a search, also while it runs."""
     results = results_of_study(study, layout)
@@ -461,7 +461,7 @@ def _show_member(
 
 
 def _show_search(
-    results: StudyResults, search: RecordedSearch, command_of: CommandOf, parts: ShownParts
+    results: StudyResults, search: Search, command_of: CommandOf, parts: ShownParts
 ) -> None:
     """Print the best members of a search."""
     columns = results.columns

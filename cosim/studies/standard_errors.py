@@ -29,8 +29,9 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.errors import option
 from cosim.studies.residual import ResidualCheck
-from cosim.studies.search import DIGITS, Point, SearchSpace, Trials
+from cosim.studies.search import DIGITS, Point, Search, SearchTrial, Trials
 from cosim.studies.statistics import student_quantile
 
 _FIRST_STEP: Final = 1e-3  # of the range between the bounds
@@ -54,7 +55,7 @@ class StandardErrors:
     errors : mapping of key to float
     intervals : mapping of key to (float, float)
         With 95 %.
-    correlation : tuple of tuples
+    correlation : list of lists
         Of the values, in the order of the keys.
     deviation : float
         Standard deviation of the residual.
@@ -68,7 +69,7 @@ class StandardErrors:
 
     errors: Mapping[str, float]
     intervals: Mapping[str, tuple[float, float]]
-    correlation: tuple[tuple[float, ...], ...]
+    correlation: list[list[float]]
     deviation: float
     samples: int
     skewed: tuple[str, ...]
@@ -76,9 +77,7 @@ class StandardErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        found = asdict(self)
-        del found["values"]
-        return found
+        return {name: item for name, item in asdict(self).items() if name != "values"}
 
 
 def members_of_errors(keys: int) -> int:
@@ -86,8 +85,8 @@ def members_of_errors(keys: int) -> int:
     return _NOISE_POINTS + 8 * keys + 3 * (1 + keys * (keys + 1))
 
 
-def standard_errors(
-    space: SearchSpace, trials: Trials, best: Point, samples: int
+def errors_at(
+    trials: Trials, best: SearchTrial | None, samples: int | None = None
 ) -> StandardErrors:
     """Return the standard errors of the best values; more points are tried for it.
 
@@ -97,19 +96,21 @@ def standard_errors(
     SearchEnded
         If the members do not suffice.
     """
-    free = _free(space, samples)
+    if best is None:
+        raise NoStandardErrors("no member has an objective")
+    search = trials.search
+    count = best.samples if samples is None else samples
+    free = _free(search, count)
 
     def squares(coordinates: Iterable[Vector]) -> Vector:
-        points = [space.point(each) for each in coordinates]
-        costs = trials.costs(points)
-        for point, cost in zip(points, costs, strict=True):
-            if not math.isfinite(cost):
-                problem = trials.trial(point).problem
-                raise NoStandardErrors(f"a member next to the best values fails: {problem}")
-        return samples * np.array(costs) ** 2
+        tried = trials.try_points([search.point(each) for each in coordinates])
+        for trial in tried:
+            if trial.objective is None:
+                raise NoStandardErrors(f"a member next to the best values fails: {trial.problem}")
+        return count * np.array([trial.cost for trial in tried]) ** 2
 
-    names = [key.key for key in space.bounded]
-    center = space.coordinates(best)
+    names = [key.key for key in search.bounded]
+    center = search.coordinates(best.point)
     level = squares([center])[0]
     if level <= 0.0:
         raise NoStandardErrors("the residual is zero")
@@ -119,31 +120,37 @@ def standard_errors(
         noisy = f"the objective is noisy (relative noise {noise / 2:.1g})"
         raise NoStandardErrors(f"{noisy}, which hides its curvature")
     steps = _steps(squares, center, wanted * level / free, names)
-    center, steps, curvature = _centered(squares, center, steps, noise, samples, names)
-    level, gradient, hessian = curvature
+    center, steps, (level, gradient, hessian) = _centered(
+        squares, center, steps, noise, count, names
+    )
     variance = level / free
     scaled = 2.0 * variance * np.linalg.inv(hessian)
     deviations = np.sqrt(np.diag(scaled))
     correlation = scaled / np.outer(deviations, deviations)
-    values = space.point(center)
+    values = search.point(center)
     errors = {}
-    for number, key in enumerate(space.bounded):
-        value = values[key.key]
-        error = float(key.slope(value) * steps[number] * deviations[number])
-        if error < abs(value) * 10.0 ** (1 - DIGITS):
+    for key, step, deviation in zip(search.bounded, steps, deviations, strict=True):
+        error = float(key.slope(values[key.key]) * step * deviation)
+        if error < abs(values[key.key]) * 10.0 ** (1 - DIGITS):
             below = f"that of {key.key} would be below the {DIGITS} digits of its value"
             raise NoStandardErrors(f"{below}: the residual is rounding noise")
         errors[key.key] = error
-    is_skewed = np.abs(gradient) / np.diag(hessian) > 0.3
-    skewed = tuple(name for name, each in zip(names, is_skewed, strict=True) if each)
-    intervals = _intervals(space, values, errors, correlation, free)
-    matrix = _as_tuples(correlation)
-    return StandardErrors(errors, intervals, matrix, math.sqrt(variance), samples, skewed, values)
+    return StandardErrors(
+        errors,
+        _intervals(search, values, errors, correlation, free),
+        correlation.tolist(),
+        math.sqrt(variance),
+        count,
+        tuple(
+            n for n, g, h in zip(names, gradient, np.diag(hessian), strict=True) if abs(g) / h > 0.3
+        ),
+        values,
+    )
 
 
-def _free(space: SearchSpace, samples: int) -> int:
+def _free(search: Search, samples: int) -> int:
     """Return the degrees of freedom that the values leave."""
-    values = len(space.keys)
+    values = len(search.keys)
     if samples <= values:
         found = f"got {values} values from {samples} samples"
         raise NoStandardErrors(f"expected more samples than values, {found}")
@@ -154,10 +161,11 @@ def _noise(squares: Squares, center: Vector) -> float:
     """Return the relative noise, by differences of high order [More and Wild 2011, ECnoise]."""
     inwards = np.where(center < 0.5, 1e-8, -1e-8)
     values = squares(center + k * inwards for k in range(_NOISE_POINTS + 1))
-    estimates = []
-    for order in range(4, _NOISE_POINTS + 1):
-        factor = math.factorial(order) ** 2 / math.factorial(2 * order)
-        estimates.append(math.sqrt(factor * float(np.mean(np.diff(values, order) ** 2))))
+    factors = {
+        n: math.factorial(n) ** 2 / math.factorial(2 * n) for n in range(4, _NOISE_POINTS + 1)
+    }
+    means = [f * float(np.mean(np.diff(values, n) ** 2)) for n, f in factors.items()]
+    estimates = [math.sqrt(mean) for mean in means]
     return float(np.median(estimates)) / float(values[0])
 
 
@@ -167,8 +175,7 @@ def _steps(squares: Squares, center: Vector, wanted: float, names: list[str]) ->
     steps = np.minimum(_FIRST_STEP, room)
     for name, step in zip(names, steps, strict=True):
         if step < 0.1 * _FIRST_STEP:
-            between = "they hold for values between the bounds"
-            raise NoStandardErrors(f"{name} is at its bound; {between}")
+            raise NoStandardErrors(f"{name} is at its bound; they hold between the bounds")
     level = squares([center])[0]
     ratios = np.zeros(center.size)
     open_ = list(range(center.size))
@@ -246,7 +253,7 @@ def _curvature(squares: Squares, center: Vector, steps: Vector, names: list[str]
 
 
 def _intervals(
-    space: SearchSpace,
+    search: Search,
     values: Mapping[str, float],
     errors: Mapping[str, float],
     correlation: Matrix,
@@ -254,33 +261,29 @@ def _intervals(
 ) -> dict[str, tuple[float, float]]:
     wide = student_quantile(float(freedom) + 1.0)
     intervals = {}
-    for number, key in enumerate(space.bounded):
+    for key, row in zip(search.bounded, correlation, strict=True):
         value = values[key.key]
         half = wide * errors[key.key]
         low, high = value - half, value + half
         if key.logarithmic:
             factor = math.exp(half / value) if half < 709.0 * value else math.inf
             low, high = value / factor, value * factor
-        if not (math.isfinite(low) and math.isfinite(high) and (low > 0.0 or not key.logarithmic)):
-            names = [each.key for each in space.bounded]
-            involved = [names[k] for k in np.flatnonzero(np.abs(correlation[number]) > 0.5)]
-            hardly = f"the data hardly determine {', '.join(involved)}"
-            together = " together" if len(involved) > 1 else ""
+        if not math.isfinite(high - low) or (key.logarithmic and low <= 0.0):
+            involved = [
+                k.key for k, each in zip(search.bounded, row, strict=True) if abs(each) > 0.5
+            ]
+            them = f"{', '.join(involved)}{' together' if len(involved) > 1 else ''}"
             beyond = f"the interval of {key.key} goes beyond all numbers"
-            raise NoStandardErrors(f"{beyond}: {hardly}{together}")
+            raise NoStandardErrors(f"{beyond}: the data hardly determine {them}")
         intervals[key.key] = low, high
     return intervals
-
-
-def _as_tuples(matrix: Matrix) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, matrix.tolist()))
 
 
 # --- with what is known of the residual ---
 
 
 def moved_points(
-    errors: StandardErrors, space: SearchSpace, best: Point
+    errors: StandardErrors, search: Search, best: Point
 ) -> tuple[list[dict[str, float]], Vector]:
     """Return points with one value each about a standard error away, and how many errors that is.
 
@@ -289,7 +292,7 @@ def moved_points(
     held = 1.0 / np.sqrt(np.diag(np.linalg.inv(np.array(errors.correlation))))
     points = []
     units = np.empty(len(held))
-    for number, key in enumerate(space.bounded):
+    for number, key in enumerate(search.bounded):
         value = best[key.key]
         above, below = key.upper - value, value - key.lower
         step = min(errors.errors[key.key] * float(held[number]), max(above, below))
@@ -301,9 +304,9 @@ def moved_points(
 
 def of_samples(
     errors: StandardErrors,
-    space: SearchSpace,
+    search: Search,
     residual: ResidualCheck,
-    samples: int,
+    samples: int | None,
     moves: Matrix | None,
 ) -> StandardErrors:
     """Return standard errors by the samples on which the rows rest.
@@ -312,16 +315,32 @@ def of_samples(
     ----------
     errors : StandardErrors
         As if all rows were independent.
-    space : SearchSpace
+    search : Search
     residual : ResidualCheck
-    samples : int
-        Of these, how many are independent.
+    samples : int or None
+        Of these, how many are independent; None: as the residual says.
     moves : Matrix or None, shape (n, p)
         ``W'J``: how the weighed samples move with each value, by its standard error; None: the
         samples are the rows.
+
+    Raises
+    ------
+    NoStandardErrors
+        If noise does not explain the residual, or there are not more samples than values.
     """
-    free = _free(space, samples)
-    factor = residual.ratio * math.sqrt(_free(space, errors.samples) / free)
+    if residual.problem and samples is None:
+        way_out = f"or {option('samples')} says how many of them are independent"
+        if residual.samples:
+            way_out = (
+                f"where a wrong model is not the cause, {option('samples')} says how many of the "
+                f"{residual.samples} samples are independent"
+            )
+        raise NoStandardErrors(f"{residual.problem}; {way_out}")
+    independent = residual.independent if samples is None else samples
+    if not residual.samples or (moves is None and independent == errors.samples):
+        return errors
+    free = _free(search, independent)
+    factor = residual.ratio * math.sqrt(_free(search, errors.samples) / free)
     correlation = np.array(errors.correlation)
     deviations = np.full(len(correlation), factor)
     if moves is not None:
@@ -333,12 +352,12 @@ def of_samples(
         correlation = covariance / np.outer(own, own)
     pairs = zip(errors.errors.items(), deviations, strict=True)
     found = {key: float(error * deviation) for (key, error), deviation in pairs}
-    freedom = residual.freedom if samples == residual.independent else math.inf
+    freedom = residual.freedom if independent == residual.independent else math.inf
     return replace(
         errors,
         errors=found,
-        intervals=_intervals(space, errors.values, found, correlation, min(free, freedom)),
-        correlation=_as_tuples(correlation),
+        intervals=_intervals(search, errors.values, found, correlation, min(free, freedom)),
+        correlation=correlation.tolist(),
         deviation=residual.ratio * errors.deviation,
-        samples=samples,
+        samples=independent,
     )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from cosim.arguments import mapping_argument, path_argument, truth_argument, whole_argument
 from cosim.digests import digest_of
@@ -18,7 +17,7 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.document.document import find
 from cosim.scenario.document.edits import plain
 from cosim.studies.cases import packed
-from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember
+from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember, member_of
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.design import (
     StudyDesign,
@@ -32,7 +31,6 @@ from cosim.studies.kept_logs import MembersDone
 from cosim.studies.layout import StudyLayout
 from cosim.studies.metrics import parse_metrics
 from cosim.studies.plan import (
-    RecordedSearch,
     RecordedStudy,
     StudyPlan,
     own_environment,
@@ -40,7 +38,7 @@ from cosim.studies.plan import (
     run_command,
     scenario_digest,
 )
-from cosim.studies.residual import check_residual, residual_at
+from cosim.studies.residual import residual_at
 from cosim.studies.search import (
     BATCHES,
     OBJECTIVE,
@@ -50,20 +48,10 @@ from cosim.studies.search import (
     Point,
     RunPoints,
     Search,
-    SearchEnd,
-    SearchEnded,
     SearchKey,
-    SearchSpace,
-    Trials,
-    search_points,
 )
-from cosim.studies.standard_errors import (
-    NoStandardErrors,
-    StandardErrors,
-    members_of_errors,
-    moved_points,
-)
-from cosim.studies.standard_errors import standard_errors as errors_at
+from cosim.studies.standard_errors import moved_points
+from cosim.studies.study import Study
 from cosim.studies.study_file import (
     STUDY,
     StudyFile,
@@ -74,12 +62,10 @@ from cosim.studies.study_file import (
     varied_key,
 )
 from cosim.studies.studying import executor_of, worker_count
-from cosim.studies.tuning_result import TuningResult, converged_end, with_residual
+from cosim.studies.tuning_result import TuningResult, search_best, with_residual
 
 if TYPE_CHECKING:
     from distributed import Client
-
-_RECORDED: Final = ("expression", "maximize", "method", "members", "starts", "seed")
 
 
 def tune(
@@ -153,7 +139,7 @@ def tune(
     progress : callable, optional
         Called with how many members are done, of how many, and how many of these failed.
     notice : callable, optional
-        Called with what is noteworthy about the run.
+        Called with what is noteworthy about the run; left out: warnings say it.
 
     Raises
     ------
@@ -166,32 +152,33 @@ def tune(
         names = f"{option('minimize')} and {option('maximize')}"
         found = f"got {quoted(minimize)} and {quoted(maximize)}"
         raise UsageError(f"{names}: expected a metric for one of them, {found}")
+    keys = tuple(_read_key(key, each) for key, each in mapping_argument("vary", vary).items())
     search = Search(
-        read_space(vary),
+        OBJECTIVE,
         expression,
         maximize=maximize is not None,
         method=method,
         members=whole_argument("members", members) or 0,
         starts=whole_argument("starts", starts) or 0,
         seed=whole_argument("seed", seed) or 0,
-        is_rms=is_rms(expression),
-        with_errors=truth_argument("standard_errors", standard_errors),
-        samples=whole_argument("samples", samples),
+        keys=keys,
     )
+    with_errors = truth_argument("standard_errors", standard_errors)
+    samples = whole_argument("samples", samples)
     new = truth_argument("new", new)
     count = worker_count(workers)
     if scheduler is not None and method not in BATCHES:
         one = f"the method {method!r} runs one member at a time"
         available = f"available with a cluster: {', '.join(BATCHES)}"
         raise UsageError(f"{option('scheduler')}: {one}; {available}")
-    search.check()
+    search.check(samples)
+    if with_errors:
+        search.check_errors()
     metrics = {OBJECTIVE: expression}
     if search.is_rms:
         metrics[SAMPLES] = f"count{expression.strip().removeprefix('rms')}"
-    try:
+    with _objective_named(search):
         parse_metrics(metrics)
-    except UsageError as error:
-        raise UsageError(_of_objective(str(error), search)) from error
     study = _base(str(path_argument("scenario", scenario))).with_options(
         metrics=metrics,
         set=set,
@@ -202,36 +189,50 @@ def tune(
         timeout=timeout,
     )
     plan = plan_tuning(study, search)
-    warnings = plan.study.warnings
-    if notice is None:
-        warn(warnings)
-        notice = _ignore
-    for text in warnings:
+    notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
+    for text in plan.study.warnings:
         notice(f"warning: {text}")
-    result = _searched(plan, out, count, scheduler, new=new, progress=progress, notice=notice)
+    with _members(plan, out, new, count, scheduler, notice) as (run, recorded):
+        result = search_best(
+            run,
+            search,
+            plan.first,
+            with_errors=with_errors,
+            samples=samples,
+            recorded=recorded,
+            progress=progress,
+        )
     warn(result.warnings)
-    return _completed(plan, result)
+    best = result.best
+    if best is None:
+        return result
+    result = replace(result, command=run_command(plan.member(0, best.point), study))
+    if result.errors is None:
+        return result
+    points, units = moved_points(result.errors, search, best.point)
+    chosen = [plan.member(number, point) for number, point in enumerate([best.point, *points])]
+    residual, moves = residual_at(plan.study.subject, chosen, timeout=study.settings.timeout)
+    return with_residual(result, residual, None if moves is None else moves / units, samples)
 
 
-def _searched(
+@contextmanager
+def _members(
     plan: TuningPlan,
     out: str | Path | None,
+    new: bool,
     workers: int,
     scheduler: str | Client | None,
-    *,
-    new: bool,
-    progress: MembersDone | None,
     notice: Callable[[str], None],
-) -> TuningResult:
-    """Run the members that the search asks for, and return what it found."""
+) -> Iterator[tuple[RunPoints, list[tuple[Point, MemberOutcome]]]]:
+    """Give what runs members, and records them, and those that are recorded."""
     dataset: StudyDataset | None = None
     with ExitStack() as resources:
         if out is not None and StudyDataset.is_at(out) and not new:
             there = StudyDataset.open_or_create(out, plan.identity())
             dataset = resources.enter_context(there)
-        local = executor_of(plan.study, workers, None, notice)
-        executor = executor_of(plan.study, workers, scheduler, notice)
-        for one in (local, executor):  # before the dataset that is there is removed
+        # before the dataset that is there is removed
+        local, executor = (executor_of(plan.study, workers, s, notice) for s in (None, scheduler))
+        for one in (local, executor):
             resources.enter_context(one)
 
         def run(points: Mapping[int, Point]) -> Iterator[MemberOutcome]:
@@ -250,78 +251,27 @@ def _searched(
                     dataset.add(member, outcome)
                 yield outcome
 
-        recorded = () if dataset is None else _recorded(dataset)
-        return search_best(run, plan.search, recorded=recorded, progress=progress)
+        yield run, [] if dataset is None else _recorded(Study(dataset))
 
 
-def _recorded(dataset: StudyDataset) -> Iterator[tuple[Point, MemberOutcome]]:
-    """Yield the points that a dataset has, with their outcomes."""
-    metrics = [column.name for column in dataset.columns if column.role == "metric"]
-    columns = [column for column in dataset.columns if column.role == "parameter"]
-    keys = [column for column in columns if column.name != RECORDING]
-    outcome = ("member", "status", "reason", "steps", "warnings")
-    for row in dataset.read([*outcome, *metrics, *(key.name for key in keys)]).to_pylist():
-        point = {key.name: key.value(row[key.name]) for key in keys}
-        number, status, reason, steps, warnings = (row[name] for name in outcome)
-        values = {name: row[name] for name in metrics}
-        lines = (warnings or "").splitlines()
-        yield point, MemberOutcome(number, status, reason or "", steps, values, warnings=lines)
-
-
-def search_best(
-    run: RunPoints,
-    search: Search,
-    *,
-    recorded: Iterable[tuple[Point, MemberOutcome]] = (),
-    progress: MembersDone | None = None,
-) -> TuningResult:
-    """Search the best point, and its standard errors; see :class:`Trials` for the parameters."""
-    trials = Trials(run, search, recorded, progress)
-    if search.with_errors:
-        trials.members -= min(members_of_errors(len(search.space.keys)), search.members // 2)
-    ends: list[SearchEnd] = []
-    finished = False
-    try:
-        stop_reason = search_points(search, trials, ends)
-        finished = True
-    except SearchEnded as error:
-        stop_reason = str(error)
-    best_end = converged_end(search.space, trials.best, ends)
-    trials.members = search.members
-    errors = _errors(search, trials) if search.with_errors else (None, "")
-    ended = (finished, stop_reason, tuple(ends), best_end)
-    return TuningResult(search, trials.all, trials.best, *ended, *errors)
-
-
-def _errors(search: Search, trials: Trials) -> tuple[StandardErrors | None, str]:
-    """Return standard errors as if the rows were independent samples, or why there are none."""
-    best = trials.best
-    if best is None:
-        return None, "no member has an objective"
-    samples = best.samples if search.samples is None else search.samples
-    try:
-        return errors_at(search.space, trials, best.point, samples), ""
-    except (NoStandardErrors, SearchEnded) as problem:
-        return None, str(problem)
-
-
-def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
-    """Return a result with its command, and with standard errors by the residual."""
-    if result.best is None:
-        return result
-    point = result.best.point
-    study = plan.study.study
-    result = replace(result, command=run_command(plan.member(0, point), study))
-    if result.errors is None:
-        return result
-    points, units = moved_points(result.errors, plan.search.space, point)
-    members = [plan.member(number, each) for number, each in enumerate([point, *points])]
-    found = residual_at(plan.study.subject, members, timeout=study.settings.timeout)
-    if found is None:
-        return result
-    residual, differences = found
-    moves = None if differences is None else differences / units
-    return with_residual(result, check_residual(residual), moves)
+def _recorded(study: Study) -> list[tuple[Point, MemberOutcome]]:
+    """Return the points that a dataset has, with their outcomes."""
+    found: list[tuple[Point, MemberOutcome]] = []
+    rows = study.table(
+        ["member", "status", "reason", "steps", "warnings", *study.metrics]
+    ).to_pylist()
+    for row, member in zip(rows, study.members([row["member"] for row in rows]), strict=True):
+        swaps = {f"{SWAP}{name}": path for name, path in member.swap.items()}
+        outcome = MemberOutcome(
+            member.number,
+            row["status"],
+            row["reason"] or "",
+            row["steps"],
+            {name: row[name] for name in study.metrics},
+            warnings=(row["warnings"] or "").splitlines(),
+        )
+        found.append(({**member.set, **swaps}, outcome))
+    return found
 
 
 # --- planning ---
@@ -336,35 +286,28 @@ class TuningPlan:
     study : StudyPlan
         Its members are values of all keys that were checked, not those that will be tried.
     search : Search
+    first : mapping of key to value
+        Of the scenario; left out: it cannot be tried.
     recording : str or None
         The log that every trial replays.
     """
 
     study: StudyPlan
     search: Search
+    first: Point
     recording: str | None
 
     def member(self, number: int, point: Point) -> StudyMember:
         """Return the member that tries a point."""
-        set_ = {key: value for key, value in point.items() if not key.startswith(SWAP)}
-        swap = {key.removeprefix(SWAP): str(v) for key, v in point.items() if key not in set_}
-        return StudyMember(number, set_, swap, self.recording)
+        return member_of(number, {**point, RECORDING: self.recording})
 
     def identity(self) -> StudyIdentity:
         """Return whose dataset it is: that of the same search, however many members it may have."""
         search = self.search
-        keys = search.space.keys
         planned = self.study.identity({})
+        layout = StudyLayout("cases", samples=search.members)
         recorded = RecordedStudy(
-            self.study.study,
-            StudyLayout("cases", samples=search.members),
-            own_environment(),
-            RecordedSearch(
-                OBJECTIVE,
-                keys=[asdict(key) for key in keys],
-                **{name: getattr(search, name) for name in _RECORDED},
-            ),
-            self.study.warnings,
+            self.study.study, layout, own_environment(), search, self.study.warnings
         )
         chosen = {
             "the objective": search.expression,
@@ -372,14 +315,18 @@ class TuningPlan:
             "the method": search.method,
             "the starts": search.starts,
             "the seed": search.seed,
-            "the order of the keys": [key.key for key in keys],
-            **{f"the range of {key.key}": asdict(key) for key in keys},
+            "the order of the keys": [key.key for key in search.keys],
+            **{f"the range of {key.key}": asdict(key) for key in search.keys},
         }
         digests = {name: digest for name, digest in planned.digests.items() if name != OF_METRICS}
         digests |= {name: digest_of(value) for name, value in chosen.items()}
-        name = f"tuning of {self.study.scenario.name}"
-        text = recorded.to_text()
-        return replace(planned, name=name, text=text, digests=digests, members=search.members)
+        return replace(
+            planned,
+            name=f"tuning of {self.study.scenario.name}",
+            text=recorded.to_text(),
+            digests=digests,
+            members=search.members,
+        )
 
 
 def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
@@ -393,9 +340,8 @@ def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
     logs = find_recordings(study.settings.replay)
     if len(logs) > 1:
         found = f"got {len(logs)} ({listing(logs, 3)})"
-        raise UsageError(
-            f"{option('replay')}: expected one log, which every trial replays, {found}"
-        )
+        expected = "expected one log, which every trial replays"
+        raise UsageError(f"{option('replay')}: {expected}, {found}")
     recording = logs[0] if logs else None
     files = scenario_digest(study.subject)
     scenario = load_scenario(study.scenario)
@@ -403,57 +349,40 @@ def plan_tuning(study: StudyFile, search: Search) -> TuningPlan:
         own = edited_scenario(study, scenario, {})
     else:
         own = load_scenario(recording)
-    keys = search.space.keys
-    set_ = study.settings.set
-    values = {key.key: set_.get(key.key, own_value(own, key.key)) for key in keys}
-    search = replace(search, first={k: value for k, value in values.items() if value is not None})
-    for key in search.space.bounded:
-        for value in (key.lower, key.upper):
+    first: dict[str, Any] = {}
+    columns = {} if recording is None else {RECORDING: ValueColumn(packed([recording]))}
+    count = max([1 if recording is None else 2, *(len(key.choices) for key in search.choices)])
+    for key in search.keys:  # what is built: the first values, and one with each choice
+        value = study.settings.set.get(key.key, own_value(own, key.key))
+        if key.has(value):
+            first[key.key] = float(value) if isinstance(key, BoundedKey) else value
+        if isinstance(key, ChoiceKey):
+            columns[key.key] = ValueColumn(packed(key.choices))
+            continue
+        for bound in (key.lower, key.upper):
             try:
-                edited_scenario(study, scenario, {}, {key.key: value})
+                edited_scenario(study, scenario, {}, {key.key: bound})
             except UsageError as error:
                 text = str(error).removeprefix(f"{option('set', key.key)}: ")
-                raise UsageError(f"{key.key} = {quoted(value)}: {text}") from error
-
-    design = _checked_points(study, search, recording)
-    try:
-        planned = plan_members(study, scenario, design, files=files)
-    except UsageError as error:
-        raise UsageError(_of_objective(str(error), search)) from error
-    return TuningPlan(planned, search, recording)
-
-
-def plan_recorded(study: StudyFile, recorded: RecordedSearch) -> TuningPlan:
-    """Plan a tuning that a dataset has again."""
-    keys: list[SearchKey] = []
-    for key in recorded.keys:
-        is_list = "choices" in key
-        keys.append(ChoiceKey(key["key"], tuple(key["choices"])) if is_list else BoundedKey(**key))
-    options = {name: getattr(recorded, name) for name in _RECORDED}
-    return plan_tuning(study, Search(SearchSpace(tuple(keys)), **options))
-
-
-def _checked_points(study: StudyFile, search: Search, recording: str | None) -> StudyDesign:
-    """Return the points that are built before any is tried: the first, and one with each choice."""
-    lists: dict[str, list[Any]] = {} if recording is None else {RECORDING: [recording]}
-    for key in search.space.keys:
-        if isinstance(key, ChoiceKey):
-            lists[key.key] = list(key.choices)
-            continue
+                raise UsageError(f"{key.key} = {quoted(bound)}: {text}") from error
         middle = key.value(0.5)
-        first = search.inside.get(key.key, middle)
-        lists[key.key] = [first] if recording is None else [first, middle]
-    count = max(map(len, lists.values()))
-    repeated = {name: [v[n % len(v)] for n in range(count)] for name, v in lists.items()}
-    columns = {name: ValueColumn(packed(values)) for name, values in repeated.items()}
-    return StudyDesign(study, StudyLayout("cases", samples=count), columns)
+        tried = [first.get(key.key, middle), middle]
+        columns[key.key] = ValueColumn(packed(tried[: 1 if recording is None else 2]))
+    design = StudyDesign(study, StudyLayout("cases", samples=count), columns)
+    with _objective_named(search):
+        planned = plan_members(study, scenario, design, files=files)
+    return TuningPlan(planned, search, first, recording)
 
 
-def _of_objective(text: str, search: Search) -> str:
-    """Return problems of the metrics as those of the objective, each once."""
-    name = option("maximize" if search.maximize else "minimize")
-    lines = [re.sub(r"\bmetrics\.\w+: ", f"{name}: ", line) for line in text.splitlines()]
-    return "\n".join(dict.fromkeys(lines))
+@contextmanager
+def _objective_named(search: Search) -> Iterator[None]:
+    """Raise problems of the metrics as those of the objective, each once."""
+    try:
+        yield
+    except UsageError as error:
+        name = option("maximize" if search.maximize else "minimize")
+        lines = [re.sub(r"\bmetrics\.\w+: ", f"{name}: ", line) for line in str(error).splitlines()]
+        raise UsageError("\n".join(dict.fromkeys(lines))) from error
 
 
 def _base(scenario: str) -> StudyFile:
@@ -465,22 +394,8 @@ def _base(scenario: str) -> StudyFile:
     return study_of({STUDY: {"scenario": path}}, source, "tuning")
 
 
-def is_rms(expression: str) -> bool:
-    """Return whether a metric is the rms of one residual, and nothing else."""
-    try:
-        node = ast.parse(expression.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return False
-    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "rms"
-
-
-def read_space(vary: object) -> SearchSpace:
-    """Read ``vary`` of Python and the command line."""
-    entries = mapping_argument("vary", vary)
-    return SearchSpace(tuple(_read_key(key, value) for key, value in entries.items()))
-
-
 def _read_key(key: str, value: Any) -> SearchKey:
+    """Read an entry of ``vary`` of Python and the command line."""
     try:
         value = plain(value)
     except UsageError as error:
@@ -497,7 +412,3 @@ def _read_key(key: str, value: Any) -> SearchKey:
         f"{option('vary', key)}: expected bounds, such as {{'linear': [0.0, 1.0]}} or {{'log': "
         f"[10.0, 1e4]}}, or a list of values, got {quoted(value)}"
     )
-
-
-def _ignore(_: str) -> None:
-    """Do nothing."""

@@ -1,19 +1,35 @@
-"""The result of a tuning, and the sentences that say what it is worth."""
+"""What a search finds: its result, and the sentences that say what it is worth."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from cosim.arrays import Matrix
-from cosim.errors import listing, option
+from cosim.errors import listing
+from cosim.studies.contracts import MemberOutcome
 from cosim.studies.residual import ResidualCheck
-from cosim.studies.search import OBJECTIVE, Point, Search, SearchEnd, SearchSpace, SearchTrial
-from cosim.studies.standard_errors import NoStandardErrors, StandardErrors, of_samples
+from cosim.studies.search import (
+    BATCHES,
+    OBJECTIVE,
+    Point,
+    RunPoints,
+    Search,
+    SearchEnd,
+    SearchEnded,
+    SearchTrial,
+    Trials,
+    search_points,
+)
+from cosim.studies.standard_errors import (
+    NoStandardErrors,
+    StandardErrors,
+    errors_at,
+    members_of_errors,
+    of_samples,
+)
 from cosim.studies.statistics import grouped, warning_lines
 
 
@@ -96,10 +112,12 @@ class TuningResult:
     def at_bounds(self) -> dict[str, str]:
         """Which bound a best value is at, ``lower`` or ``upper``; of keys where it is at one."""
         near = 1e-4  # of the range between the bounds
-        keys = self.search.space.bounded if self.best is not None else ()
-        at = {key.key: key.coordinate(self.estimate[key.key]) for key in keys}
-        ends = {name: "lower" if x <= near else "upper" for name, x in at.items()}
-        return {name: end for name, end in ends.items() if not near < at[name] < 1.0 - near}
+        found = {}
+        for key in self.search.bounded if self.best is not None else ():
+            coordinate = key.coordinate(self.estimate[key.key])
+            if not near < coordinate < 1.0 - near:
+                found[key.key] = "lower" if coordinate <= near else "upper"
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -125,11 +143,12 @@ class TuningResult:
     def statements(self) -> list[str]:
         """What is to be said of the result: why it ended, and what it does not exclude."""
         said = [self._ending]
-        if self.failed:
-            numbers = listing([str(trial.number) for trial in self.failed])
-            problems = listing([*dict.fromkeys(trial.problem for trial in self.failed)], 3)
-            have = "member has" if len(self.failed) == 1 else "members have"
-            said.append(f"{len(self.failed)} {have} no objective ({numbers}): {problems}")
+        failed = self.failed
+        if failed:
+            numbers = listing([str(trial.number) for trial in failed])
+            problems = listing([*dict.fromkeys(trial.problem for trial in failed)], 3)
+            have = "member has" if len(failed) == 1 else "members have"
+            said.append(f"{len(failed)} {have} no objective ({numbers}): {problems}")
         said += self.warnings
         if self.best is None:
             return said
@@ -153,39 +172,40 @@ class TuningResult:
     def _elsewhere(self, best: SearchTrial) -> str:
         """Return what is known of other places than the best one."""
         starts = self.search.starts
-        if self.search.method in ("global", "optuna"):
+        if self.search.method in BATCHES:
             return "whether there are better values elsewhere is not known"
-        others = [end for end in self.ends if _distance(self.search.space, best, end) > 0.01]
-        here = len(self.ends) - len(others)
+        ended = len(self.ends)
+        others = [end for end in self.ends if self.search.distance(end.point, best.point) > 0.01]
         if others:
             other = min(others, key=lambda end: end.cost)
             place = _values_text(other.point)
             if math.isclose(other.cost, best.cost, rel_tol=1e-6):
-                ended = f"another start ended at {place} with this objective"
-                return f"the values are not unique: {ended}"
+                found = f"another start ended at {place} with this objective"
+                return f"the values are not unique: {found}"
             objective = -other.cost if self.search.maximize else other.cost
             return (
-                f"{len(others)} of {len(self.ends)} starts ended elsewhere, the best of them at "
+                f"{len(others)} of {ended} starts ended elsewhere, the best of them at "
                 f"{place} with {objective:.6g}: more starts, or the method 'global', may find "
                 "better values"
             )
-        found = f"{here} of {starts} starts finished and ended here"
-        if not here or here == starts:
-            found = f"all {here} starts ended here" if here else "no local search has finished"
-        found = "searched from one start" if here == starts == 1 else found
+        found = f"{ended} of {starts} starts finished and ended here"
+        if not ended:
+            found = "no local search has finished"
+        elif ended == starts:
+            found = "searched from one start" if starts == 1 else f"all {starts} starts ended here"
         return f"{found}; better values elsewhere are not excluded"
 
     def _of_errors(self) -> Iterator[str]:
         if self.errors_problem:
             yield f"no standard errors: {self.errors_problem}"
-        if self.errors is None or self.errors_problem:
+        if self.errors is None:
             return
         yield f"the standard errors assume that {self._assumed(self.errors.samples)}"
-        for key in self.search.space.bounded:
+        for key in self.search.bounded:
             low, high = self.errors.intervals[key.key]
             if low < key.lower or high > key.upper:
-                interval = f"the interval of {key.key}"
-                yield f"{interval} extends beyond its bounds, where nothing was tried"
+                beyond = "extends beyond its bounds, where nothing was tried"
+                yield f"the interval of {key.key} {beyond}"
         for name in self.errors.skewed:
             rises = f"along {name} the objective rises unevenly within a standard error"
             yield f"{rises}: its interval is rough"
@@ -193,35 +213,19 @@ class TuningResult:
     def _assumed(self, samples: int) -> str:
         """Return what standard errors assume of the residual, and what is known of that."""
         residual = self.residual
-        white = (
-            f"the {samples} samples of the residual are white with a constant standard deviation"
-        )
+        which = f"{samples} samples of the residual are white"
         if residual is None or not residual.samples:
-            return f"{white} (not checked{'' if residual is None else f': {residual.problem}'})"
-        found = f"the autocorrelation at lag 1 is {residual.neighbours:.2g}"
-        if residual.rows != residual.samples:
-            found += f", and the {residual.rows} rows are interpolated or held between them"
-        if samples == residual.samples and not residual.problem:
-            return f"{white}; whiteness is not rejected, {found}"
-        return (
-            f"{samples} of the {residual.samples} samples of the residual are independent with a "
-            "constant standard deviation; "
-            f"{residual.problem or f'by their color {residual.independent} are'}; {found}"
-        )
-
-
-def converged_end(
-    space: SearchSpace, best: SearchTrial | None, ends: Sequence[SearchEnd]
-) -> SearchEnd | None:
-    """Return the first search that converged at the best point; None: none did."""
-    for end in ends:
-        if best is not None and end.converged and _distance(space, best, end) <= 1e-3:
-            return end
-    return None
-
-
-def _distance(space: SearchSpace, best: SearchTrial, end: SearchEnd) -> float:
-    return float(np.abs(space.coordinates(end.point) - space.coordinates(best.point)).max())
+            known = f"not checked{'' if residual is None else f': {residual.problem}'}"
+        elif samples == residual.samples and not residual.problem:
+            known = "whiteness is not rejected"
+        else:
+            which = f"{samples} of the {residual.samples} samples of the residual are independent"
+            known = residual.problem or f"by their color {residual.independent} are"
+        if residual is not None and residual.samples:
+            known += f"; the autocorrelation at lag 1 is {residual.neighbours:.2g}"
+            if residual.rows != residual.samples:
+                known += f", and the {residual.rows} rows are interpolated or held between them"
+        return f"{which}, with a constant standard deviation; {known}"
 
 
 def _trial_dict(trial: SearchTrial, name: str = "objective") -> dict[str, Any]:
@@ -235,8 +239,53 @@ def _values_text(point: Point) -> str:
     )
 
 
+def search_best(
+    run: RunPoints,
+    search: Search,
+    first: Point,
+    *,
+    with_errors: bool = False,
+    samples: int | None = None,
+    recorded: Iterable[tuple[Point, MemberOutcome]] = (),
+    progress: Callable[[int, int, int], None] | None = None,
+) -> TuningResult:
+    """Search the best point, and its standard errors as if the rows were independent samples.
+
+    Parameters
+    ----------
+    run, search, recorded, progress
+        As of :class:`cosim.studies.search.Trials`.
+    first : mapping of key to value
+        Of the point that is tried first; left out: the middle between the bounds.
+    with_errors : bool
+        Find standard errors.
+    samples : int, optional
+        Independent ones of the residual; left out: all.
+    """
+    trials = Trials(run, search, recorded, progress)
+    if with_errors:
+        trials.members -= min(members_of_errors(len(search.keys)), search.members // 2)
+    finished = True
+    try:
+        stop_reason = search_points(trials, first)
+    except SearchEnded as error:
+        finished, stop_reason = False, str(error)
+    best, best_end, errors, problem = trials.best, None, None, ""
+    if best is not None:
+        at_best = (e for e in trials.ends if search.distance(e.point, best.point) <= 1e-3)
+        best_end = next((end for end in at_best if end.converged), None)
+    trials.members = search.members
+    if with_errors:
+        try:
+            errors = errors_at(trials, best, samples)
+        except (NoStandardErrors, SearchEnded) as error:
+            problem = str(error)
+    found = (finished, stop_reason, tuple(trials.ends), best_end, errors, problem)
+    return TuningResult(search, trials.all, trials.best, *found)
+
+
 def with_residual(
-    result: TuningResult, residual: ResidualCheck | None, moves: Matrix | None = None
+    result: TuningResult, residual: ResidualCheck | None, moves: Matrix | None, samples: int | None
 ) -> TuningResult:
     """Return a result whose standard errors are those of the samples of the residual.
 
@@ -248,25 +297,14 @@ def with_residual(
         Of the best values; None: nothing is known of it.
     moves : Matrix, shape (n, p), or None
         How W' times the residual moves with each value, per standard error; None: W is 1.
+    samples : int or None
+        How many of its samples are independent; None: as it says itself.
     """
-    result = replace(result, residual=residual)
-    samples = result.search.samples
     if residual is None or result.errors is None:
         return result
-    if residual.problem and samples is None:
-        way_out = f"or {option('samples')} says how many of them are independent"
-        if residual.samples:
-            way_out = (
-                f"where a wrong model is not the cause, {option('samples')} says how many of the "
-                f"{residual.samples} samples are independent"
-            )
-        return replace(result, errors=None, errors_problem=f"{residual.problem}; {way_out}")
-    independent = residual.independent if samples is None else samples
-    if not residual.samples or (moves is None and independent == result.errors.samples):
-        return result
-    space = result.search.space
+    errors, problem = None, ""
     try:
-        errors = of_samples(result.errors, space, residual, independent, moves)
-    except NoStandardErrors as problem:
-        return replace(result, errors=None, errors_problem=str(problem))
-    return replace(result, errors=errors)
+        errors = of_samples(result.errors, result.search, residual, samples, moves)
+    except NoStandardErrors as error:
+        problem = str(error)
+    return replace(result, residual=residual, errors=errors, errors_problem=problem)

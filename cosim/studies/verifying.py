@@ -152,9 +152,9 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     if recorded.search is None:
         planned = plan_study(recorded.study).identity({})
     else:
-        from cosim.studies.tuning import plan_recorded
+        from cosim.studies.tuning import plan_tuning
 
-        planned = plan_recorded(recorded.study, recorded.search).identity()
+        planned = plan_tuning(recorded.study, recorded.search).identity()
     found = differences(dataset.identity, planned)
     if found:
         raise DatasetError(

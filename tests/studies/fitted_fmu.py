@@ -29,7 +29,11 @@ def response(t, a, b):
 def record(folder: Path, seed: int) -> np.ndarray:
     """Write a recording with noise of 1 % of the last value."""
     noise = np.random.default_rng(seed).standard_normal(TIMES.size)
-    y = response(TIMES, A, B) + 0.01 * (-B / A) * noise
+    return write(folder, response(TIMES, A, B) + 0.01 * (-B / A) * noise)
+
+
+def write(folder: Path, y: np.ndarray) -> np.ndarray:
+    """Write a recording."""
     rows = [f"{t!r},{value!r}\n" for t, value in zip(TIMES.tolist(), y.tolist(), strict=True)]
     (folder / "measured.csv").write_text("time,y\n" + "".join(rows))
     return y

@@ -11,8 +11,8 @@ from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.layout import StudyLayout, results_of_study
 from cosim.studies.panels import Scale, is_logarithmic
-from cosim.studies.plan import RecordedSearch
 from cosim.studies.plots import KINDS, plot_study
+from cosim.studies.search import Search
 from tests.studies.made import MadeStudy, saltelli_study, tolerances
 
 DRAWN = [kind for kind in KINDS if kind not in ("sobol", "search")]
@@ -276,7 +276,7 @@ def test_the_picture_of_a_tuning_shows_best_member_and_failures(maximize, draw):
     columns = {"gain": np.arange(7.0), "objective": objective, "samples": np.full(7, 9.0)}
     status = ["failed", *["complete"] * 6]
     study = made({**columns, "status": status}, ("gain",), ("objective", "samples"))
-    search = RecordedSearch(
+    search = Search(
         "objective", "rms(a.y)", maximize, method="cobyqa", members=9, starts=4, seed=1, keys=()
     )
     figure, (panel,) = draw(study, search=search)
@@ -321,7 +321,7 @@ def test_an_axis_is_logarithmic_where_values_are_spread_so(draw):
         (np.arange(0.0, 11.0), False),
     ):
         assert is_logarithmic(values) is needed
-    search = RecordedSearch("rms", "a", False, "b", members=4, starts=1, seed=1, keys=())
+    search = Search("rms", "a", False, "b", members=4, starts=1, seed=1, keys=())
     for objective, scale in (([1.0, 2.0, -4.0], "linear"), ([-1.0, -10.0, -1e9], "symlog")):
         _, (panel,) = draw(made({"rms": np.array(objective)}), search=search)
         assert panel.get_yscale() == scale

@@ -20,7 +20,7 @@ from cosim.studies.residual import (
 )
 from cosim.studies.standard_errors import moved_points
 from cosim.studies.tuning_result import with_residual
-from tests.studies.test_search import DECAY, LINE, T, decay, fitted, line
+from tests.studies.test_standard_errors import DECAY, LINE, T, decay, fitted, line
 
 RATE = 1.5
 ROWS = 500
@@ -92,7 +92,7 @@ def test_standard_errors_are_those_of_regression_on_the_samples(tmp_path, spacin
     result = cosim.tune(path, **options, vary=vary, members=60, workers=1)
     assert list(result.standard_errors.values()) == pytest.approx(expected, rel=0.1)
     assert (result.residual.rows, result.residual.samples) == (1001, own.sum())
-    written(tmp_path, t, y + 1.0)
+    written(tmp_path, t, y + 0.1)
     result = cosim.tune(path, **options, vary=vary, members=60, workers=1)
     assert result.standard_errors is None
     assert "noise does not explain the residual" in result.errors_problem
@@ -105,37 +105,34 @@ def test_the_residual_of_samples_between_the_rows_is_what_was_measured(tmp_path)
     path = written(tmp_path, t, response(t) + noise)
     found = residual(path)
     own = t <= 10.0
-    assert (found.problem, found.are_rows) == ("", False)
+    assert found.problem == ""
     assert found.t == pytest.approx(t[own], abs=1e-12)
     assert found.samples == pytest.approx(-noise[own], abs=1e-4)
     subject = StudySubject(str(path), metrics={"objective": "rms(g.y - measured.y)"})
     moved = [StudyMember(0), StudyMember(1, {"g.K[0][0]": 1.4})]
-    again, differences = residual_at(subject, moved)
-    assert again.samples.tolist() == found.samples.tolist()
+    checked, differences = residual_at(subject, moved)
+    assert (checked.rows, checked.samples) == (1001, own.sum())
     # W' of lines that average 1 counts the rows beside each sample
     expected = np.interp(found.t, t, response(t, gain=0.1))[1:-1] * 3.7
     assert differences[1:-1, 0] == pytest.approx(expected, abs=0.06)
-    assert residual_at(subject, [StudyMember(0, {"g.K[0][0]": "x"})]) is None
-
-
-def test_samples_at_all_rows_are_the_rows(tmp_path):
-    t = np.round(np.arange(1001) * 0.01, 6)
-    noise = 0.02 * white(1, t.size)
-    found = residual(written(tmp_path, t, response(t) + noise))
-    assert found.are_rows
-    assert found.rms == np.sqrt(np.mean(found.samples**2))
-    assert found.samples == pytest.approx(-noise, abs=1e-4)
+    assert residual_at(subject, [StudyMember(0, {"g.K[0][0]": "x"})]) == (None, None)
 
 
 def test_only_samples_on_which_rows_rest_count(tmp_path):
-    t = np.round(np.arange(501) * 0.02, 6)
+    """Samples at all rows are the rows, of which W is 1."""
+    t = np.round(np.arange(1001) * 0.01, 6)
+    noise = 0.02 * white(1, t.size)
+    found = residual(written(tmp_path, t, response(t) + noise))
+    assert found.weighed is None
+    assert found.rms == np.sqrt(np.mean(found.samples**2))
+    assert found.samples == pytest.approx(-noise, abs=1e-4)
+    t = t[::2]
     found = residual(written(tmp_path, t, response(t)), "rms(g.y - measured.y, t > 5)")
     assert (found.rows, found.t[0], found.t[-1]) == (500, 5.0, 10.0)
 
 
 @pytest.mark.parametrize(
-    "options",
-    ["period = 0.05", "dropout = 0.3", "period = 0.05, delay = 0.013, time_stamps = true"],
+    "options", ["dropout = 0.3", "period = 0.05, delay = 0.013, time_stamps = true"]
 )
 def test_samples_of_sensors_count_where_they_arrive(tmp_path, options):
     """Beside a model at all rows; its residual there is that of the row."""
@@ -182,7 +179,7 @@ def checked(values, problem=""):
     largest = np.abs(values).max()
     rms = float(np.sqrt(np.mean((values / largest) ** 2)) * largest)
     t = np.arange(values.size) * 0.01
-    return check_residual(SampledResidual(values.size, rms, t, values, values, True, problem))
+    return check_residual(SampledResidual(values.size, rms, t, values, problem=problem))
 
 
 def test_white_noise_of_any_size_is_what_noise_leaves():
@@ -225,17 +222,17 @@ def test_rows_between_samples_do_not_count():
     """Of straight lines between samples the rms is smaller, by 2/3 of the variance for many."""
     noise = white(1, ROWS)
     t = np.arange(ROWS) * 0.05
-    whole = SampledResidual(5 * (ROWS - 1) + 1, np.sqrt(2.0 / 3.0), t, noise, noise, False)
+    whole = SampledResidual(5 * (ROWS - 1) + 1, np.sqrt(2.0 / 3.0), t, noise, noise)
     found = check_residual(whole)
     assert (found.rows, found.samples, found.independent) == (2496, ROWS, ROWS)
     assert found.neighbours == pytest.approx(noise[1:] @ noise[:-1] / (noise @ noise), rel=1e-9)
     assert found.ratio == pytest.approx(np.sqrt(1.5 * np.mean(noise**2)), rel=1e-9)
-    few = check_residual(SampledResidual(21, 1.0, t[:5], noise[:5], noise[:5], False))
+    few = check_residual(SampledResidual(21, 1.0, t[:5], noise[:5], noise[:5]))
     assert few.problem.startswith("5 samples are too few")
     assert checked(white(1, 9)) is None
     for value in (0.0, np.inf):
         same = np.full(20, value)
-        assert check_residual(SampledResidual(20, value, same, same, same, True)) is None
+        assert check_residual(SampledResidual(20, value, same, same)) is None
 
 
 @pytest.mark.parametrize(("spacing", "offset"), [(37, 0), (40, 5), (7, 0)])
@@ -247,7 +244,7 @@ def test_errors_of_values_between_samples_are_those_of_what_the_rows_rest_on(spa
     """
     knots = np.arange(-offset, 1000 + spacing, spacing) / 1000.0
     knots[0] = 0.0
-    lines = Lines.between(knots, T, hold=hold)
+    lines = Lines(knots, T, hold=hold)
     kind = "previous" if hold else "linear"
     W = interp1d(knots, np.eye(knots.size), kind=kind, axis=0)(T)
     noise = 0.1 * white(2, knots.size)
@@ -259,30 +256,27 @@ def test_errors_of_values_between_samples_are_those_of_what_the_rows_rest_on(spa
     result = fitted(line, LINE, measured)
     best = [*result.estimate.values()]
     at_samples = line(knots, *best) - line(knots, 3.0, -2.0) - noise
-    points, units = moved_points(result.errors, LINE, result.best.point)
+    points, units = moved_points(result.errors, result.search, result.best.point)
     moves = [lines.back(X @ list(point.values()) - X @ best) for point in points]
-    sampled = SampledResidual(
-        T.size, result.best.objective, knots, at_samples, at_samples, are_rows=False
-    )
-    result = replace(result, search=replace(result.search, samples=None))
-    result = with_residual(result, check_residual(sampled), np.stack(moves, axis=1) / units)
+    sampled = SampledResidual(T.size, result.best.objective, knots, at_samples, at_samples)
+    moved = np.stack(moves, axis=1) / units
+    result = with_residual(result, check_residual(sampled), moved, None)
     s = np.sqrt(at_samples @ at_samples / (knots.size - 2))
     expected = s * np.sqrt(np.diag(C @ X.T @ W @ W.T @ X @ C))
     assert list(result.standard_errors.values()) == pytest.approx(expected, rel=0.01)
 
 
-def found_for(residual, given=None):
+def found_for(residual, samples=None):
     """Return the fit of a decay with a residual of these properties, and what that leaves of it."""
     result = fitted(decay, DECAY, decay(T, 2.0, 3.0) + 0.02 * white(1))
-    result = replace(result, search=replace(result.search, samples=given))
     of_all = ResidualCheck(T.size, T.size, 1.0, 0.1, "", T.size, np.inf)
-    return result, with_residual(result, replace(of_all, **residual))
+    return result, with_residual(result, replace(of_all, **residual), None, samples)
 
 
 def test_white_samples_leave_the_errors_as_they_are():
     before, result = found_for({})
     assert result.errors == before.errors
-    assert "the 201 samples" in result.statements[-1]
+    assert "201 samples" in result.statements[-1]
     assert "whiteness is not rejected" in result.statements[-1]
 
 
@@ -305,11 +299,10 @@ def test_fewer_independent_samples_widen_the_errors():
 
 def test_what_noise_does_not_explain_has_no_errors_unless_samples_are_given():
     for residual in ({"problem": "a constant"}, {"samples": 0, "problem": "a constant"}):
-        before, result = found_for(residual)
+        _, result = found_for(residual)
         assert result.errors is None
         assert "a constant" in result.statements[-1]
-        assert "samples" in result.statements[-1]
-        _, result = found_for(residual, given=201)
+        before, result = found_for(residual, samples=201)
         assert result.errors == before.errors
         assert "a constant" in result.statements[-1]
     _, result = found_for({"independent": 2})

@@ -19,7 +19,7 @@ from cosim.studies.show import (
 )
 from cosim.studies.statistics import ConfidenceInterval
 from tests.studies.made import MadeStudy, command_of, saltelli, tolerances
-from tests.studies.test_search import LINE, T, fitted, line
+from tests.studies.test_standard_errors import LINE, T, fitted, line
 
 TEN = StudyLayout("random", samples=10)
 

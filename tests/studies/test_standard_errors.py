@@ -1,4 +1,4 @@
-"""Standard errors at the edge of what data determine, and how often intervals have the truth."""
+"""Standard errors are those of regression, also at the edge of what data determine."""
 
 import math
 from dataclasses import replace
@@ -7,35 +7,106 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from cosim.studies.search import BoundedKey, Search, SearchSpace, Trials
-from cosim.studies.standard_errors import NoStandardErrors, standard_errors
-from tests.studies.test_search import (
-    DECAY,
-    LINE,
-    Recorded,
-    T,
-    decay,
-    fitted,
-    line,
-    noisy,
-    rms_of,
-    search,
+from cosim.studies.search import BoundedKey, Trials
+from cosim.studies.standard_errors import NoStandardErrors, errors_at
+from cosim.studies.tuning_result import search_best
+from tests.studies.test_search import Recorded, planned
+
+T = np.linspace(0.0, 1.0, 201)
+LINE = (BoundedKey("slope", -10.0, 10.0), BoundedKey("offset", -10.0, 10.0))
+DECAY = (BoundedKey("a", 0.1, 10.0, True), BoundedKey("k", 0.1, 100.0))
+SLOPE = (BoundedKey("slope", 0.1, 10.0),)
+
+
+def line(t, slope, offset):
+    return slope * t + offset
+
+
+def decay(t, a, k):
+    return a * np.exp(-k * t)
+
+
+def noisy(values, deviation, seed=3):
+    return values + deviation * np.random.default_rng(seed).standard_normal(T.size)
+
+
+def rms_of(model, measured, noise=0.0):
+    """Return the rms of the residual; with noise, as a solver with step control has it."""
+
+    def rms(point):
+        exact = math.sqrt(np.mean((model(T, *point.values()) - measured) ** 2))
+        return exact * (1.0 + noise * (math.modf(1e5 * sum(point.values()) * math.pi)[0] - 0.5))
+
+    return rms
+
+
+def fitted(model, keys, measured, noise=0.0, first=(), **options):
+    """Search the parameters of a curve."""
+    search = planned(keys, **{"expression": "rms(e)", "starts": 1, **options})
+    run = Recorded(rms_of(model, measured, noise))
+    return search_best(run, search, dict(first), with_errors=True, samples=T.size)
+
+
+def test_a_line_has_the_errors_of_linear_regression():
+    """Its sum of squares is quadratic: only rounding and the last move are left."""
+    measured = noisy(line(T, 3.0, -2.0), 0.1)
+    X = np.column_stack([T, np.ones_like(T)])
+    solution, squares, *_ = np.linalg.lstsq(X, measured)
+    covariance = squares[0] / (T.size - 2) * np.linalg.inv(X.T @ X)
+    expected = np.sqrt(np.diag(covariance))
+    result = fitted(line, LINE, measured)
+    errors = result.errors
+    assert list(errors.errors.values()) == pytest.approx(expected, rel=1e-3)
+    assert list(result.best.point.values()) == pytest.approx(solution, abs=0.1 * expected.min())
+    assert errors.deviation == pytest.approx(math.sqrt(squares[0] / (T.size - 2)), rel=1e-4)
+    correlation = covariance[0, 1] / expected[0] / expected[1]
+    assert errors.correlation[0][1] == pytest.approx(correlation, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "noise"), [(1e-6, 0.0), (1e-2, 0.0), (0.2, 0.0), (1e-2, 1e-4)]
 )
+def test_a_decay_has_the_errors_of_curve_fit(deviation, noise):
+    """curve_fit leaves the curvature of the model out; noise of the objective is seen through."""
+    measured = noisy(decay(T, 2.0, 3.0), deviation, seed=1)
+    _, covariance = curve_fit(decay, T, measured, p0=[1.0, 1.0])
+    result = fitted(decay, DECAY, measured, noise)
+    most = 0.1 if noise else 0.01 + deviation
+    errors = list(result.errors.errors.values())
+    assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=most)
+    low, high = result.errors.intervals["a"]
+    assert math.sqrt(low * high) == pytest.approx(result.best.point["a"], rel=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("model", "keys", "noise", "words"),
+    [
+        (decay, DECAY, 0.1, "the objective is noisy"),
+        (line, (LINE[0], BoundedKey("offset", -1.0, 10.0)), 0.0, "at its bound"),
+        (lambda t, a, b: (a + b) * t, LINE, 0.0, "along a combination of slope, offset"),
+        (lambda t, a, b: a * t, LINE, 0.0, "offset hardly changes the objective"),
+    ],
+)
+def test_values_that_data_do_not_determine_have_no_standard_error(model, keys, noise, words):
+    """And it is said why."""
+    measured = noisy(line(T, 3.0, -2.0) if model is line else model(T, 1.0, 2.0), 0.1)
+    result = fitted(model, keys, measured, noise)
+    assert result.errors is None
+    assert words in result.statements[-1]
 
 
 def almost_collinear(deviation):
     """Return the fit of two logarithms of which the data tell the sum well, and each hardly."""
-    keys = [BoundedKey(name, 1e-200, 1e200, logarithmic=True) for name in "ab"]
+    keys = tuple(BoundedKey(name, 1e-200, 1e200, logarithmic=True) for name in "ab")
     X = np.column_stack([T, T + 3e-3 * T**2])
-    noise = noisy(np.zeros(T.size), deviation, seed=3)
+    noise = noisy(np.zeros(T.size), deviation)
     noise -= X @ np.linalg.lstsq(X, noise)[0]  # the best values are e, to rounding
 
     def logarithms(t, a, b):
         return X @ [math.log(a), math.log(b)]
 
     measured = logarithms(T, math.e, math.e) + noise
-    first = {"a": math.e, "b": math.e}
-    return X, fitted(logarithms, SearchSpace(tuple(keys)), measured, first=first)
+    return X, fitted(logarithms, keys, measured, first={"a": math.e, "b": math.e})
 
 
 def test_an_interval_may_go_beyond_the_bounds_and_beyond_all_numbers():
@@ -50,26 +121,28 @@ def test_an_interval_may_go_beyond_the_bounds_and_beyond_all_numbers():
     # its curvature is 1e-6 of the other one's: digits that a difference of squares has not
     assert list(result.errors.errors.values()) == pytest.approx(expected, rel=0.05)
     assert "beyond its bounds" not in " ".join(result.statements)
-    space = SearchSpace(tuple(replace(key, upper=1e100) for key in result.search.space.bounded))
-    said = replace(result, search=replace(result.search, space=space)).statements
+    keys = tuple(replace(key, upper=1e100) for key in result.search.keys)
+    said = replace(result, search=replace(result.search, keys=keys)).statements
     assert "the interval of b extends beyond its bounds, where nothing was tried" in said
     _, result = almost_collinear(3.0)
     assert "the interval of a goes beyond all numbers" in result.errors_problem
     assert "a, b together" in result.errors_problem
 
 
-@pytest.mark.parametrize("deviation", [1e-14, 1e-10])
-def test_a_residual_of_rounding_has_no_errors_or_right_ones(deviation):
+def test_a_residual_of_rounding_has_no_errors_or_right_ones():
     """Values have 12 digits; the standard error of the slope is 0.24 deviations."""
-    space = SearchSpace((BoundedKey("slope", 0.1, 10.0),))
-    measured = noisy(0.7 * T, deviation, seed=3)
-    result = fitted(lambda t, slope: slope * t, space, measured)
-    if deviation < 1e-10:
-        assert "the objective is noisy" in result.errors_problem  # from rounded values
-    else:
-        _, covariance = curve_fit(lambda t, slope: slope * t, T, measured, p0=[0.7])
-        expected = float(np.sqrt(covariance[0, 0]))
-        assert result.errors.errors["slope"] == pytest.approx(expected, rel=0.05)
+    found = [fitted(lambda t, slope: slope * t, SLOPE, noisy(0.7 * T, d)) for d in (1e-14, 1e-10)]
+    assert "the objective is noisy" in found[0].errors_problem  # from rounded values
+    measured = noisy(0.7 * T, 1e-10)
+    _, covariance = curve_fit(lambda t, slope: slope * t, T, measured, p0=[0.7])
+    expected = math.sqrt(covariance[0, 0])
+    assert found[1].errors.errors["slope"] == pytest.approx(expected, rel=0.05)
+
+
+def errors_beside(function, keys, point):
+    """Return the standard errors of a point that was tried."""
+    trials = Trials(Recorded(function), planned(keys))
+    return errors_at(trials, trials.try_points([point])[0], T.size)
 
 
 @pytest.mark.parametrize(
@@ -83,24 +156,21 @@ def test_a_recording_without_noise_has_no_errors_where_the_search_stopped_short(
     truth, best, problem
 ):
     """The optimum, to which the center moves, is met to the bit or only nearly."""
-    space = SearchSpace((BoundedKey("slope", 0.1, 10.0),))
-    trials = Trials(Recorded(lambda point: abs(point["slope"] - truth)), Search(space))
     with pytest.raises(NoStandardErrors, match=problem):
-        standard_errors(space, trials, {"slope": best}, 201)
+        errors_beside(lambda point: abs(point["slope"] - truth), SLOPE, {"slope": best})
 
 
 def test_members_that_fail_beside_the_best_values_are_named():
-    measured = noisy(line(T, 3.0, -2.0), 0.1, seed=3)
-    rms = rms_of(line, measured)
-    slope = np.polyfit(T, measured, 1)[0]
+    measured = noisy(line(T, 3.0, -2.0), 0.1)
+    slope, offset = np.polyfit(T, measured, 1)
 
     def cliff(point):
         if point["slope"] > slope + 0.01:  # a third of a standard error
             raise ArithmeticError("too steep")
-        return rms(point)
+        return rms_of(line, measured)(point)
 
-    result = search(cliff, LINE, is_rms=True, with_errors=True, samples=T.size)
-    assert result.errors_problem == "a member next to the best values fails: too steep"
+    with pytest.raises(NoStandardErrors, match="next to the best values fails: too steep"):
+        errors_beside(cliff, LINE, {"slope": float(slope), "offset": float(offset)})
 
 
 def test_members_are_kept_for_the_errors_where_starts_would_use_all():
@@ -117,8 +187,7 @@ def errors_of_fit(measured):
 def errors_at_solution(measured):
     """Return the standard errors of a decay where curve_fit ends."""
     (a, k), _ = curve_fit(decay, T, measured, p0=[2.0, 3.0])
-    trials = Trials(Recorded(rms_of(decay, measured)), Search(DECAY))
-    return standard_errors(DECAY, trials, {"a": float(a), "k": float(k)}, T.size)
+    return errors_beside(rms_of(decay, measured), DECAY, {"a": float(a), "k": float(k)})
 
 
 def coverage(seeds, errors_of):

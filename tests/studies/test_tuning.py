@@ -13,7 +13,7 @@ import cosim
 from cosim.cli.app import main
 from cosim.errors import CosimError, UsageError
 from cosim.studies.dataset import StudyDataset
-from tests.studies.fitted_fmu import EXPRESSION, TIMES, A, B, record, response, write_fit
+from tests.studies.fitted_fmu import EXPRESSION, TIMES, A, B, record, response, write, write_fit
 
 LAG = """
 scenario = { name = "lag", stop = 2.0, step = 0.01 }
@@ -60,6 +60,12 @@ def tuned(path, **given):
     return cosim.tune(path, **{"minimize": GOAL, "vary": BOUNDS, "workers": 1, **given})
 
 
+def tune_fit(path, **given):
+    """Tune the FMU to the recording."""
+    fit = {"minimize": EXPRESSION, "vary": FIT, "standard_errors": True, "workers": 1}
+    return cosim.tune(path, **fit, **given)
+
+
 def rows_of(place):
     """Return the rows of a dataset, without what differs from run to run."""
     table = StudyDataset.open(place).read().drop_columns(["wall_time", "worker", "log"])
@@ -75,7 +81,9 @@ def test_the_closed_form_is_found(lag):
     assert result.history[0]["objective"] == pytest.approx(0.5 - np.exp(-2.0 / 0.7), abs=1e-5)
     assert len(result.history) <= 60
     assert repr(result).startswith(f"<TuningResult {GOAL}: ")
-    assert result.statements[0].startswith("COBYQA converged")
+    assert result.best_end.converged
+    outside = {"plant.time_constant": {"log": [1.0, 4.0]}}  # the middle is tried, then
+    assert tuned(lag, vary=outside, members=1).estimate == {"plant.time_constant": 2.0}
 
 
 @pytest.mark.slow
@@ -85,7 +93,7 @@ def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(tmp_path):
     measured = record(tmp_path, 1)
     solution, covariance = curve_fit(response, TIMES, measured, p0=[-1.0, 1.0])
     expected = np.sqrt(np.diag(covariance))
-    result = cosim.tune(fit, minimize=EXPRESSION, vary=FIT, standard_errors=True, workers=2)
+    result = tune_fit(fit)
     found = np.array(list(result.estimate.values()))
     errors = np.array(list(result.standard_errors.values()))
     assert len(result.trials) <= 200
@@ -96,7 +104,6 @@ def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(tmp_path):
     neighbours = residual[1:] @ residual[:-1] / (residual @ residual)
     assert result.residual.neighbours == pytest.approx(neighbours, abs=1e-9)
     assert (result.errors.samples, result.residual.rows) == (TIMES.size, TIMES.size)
-    assert "501 samples of the residual are white" in result.statements[-1]
 
 
 @pytest.mark.slow
@@ -110,10 +117,8 @@ def test_noise_that_is_colored_or_a_model_that_is_wrong_is_said(tmp_path):
         "colored": response(TIMES, A, B) + colored,
         "wrong": response(TIMES, A, B) + 0.05 * np.sin(3.0 * TIMES),
     }.items():
-        rows = [f"{t!r},{v!r}\n" for t, v in zip(TIMES.tolist(), y.tolist(), strict=True)]
-        (tmp_path / "measured.csv").write_text("time,y\n" + "".join(rows))
-        given = {"minimize": EXPRESSION, "vary": FIT, "standard_errors": True, "workers": 1}
-        found[name] = cosim.tune(fit, starts=1, members=100, **given)
+        write(tmp_path, y)
+        found[name] = tune_fit(fit, starts=1, members=100)
     assert found["colored"].errors.samples < 150
     assert "by their color" in " ".join(found["colored"].statements)
     assert found["wrong"].errors is None
@@ -127,8 +132,7 @@ def test_standard_errors_of_an_fmu_cover_the_truth_over_many_seeds(tmp_path):
     hits = np.zeros(2, int)
     for seed in range(100):
         record(tmp_path, seed)
-        given = {"minimize": EXPRESSION, "vary": FIT, "standard_errors": True, "workers": 1}
-        result = cosim.tune(fit, starts=1, members=100, **given)
+        result = tune_fit(fit, starts=1, members=100)
         intervals = result.errors.intervals.values()
         hits += [low < truth < high for (low, high), truth in zip(intervals, [A, B], strict=True)]
     assert (hits >= 87).all()
@@ -151,13 +155,10 @@ def test_a_tuning_that_is_killed_and_goes_on_ends_as_an_undisturbed_one(lag, tmp
 
 
 def test_a_tuning_that_is_run_again_runs_nothing(lag, tmp_path):
-    """Its progress counts every member once; the dataset has them all."""
+    """The dataset has all members."""
     results, rows = [], []
     for _ in range(2):
-        seen = []
-        given = {"members": 12, "out": tmp_path / "d"}
-        results.append(tuned(lag, **given, progress=lambda *n, seen=seen: seen.append(n)))
-        assert list(dict.fromkeys(seen)) == [(k, 12, 0) for k in range(1, 13)]
+        results.append(tuned(lag, members=12, out=tmp_path / "d"))
         rows.append(StudyDataset.open(tmp_path / "d").read().to_pylist())
     assert results[0] == results[1]
     assert rows[0] == rows[1]  # wall times, too
@@ -169,21 +170,14 @@ def test_the_dataset_is_shown_by_its_best_members(lag, tmp_path, capsys):
     """No statistics are told of values that a search chose."""
     result = tuned(lag, members=12, out=tmp_path / "d")
     with pytest.raises(SystemExit, match=r"^0$"):
-        main(["study", "show", str(tmp_path / "d"), "--worst", "2"])
-    first, _, title, heads, best, _, alone = capsys.readouterr().out.splitlines()
-    assert first.startswith(f"tuning of lag: cobyqa, minimize {GOAL}; 12 members of at most 12")
-    assert title == "best members"
-    assert heads.split() == ["member", "objective", "plant.time_constant"]
-    value = result.estimate["plant.time_constant"]
-    number = str(result.best.number)
-    assert best.split() == [number, f"{result.best.objective:.6g}", f"{value:.6g}"]
-    assert alone == f"member {number} alone: {result.command}"
-    with pytest.raises(SystemExit, match=r"^0$"):
         main(["study", "show", str(tmp_path / "d"), "--json"])
     content = json.loads(capsys.readouterr().out)
     assert content["best"][0]["values"] == result.estimate
     assert content["search"]["maximize"] is False
     assert "statistics" not in content
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["study", "show", str(tmp_path / "d"), "--worst", "2"])
+    assert f"member {result.best.number} alone: {result.command}" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -202,9 +196,9 @@ def test_a_log_is_replayed_by_every_trial(lag, tmp_path):
     """The estimate is that of the run that recorded it."""
     log = tmp_path / "lag.mcap"
     cosim.run(lag, out=log, set={"plant.time_constant": 1.25})
-    result = tuned(log, members=40, starts=1)
+    result = tuned(log, members=3, starts=1)
+    assert result.history[0]["values"] == {"plant.time_constant": 1.25}
     assert "cosim replay" in result.command
-    assert result.estimate["plant.time_constant"] == pytest.approx(2.0 / np.log(2.0), rel=1e-4)
 
 
 def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
@@ -230,11 +224,8 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
         ({"vary": {"plant.tim": {"linear": [0.1, 1.0]}}}, "plant.tim = 0.1: unknown key 'tim'"),
         ({"vary": {"plant.time_constant": {"linear": [-2.0, -1.0]}}}, "plant.time_constant = -"),
         ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "bounds, such as {'linear'"),
-        ({"vary": ["plant.time_constant"]}, r"vary: .*\['plant.time_constant'\]"),
-        ({"workers": 0}, "workers: .*got 0"),
-        ({"timeout": -1.0}, "timeout: "),
+        ({"samples": 0}, "samples: .*got 0"),
         ({"members": 2.5}, "members: .*2.5"),
-        ({"minimize": 3}, "minimize and maximize: .*got 3"),
         ({"replay": ["a.mcap"]}, "replay: .*no file matches "),
         ({"set": {"plant.initial": float("nan")}}, "plant.initial"),
     ],
