@@ -16,7 +16,7 @@ from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions, need_plot
 from cosim.studies import panels
-from cosim.studies.layout import StudyResults, count_text, drawn_members, independence_of
+from cosim.studies.layout import StudyResults, count_text, drawn_members
 from cosim.studies.over_keys import plot_lines, plot_maps, plot_scatter
 from cosim.studies.panels import NOTE, StudyPicture, is_logarithmic, reach_beside
 from cosim.studies.plan import RecordedSearch
@@ -153,15 +153,14 @@ def _bins(values: Vector) -> Vector:
 
 def _plot_distributions(picture: StudyPicture) -> None:
     layout = picture.results.layout
-    independence = independence_of(layout)
-    is_drawn = independence.is_drawn and layout.kind in ("random", "grid", "cases")
+    is_drawn = layout.is_drawn and layout.kind in ("random", "grid", "cases")
     handles: list[Any] = []
     for panel, column, label in picture:
         count = len(column.values)
         style = {"color": COLORS[0], "linewidth": WIDTH, "label": "share of members"}
         curve = panel.ecdf(column.values, **style)
         handles.append(curve)
-        if is_drawn and independence.units_of(column.numbers) is None:
+        if is_drawn and layout.units_of(column.numbers) is None:
             x, shares = curve.get_xydata()[panels.spread_rows(count + 1, _MOST_STEPS)].T
             reach = math.sqrt(math.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * count))
             ends = [np.clip(shares + end, 0.0, 1.0) for end in (-reach, reach)]
@@ -174,10 +173,10 @@ def _plot_distributions(picture: StudyPicture) -> None:
 
 
 def _plot_convergence(picture: StudyPicture) -> None:
-    independence = independence_of(picture.results.layout)
+    layout = picture.results.layout
     handles: list[Any] = []
     for panel, column, label in picture:
-        running = running_mean(column, independence)
+        running = running_mean(column, layout)
         total = len(running.counts)
         rows = np.unique(np.geomspace(1, total, _MOST_STEPS).astype(np.int64)) - 1
         columns = (running.counts, running.means, running.half_widths)
@@ -198,7 +197,7 @@ def _plot_convergence(picture: StudyPicture) -> None:
         if high > low:
             panel.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         panel.set(xlabel="members", ylabel=f"mean of {label}")
-    picture.save(f"convergence of the mean; {independence.basis}", handles)
+    picture.save(f"convergence of the mean; {layout.basis}", handles)
 
 
 def _plot_sobol(picture: StudyPicture) -> None:
