@@ -249,17 +249,16 @@ class StudyLayout:
     @property
     def text(self) -> str:
         """The design in a line: ``random: 8 samples x grid of 3``."""
-        factors = []
-        if self.kind == "saltelli":
-            factors.append(f"{count_text(self.base_points, 'base point')} x {self.matrices}")
-        elif self.kind != "grid":
-            factors.append(count_text(self.samples, "case" if self.kind == "cases" else "sample"))
-        if self.grid > 1 or (self.kind == "grid" and self.seeds == 1):
-            factors.append(f"grid of {self.grid}")
-        if self.seeds > 1:
-            factors.append(f"{self.seeds} seeds")
+        samples = {
+            "grid": "",
+            "cases": count_text(self.samples, "case"),
+            "saltelli": f"{count_text(self.base_points, 'base point')} x {self.matrices}",
+        }.get(self.kind, count_text(self.samples, "sample"))
+        has_grid = self.grid > 1 or (self.kind == "grid" and self.seeds == 1)
+        grid = f"grid of {self.grid}" if has_grid else ""
+        seeds = f"{self.seeds} seeds" if self.seeds > 1 else ""
         own = "" if self.kind in _CHOSEN else f"{self.kind}: "
-        return own + " x ".join(factors)
+        return own + " x ".join(filter(None, (samples, grid, seeds)))
 
 
 @dataclass(frozen=True)

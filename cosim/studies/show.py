@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cosim.studies.verifying import StudyVerification
 
 CommandOf: TypeAlias = Callable[[int], str]
-Shown: TypeAlias = Iterator[Any]  # lines and tables; of a part before them what JSON has
+Shown: TypeAlias = Iterator[Any]  # of a part first what JSON has; then lines and tables
 _LEAST: Final = statistics.LEAST_MEMBERS
 _MOST_REASONS: Final = 20  # that are shown; --json has all
 _METRIC_HEADS: Final = ("", "", "95 % interval")
@@ -108,14 +108,14 @@ def show_study(
         shown = _search(results, search, command_of, parts)
     else:
         shown = _all(results, command_of, parts)
+    _print(shown, as_json=parts.as_json)
+
+
+def _print(shown: Shown, *, as_json: bool) -> None:
     content = next(shown)
-    if parts.as_json:
+    if as_json:
         console.print_json(content)
-    else:
-        _print(shown)
-
-
-def _print(shown: Iterable[Any]) -> None:
+        return
     for one in shown:
         if isinstance(one, str):
             console.print_line(one)
@@ -123,7 +123,7 @@ def _print(shown: Iterable[Any]) -> None:
             console.print_table(one)
 
 
-def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Shown:
+def _table(title: str, heads: Sequence[str], rows: Iterable[Iterable[str]]) -> Shown:
     """Yield a table, unless it has no rows."""
     table = console.new_table(title, heads)
     for row in rows:
@@ -161,10 +161,9 @@ def _all(results: StudyResults, command_of: CommandOf, parts: ShownParts) -> Sho
         "worst": {name: [*largest[name]] for name, one in of_metrics.items() if one["count"]},
     }
     missing = results.missing.tolist()
-    not_done = f"{len(missing)} missing ({_members_text(missing)}), " if missing else ""
-    count = f"{results.done} of {results.planned} members done, {not_done}{_failed_text(results)}"
-    yield f"{results.name}: {layout.text}; {count}"
-    yield from _wall_time(results)
+    not_done = f", {len(missing)} missing ({_members_text(missing)})" if missing else ""
+    done = f"{results.done} of {results.planned} members done{not_done}"
+    yield from _done(f"{results.name}: {layout.text}; {done}", results)
     rows = [
         (results.with_unit(name), str(one["count"]), *_figures(one, 4))
         for name, one in of_metrics.items()
@@ -202,11 +201,9 @@ def _outcome(results: StudyResults, command_of: CommandOf) -> Figures:
     }
 
 
-def _failed_text(results: StudyResults) -> str:
-    return f"{results.failed or 'none'} failed"
-
-
-def _wall_time(results: StudyResults) -> Shown:
+def _done(begin: str, results: StudyResults) -> Shown:
+    """Show how many members failed, and how long members take."""
+    yield f"{begin}, {results.failed or 'none'} failed"
     failed = results.columns.failed
     completed, others = results.wall_times[~failed], results.wall_times[failed]
     times = [f"median {np.median(completed):.3g} s per member"] if len(completed) else []
@@ -385,11 +382,9 @@ def _indices(indices: sensitivity.SobolIndices, name: str) -> Shown:
     first, total = indices.first_order, indices.total_order
     rows = []
     for k in np.argsort(-total, kind="stable"):
-        ends = ["", ""]
-        if indices.has_intervals:
-            pair = (indices.first_intervals[k], indices.total_intervals[k])
-            ends = [f"{lower:.3f} to {upper:.3f}" for lower, upper in pair]
-        rows.append((indices.parameters[k], f"{first[k]:.3f}", ends[0], f"{total[k]:.3f}", ends[1]))
+        of_first = (f"{first[k]:.3f}", interval_text(indices.first_intervals[k], ".3f"))
+        of_total = (f"{total[k]:.3f}", interval_text(indices.total_intervals[k], ".3f"))
+        rows.append((indices.parameters[k], *of_first, *of_total))
     rows.append(("sum", f"{first.sum():.3f}", "", f"{total.sum():.3f}", ""))
     heads = ("", "first order", "95 % interval", "total order", "95 % interval")
     yield from _table(f"Sobol indices of {name}", heads, rows)
@@ -411,17 +406,16 @@ def _member(study: Study, results: StudyResults, number: int, command: str) -> S
     yield {**row, "command": command}
     reason = f": {row['reason']}" if row["reason"] else ""
     yield f"member {number}: {row['status']}{reason}"
-    keys = (*results.columns.parameters, *results.layout.noise_seeds)
-    sections: dict[str, list[tuple[str, str]]] = {"parameters": [], "metrics": [], "run": []}
+    titles = dict.fromkeys(results.columns.parameters, "parameters")
+    titles |= dict.fromkeys(results.layout.noise_seeds, "parameters")
+    titles |= dict.fromkeys(results.columns.raw_metrics, "metrics")
+    empty = {"parameters": "the scenario's own value", "metrics": "no value", "run": ""}
+    sections: dict[str, list[tuple[str, str]]] = {title: [] for title in empty}
     for name, value in row.items():
-        shown = results.with_unit(name)
-        if name in keys:
-            text = "the scenario's own value" if value is None else str(value)
-            sections["parameters"].append((shown, text))
-        elif name in results.columns.raw_metrics:
-            sections["metrics"].append((shown, "no value" if value is None else str(value)))
-        elif name not in ("member", "status", "reason", "designs") and value not in (None, ""):
-            sections["run"].append((shown, shortened(str(value))))
+        title = titles.get(name, "run")
+        text = empty[title] if value is None else shortened(str(value))
+        if text and name not in ("member", "status", "reason", "designs"):
+            sections[title].append((results.with_unit(name), text))
     for title, rows in sections.items():
         yield from _table(title, ("", ""), rows)
     yield f"alone: {command}"
@@ -437,22 +431,21 @@ def _search(
     columns = results.columns
     best = statistics.extremes(columns, search.metric, parts.worst, largest=search.maximize)
     places = columns.rows_of(np.array([*best], np.int64))
-    points = [(key, column[places].tolist()) for key, column in columns.parameters.items()]
+    points = zip(*(one[places].tolist() for one in columns.parameters.values()), strict=True)
     shown: list[Figures] = []
-    for number, objective in best.items():
-        found = {"member": number, "objective": objective}
-        values = {key: column[len(shown)] for key, column in points}
-        shown.append({**found, "values": values, "command": command_of(number)})
+    for (number, objective), point in zip(best.items(), points, strict=True):
+        values = dict(zip(columns.parameters, point, strict=True))
+        found = {"member": number, "objective": objective, "values": values}
+        shown.append({**found, "command": command_of(number)})
     outcome = _outcome(results, command_of)
     yield {**outcome, "search": asdict(search), "best": shown}
-    done = f"{count_text(results.done)} of at most {results.planned}, {_failed_text(results)}"
-    yield f"{results.name}: {search.method}, {search.goal}; {done}"
-    yield from _wall_time(results)
+    done = f"{count_text(results.done)} of at most {results.planned}"
+    yield from _done(f"{results.name}: {search.method}, {search.goal}; {done}", results)
     keys = [key for key in columns.parameters if key != RECORDING]  # one of all
-    rows = []
-    for one in shown:
-        cells = (one["member"], one["objective"], *(one["values"][key] for key in keys))
-        rows.append(list(map(_number_text, cells)))
+    rows = [
+        map(_number_text, (one["member"], one["objective"], *map(one["values"].get, keys)))
+        for one in shown
+    ]
     yield from _table("best members", ("member", search.metric, *keys), rows)
     if not best and results.done > results.failed:
         yield f"{search.metric}: no member has a finite value"
@@ -483,13 +476,11 @@ def tuning_lines(result: TuningResult) -> list[str]:
 
 def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
     """Print what came of running members again, and what that does not show."""
-    if as_json:
-        console.print_json(found.to_dict())
-    else:
-        _print(_verification(found))
+    _print(_verification(found), as_json=as_json)
 
 
 def _verification(found: StudyVerification) -> Shown:
+    yield found.to_dict()
     count = len(found.members)
     numbers = listing([str(number) for number in found.members], 10)
     rerun = "rerun, each built from scratch in its own process"
@@ -516,9 +507,11 @@ def _verification(found: StudyVerification) -> Shown:
 
 def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False) -> None:
     """Print what a study will take."""
-    if as_json:
-        console.print_json({"name": name, **estimate.to_dict()})
-        return
+    _print(_estimate(name, estimate), as_json=as_json)
+
+
+def _estimate(name: str, estimate: StudyEstimate) -> Shown:
+    yield {"name": name, **estimate.to_dict()}
     logs = estimate.log_bytes
     entries = {
         "members": str(estimate.members),
@@ -528,7 +521,7 @@ def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False)
         "dataset": f"about {_bytes(estimate.dataset_bytes)}, before compression",
         "kept logs": "unknown (as many as fail)" if logs is None else _bytes(logs),
     }
-    console.print_section(f"{name}: dry run, nothing was recorded", entries)
+    yield from _table(f"{name}: dry run, nothing was recorded", ("", ""), entries.items())
 
 
 # --- texts ---
@@ -568,11 +561,11 @@ def text_with_half_width(value: float | None, interval: ConfidenceInterval) -> s
     return f"({text})e{common:+03d}" if common else text
 
 
-def interval_text(interval: ConfidenceInterval) -> str:
+def interval_text(interval: ConfidenceInterval, form: str = ".4g") -> str:
     """Return an interval in words; which end it has not."""
     if interval == NO_INTERVAL:
         return ""
-    lower, upper = ("(too few members)" if end is None else f"{end:.4g}" for end in interval)
+    lower, upper = ("(too few members)" if end is None else f"{end:{form}}" for end in interval)
     return f"{lower} to {upper}"
 
 
