@@ -519,8 +519,9 @@ def _estimate(name: str, estimate: StudyEstimate) -> Shown:
         "every other member": f"{estimate.member_time:.3g} s, as measured for one",
         f"total, on {estimate.workers} workers": _duration(estimate.study_time),
         "dataset": f"about {_bytes(estimate.dataset_bytes)}, before compression",
-        "kept logs": "unknown (as many as fail)" if logs is None else _bytes(logs),
     }
+    if logs != 0:
+        entries["kept logs"] = "unknown (as many as fail)" if logs is None else _bytes(logs)
     yield from _table(f"{name}: dry run, nothing was recorded", ("", ""), entries.items())
 
 
