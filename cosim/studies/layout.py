@@ -33,7 +33,7 @@ SampleKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "s
 _Count: TypeAlias = Annotated[int, Field(ge=1, le=MOST_MEMBERS)]  # where it is read from a file
 NumberColumn: TypeAlias = NDArray[np.int64]  # of members, shape (N,)
 VariedValues: TypeAlias = NDArray[Any]  # float64, int64 or object; shape (N,)
-_ROUNDING: Final = 1e-12  # relative: values that differ by less are equal but for rounding
+_CHOSEN: Final = ("grid", "cases")
 _BASIS: Final = {
     "random": "samples drawn independently",
     "latin-hypercube": "Latin hypercube samples: conservative for many members",
@@ -94,7 +94,20 @@ class MemberColumns:
     @cached_property
     def metrics(self) -> dict[str, MetricColumn]:
         """Each metric by name."""
-        return {name: self._split(name) for name in self.raw_metrics}
+        found = {}
+        for name, raw in self.raw_metrics.items():
+            values, has_value = self.numeric(name), self.has_value(name)
+            finite = np.isfinite(values)
+            found[name] = MetricColumn(
+                name,
+                values=values[finite],
+                numbers=self.numbers[finite],
+                failed=self.numbers[self.failed],
+                without_value=self.numbers[~has_value & ~self.failed],
+                infinite=self.numbers[np.isinf(values)],
+                texts=dict(Counter(raw[has_value & np.isnan(values)]).most_common()),
+            )
+        return found
 
     def metric(self, name: str) -> MetricColumn:
         """Return a metric; UsageError if there is none of this name, or its values are texts."""
@@ -126,30 +139,13 @@ class MemberColumns:
     def numeric(self, name: str) -> Vector:
         """Return a metric as numbers; NaN: failed, no value, a text."""
         raw = self.raw_metrics[name]
-        if raw.dtype == object:
-            return np.full(len(raw), np.nan)
-        return np.where(self.failed, np.nan, raw)
+        return np.where(self.failed | (raw.dtype == object), np.nan, raw).astype(np.float64)
 
     def has_value(self, name: str) -> Mask:
         """Return which members have a value of a metric."""
         raw = self.raw_metrics[name]
-        is_object = raw.dtype == object
-        is_empty = np.array([one is None for one in raw], np.bool_) if is_object else np.isnan(raw)
-        return np.asarray(~self.failed & ~is_empty, np.bool_)
-
-    def _split(self, name: str) -> MetricColumn:
-        values = self.numeric(name)
-        has_value = self.has_value(name)
-        finite = np.isfinite(values)
-        return MetricColumn(
-            name,
-            values=values[finite],
-            numbers=self.numbers[finite],
-            failed=self.numbers[self.failed],
-            without_value=self.numbers[~has_value & ~self.failed],
-            infinite=self.numbers[np.isinf(values)],
-            texts=dict(Counter(self.raw_metrics[name][has_value & np.isnan(values)]).most_common()),
-        )
+        is_empty = [one is None for one in raw] if raw.dtype == object else np.isnan(raw)
+        return np.asarray(~self.failed & ~np.array(is_empty, np.bool_))
 
 
 @final
@@ -184,14 +180,6 @@ class StudyLayout:
         """How many there are."""
         return self.samples * self.seeds * self.grid
 
-    def samples_of(self, numbers: NumberColumn) -> NumberColumn:
-        """Return the samples of members."""
-        return numbers // (self.grid * self.seeds)
-
-    def seeds_of(self, numbers: NumberColumn) -> NumberColumn:
-        """Return which of the seeds members have."""
-        return numbers // self.grid % self.seeds
-
     @property
     def matrices(self) -> int:
         """Of Saltelli's design: A, B, and A with each column of B."""
@@ -202,51 +190,39 @@ class StudyLayout:
         """Of Saltelli's design: rows of each matrix."""
         return self.samples // self.matrices
 
+    def samples_of(self, numbers: NumberColumn) -> NumberColumn:
+        """Return the samples of members."""
+        return numbers // (self.grid * self.seeds)
+
+    def seeds_of(self, numbers: NumberColumn) -> NumberColumn:
+        """Return which of the seeds members have."""
+        return numbers // self.grid % self.seeds
+
     @property
-    def text(self) -> str:
-        """The design in a line: ``random: 8 samples x grid of 3``."""
-        factors = []
-        if self.kind == "saltelli":
-            factors.append(f"{count_text(self.base_points, 'base point')} x {self.matrices}")
-        elif self.kind != "grid":
-            factors.append(count_text(self.samples, "case" if self.kind == "cases" else "sample"))
-        if self.grid > 1 or (self.kind == "grid" and self.seeds == 1):
-            factors.append(f"grid of {self.grid}")
-        if self.seeds > 1:
-            factors.append(f"{self.seeds} seeds")
-        own = "" if self.kind in ("grid", "cases") else f"{self.kind}: "
-        return own + " x ".join(factors)
+    def is_drawn(self) -> bool:
+        """Members were drawn, not chosen, so that there are intervals."""
+        return self.kind not in _CHOSEN or self.seeds > 1
 
-
-@dataclass(frozen=True)
-class Independence:
-    """What of a study was drawn independently.
-
-    Parameters
-    ----------
-    layout : StudyLayout
-    basis : str
-        What intervals rest on, in words.
-    is_drawn : bool
-        Members were drawn, so that there are intervals.
-    """
-
-    layout: StudyLayout
-    basis: str
-    is_drawn: bool = True
+    @property
+    def basis(self) -> str:
+        """What intervals rest on, in words."""
+        if self.kind in _CHOSEN:
+            drawn = f"{self.seeds} seeds drawn independently"
+            return drawn if self.is_drawn else "none (the members were chosen, not drawn)"
+        together = self.seeds * self.grid
+        more = f"; the {together} members of a sample count as one" if together > 1 else ""
+        return _BASIS[self.kind] + more
 
     def units_of(self, numbers: NumberColumn) -> NumberColumn | None:
         """Return the unit of each member; None: each is one of its own.
 
         Members that were chosen are all in one unit, so that nothing has an interval.
         """
-        layout = self.layout
-        if layout.kind == "saltelli" and layout.noise_seeds:
-            return layout.samples_of(numbers) % layout.base_points
-        if layout.kind in ("grid", "cases"):
-            is_alone = self.is_drawn and layout.grid * layout.samples == 1
-            return None if is_alone else layout.seeds_of(numbers)
-        return layout.samples_of(numbers) if layout.seeds * layout.grid > 1 else None
+        if self.kind in _CHOSEN:
+            return None if 1 < self.seeds == self.members else self.seeds_of(numbers)
+        if self.kind == "saltelli" and self.noise_seeds:
+            return self.samples_of(numbers) % self.base_points
+        return self.samples_of(numbers) if self.seeds * self.grid > 1 else None
 
     def variance_factor(self, numbers: NumberColumn) -> float:
         """Return n / (n - 1) of a Latin hypercube: its variance is at most so many times larger.
@@ -255,8 +231,22 @@ class Independence:
         """
         units = self.units_of(numbers)
         count = len(numbers if units is None else np.unique(units))
-        is_latin = self.layout.kind == "latin-hypercube" and count > 1
+        is_latin = self.kind == "latin-hypercube" and count > 1
         return count / (count - 1.0) if is_latin else 1.0
+
+    @property
+    def text(self) -> str:
+        """The design in a line: ``random: 8 samples x grid of 3``."""
+        samples = {
+            "grid": "",
+            "cases": count_text(self.samples, "case"),
+            "saltelli": f"{count_text(self.base_points, 'base point')} x {self.matrices}",
+        }.get(self.kind, count_text(self.samples, "sample"))
+        has_grid = self.grid > 1 or (self.kind == "grid" and self.seeds == 1)
+        grid = f"grid of {self.grid}" if has_grid else ""
+        seeds = f"{self.seeds} seeds" if self.seeds > 1 else ""
+        own = "" if self.kind in _CHOSEN else f"{self.kind}: "
+        return own + " x ".join(filter(None, (samples, grid, seeds)))
 
 
 @dataclass(frozen=True)
@@ -304,19 +294,6 @@ class StudyResults:
         return with_unit(column, self.units.get(column))
 
 
-def independence_of(layout: StudyLayout) -> Independence:
-    """Return what of a study was drawn independently."""
-    if layout.kind in ("grid", "cases"):
-        if layout.seeds == 1:
-            return Independence(layout, "none (the members were chosen, not drawn)", is_drawn=False)
-        return Independence(layout, f"{layout.seeds} seeds drawn independently")
-    basis = _BASIS[layout.kind]
-    together = layout.seeds * layout.grid
-    if together > 1:
-        basis += f"; the {together} members of a sample count as one"
-    return Independence(layout, basis)
-
-
 def drawn_members(columns: MemberColumns, layout: StudyLayout) -> MemberColumns:
     """Return the members that represent the distributions: of Saltelli's design A and B."""
     if layout.kind != "saltelli":
@@ -355,15 +332,6 @@ def count_text(count: int, noun: str = "member") -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def is_constant(values: Vector) -> bool:
-    """Return whether all values are one, but for rounding."""
-    return not len(values) or float(np.ptp(values)) <= _ROUNDING * float(np.abs(values).max())
-
-
 def numbers_of(values: VariedValues) -> Vector | None:
-    """Return the values of a parameter as numbers; None: some are none."""
-    if values.dtype != object:
-        return values.astype(np.float64) if np.issubdtype(values.dtype, np.number) else None
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
-        return values.astype(np.float64)
-    return None
+    """Return the values of a parameter as numbers; None: they are texts or switches."""
+    return None if values.dtype == object else values.astype(np.float64)

@@ -16,7 +16,7 @@ from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions, need_plot
 from cosim.studies import panels
-from cosim.studies.layout import StudyResults, count_text, drawn_members, independence_of
+from cosim.studies.layout import StudyResults, count_text, drawn_members
 from cosim.studies.panels import NOTE, Scale, StudyPicture, is_logarithmic, mark_failed
 from cosim.studies.search import Search
 from cosim.studies.sensitivity import SobolIndices, check_has_indices, sobol_indices
@@ -160,13 +160,12 @@ def _plot_histograms(picture: StudyPicture) -> None:
 
 def _plot_distributions(picture: StudyPicture) -> None:
     layout = picture.results.layout
-    independence = independence_of(layout)
-    is_drawn = independence.is_drawn and layout.kind in ("random", "grid", "cases")
+    is_drawn = layout.is_drawn and layout.kind in ("random", "grid", "cases")
     for panel, column, label in picture.each():
         count = len(column.values)
         style = {"color": COLORS[0], "linewidth": WIDTH, "label": "share of members"}
         curve = panel.ecdf(column.values, **style)
-        if is_drawn and independence.units_of(column.numbers) is None:
+        if is_drawn and layout.units_of(column.numbers) is None:
             rows = np.linspace(0, count, min(count + 1, _MOST_STEPS)).astype(np.int64)
             x, shares = curve.get_xydata()[rows].T
             reach = math.sqrt(math.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * count))
@@ -180,9 +179,9 @@ def _plot_distributions(picture: StudyPicture) -> None:
 
 
 def _plot_convergence(picture: StudyPicture) -> None:
-    independence = independence_of(picture.results.layout)
+    layout = picture.results.layout
     for panel, column, label in picture.each():
-        running = running_mean(column, independence)
+        running = running_mean(column, layout)
         total = len(running.counts)
         rows = np.unique(np.geomspace(1, total, _MOST_STEPS).astype(np.int64)) - 1
         counts, means = running.counts[rows], running.means[rows]
@@ -199,7 +198,7 @@ def _plot_convergence(picture: StudyPicture) -> None:
         else:
             panel.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
         panel.set(xlabel="members", ylabel=f"mean of {label}")
-    picture.save(f"convergence of the mean; {independence.basis}")
+    picture.save(f"convergence of the mean; {layout.basis}")
 
 
 def _plot_lines(picture: StudyPicture) -> None:

@@ -21,8 +21,8 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.studies.layout import MemberColumns, NumberColumn, StudyLayout, is_constant
-from cosim.studies.statistics import NO_INTERVAL, TAIL, ConfidenceInterval
+from cosim.studies.layout import MemberColumns, NumberColumn, StudyLayout
+from cosim.studies.statistics import NO_INTERVAL, TAIL, ConfidenceInterval, is_constant
 
 
 @dataclass(frozen=True)
@@ -50,26 +50,26 @@ class SobolIndices:
     def remark(self) -> str:
         """What shows that there are too few base points: sums that no function has."""
         left_out = ", or those that were left out" if len(self.omitted) else ""
-        total = float(self.total_order.sum())
-        first = float(self.first_order.sum())
-        if total < 0.9:
-            return f"too few base points{left_out}: total orders sum to {total:.2f}, below 1"
-        if first > 1.1:
-            return f"too few base points{left_out}: first orders sum to {first:.2f}, above 1"
-        return ""
+        total, first = float(self.total_order.sum()), float(self.first_order.sum())
+        found = f"first orders sum to {first:.2f}, above 1" if first > 1.1 else ""
+        found = f"total orders sum to {total:.2f}, below 1" if total < 0.9 else found
+        return f"too few base points{left_out}: {found}" if found else ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        firsts = zip(self.first_order.tolist(), self.first_intervals, strict=True)
-        totals = zip(self.total_order.tolist(), self.total_intervals, strict=True)
-        rows = {}
-        for parameter, (first, ends), (total, of_total) in zip(
-            self.parameters, firsts, totals, strict=True
-        ):
-            alone = {"first_order": first, "first_interval": ends}
-            rows[parameter] = {**alone, "total_order": total, "total_interval": of_total}
-        points = {"base_points": self.base_points, "omitted_base_points": self.omitted.tolist()}
-        return {"parameters": rows, **points, "remark": self.remark}
+        names = ("first_order", "first_interval", "total_order", "total_interval")
+        firsts = (self.first_order.tolist(), self.first_intervals)
+        totals = (self.total_order.tolist(), self.total_intervals)
+        rows = zip(*firsts, *totals, strict=True)
+        return {
+            "parameters": {
+                parameter: dict(zip(names, row, strict=True))
+                for parameter, row in zip(self.parameters, rows, strict=True)
+            },
+            "base_points": self.base_points,
+            "omitted_base_points": self.omitted.tolist(),
+            "remark": self.remark,
+        }
 
 
 def check_has_indices(layout: StudyLayout) -> None:

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
 from cosim.errors import UsageError, listing, option, quoted, shortened
-from cosim.report.tables.console import new_table, print_json, print_line, print_section
-from cosim.report.tables.console import print_table as print_table
+from cosim.report.tables import console
 from cosim.studies import sensitivity, statistics
 from cosim.studies.contracts import RECORDING
-from cosim.studies.layout import (
-    StudyLayout,
-    StudyResults,
-    count_text,
-    independence_of,
-    results_of_study,
-)
-from cosim.studies.statistics import ConfidenceInterval, Figures
+from cosim.studies.layout import StudyLayout, StudyResults, count_text, results_of_study
+from cosim.studies.statistics import NO_INTERVAL, ConfidenceInterval, Figures
 
 if TYPE_CHECKING:
     from cosim.studies.search import Search
@@ -31,8 +24,14 @@ if TYPE_CHECKING:
     from cosim.studies.verifying import StudyVerification
 
 CommandOf: TypeAlias = Callable[[int], str]
+Shown: TypeAlias = Iterator[Any]  # of a part first what JSON has; then lines and tables
 _LEAST: Final = statistics.LEAST_MEMBERS
 _MOST_REASONS: Final = 20  # that are shown; --json has all
+_METRIC_HEADS: Final = ("", "", "95 % interval")
+_METHODS: Final = (
+    "mean: Student's t; standard deviation: Bonett; quantiles: order statistics; rank "
+    "correlations: Fisher's z"
+)
 _HEADS: Final = [
     "median" if share == 0.5 else f"{100.0 * share:g} %" for share in statistics.PROBABILITIES
 ]
@@ -75,10 +74,10 @@ class ShownParts:
             raise UsageError(f"{option('worst')}: expected 0 or more, got {self.worst}")
         is_given = {
             "member": self.member is not None,
-            "pass": bool(self.conditions),
-            "by": bool(self.by),
+            "pass": self.conditions,
+            "by": self.by,
             "sobol": self.sobol,
-            "metric": bool(self.metrics) and not (self.by or self.sobol),
+            "metric": self.metrics and not (self.by or self.sobol),
         }
         given = [option(name) for name, is_one in is_given.items() if is_one]
         if len(given) > 1:
@@ -95,68 +94,99 @@ def show_study(
 ) -> None:
     """Print parts of a study, or of a search, also while it runs."""
     results = results_of_study(study, layout)
+    for name in parts.metrics:
+        results.columns.metric(name)
     if parts.member is not None:
-        if not 0 <= parts.member < results.planned:
-            last = results.planned - 1
-            raise UsageError(f"expected a member from 0 to {last}, got {parts.member}")
-        if parts.member in results.missing:
-            again = "run the study again to continue"
-            raise UsageError(f"member {parts.member} has not run yet; {again}")
-        row = study.table(members=[parts.member]).to_pylist()[0]
-        _show_member(row, results, command_of(parts.member), as_json=parts.as_json)
+        shown = _member(study, results, parts.member, command_of(parts.member))
     elif parts.sobol:
-        _show_sobol(results, parts)
+        shown = _sobol(results, parts)
     elif parts.by:
-        _show_groups(results, parts)
+        shown = _groups(results, parts)
     elif parts.metrics:
-        _show_metrics(results, parts)
+        shown = _metrics(results, parts)
     elif search is not None and not parts.conditions:
-        _show_search(results, search, command_of, parts)
+        shown = _search(results, search, command_of, parts)
     else:
-        _show_all(results, command_of, parts)
+        shown = _all(results, command_of, parts)
+    _print(shown, as_json=parts.as_json)
 
 
-def _show_all(results: StudyResults, command_of: CommandOf, parts: ShownParts) -> None:
-    """Print what all members of a study say."""
+def _print(shown: Shown, *, as_json: bool) -> None:
+    content = next(shown)
+    if as_json:
+        console.print_json(content)
+        return
+    for one in shown:
+        if isinstance(one, str):
+            console.print_line(one)
+        else:
+            console.print_table(one)
+
+
+def _table(title: str, heads: Sequence[str], rows: Iterable[Iterable[str]]) -> Shown:
+    """Yield a table, unless it has no rows."""
+    table = console.new_table(title, heads)
+    for row in rows:
+        table.add_row(*row)
+    if table.rows:
+        yield table
+
+
+# --- all members ---
+
+
+def _all(results: StudyResults, command_of: CommandOf, parts: ShownParts) -> Shown:
+    """Show what all members of a study say."""
     columns, layout = results.columns, results.layout
-    shares = [statistics.passed_share(columns, layout, text) for text in parts.conditions]
+    largest = {
+        name: statistics.extremes(columns, name, parts.worst)
+        for name, column in columns.metrics.items()
+        if len(column.values) + len(column.infinite)
+    }
     of_metrics = statistics.study_statistics(columns, layout)
+    shares = [statistics.passed_share(columns, layout, text) for text in parts.conditions]
     correlations = statistics.rank_correlations(columns, layout)
     ended_early = statistics.reasons_of(columns, failed=False)
-    if parts.as_json:
-        with_values = [name for name, one in of_metrics.items() if one["count"]]
-        worst = {name: [*statistics.extremes(columns, name, parts.worst)] for name in with_values}
-        times = results.wall_times[~columns.failed]
-        content = {
-            "design": asdict(layout),
-            "wall_time": float(results.wall_times.sum()),
-            "median_wall_time": float(np.median(times)) if len(times) else None,
-            "statistics": of_metrics,
-            "passed": shares,
-            "correlations": correlations,
-            "ended_early": ended_early,
-            "worst": worst,
-        }
-        print_json({**_outcome(results, command_of), **content})
-        return
+    outcome = _outcome(results, command_of)
+    times = results.wall_times[~columns.failed]
+    yield {
+        **outcome,
+        "design": asdict(layout),
+        "wall_time": float(results.wall_times.sum()),
+        "median_wall_time": float(np.median(times)) if len(times) else None,
+        "statistics": of_metrics,
+        "passed": shares,
+        "correlations": correlations,
+        "ended_early": ended_early,
+        "worst": {name: [*largest[name]] for name, one in of_metrics.items() if one["count"]},
+    }
     missing = results.missing.tolist()
-    not_done = f"{len(missing)} missing ({_members_text(missing)}), " if len(missing) else ""
-    count = f"{results.done} of {results.planned} members done, {not_done}{_failed_text(results)}"
-    print_line(f"{results.name}: {layout.text}; {count}")
-    _print_wall_time(results)
-    _print_statistics(results, of_metrics)
+    not_done = f", {len(missing)} missing ({_members_text(missing)})" if missing else ""
+    done = f"{results.done} of {results.planned} members done{not_done}"
+    yield from _done(f"{results.name}: {layout.text}; {done}", results)
+    rows = [
+        (results.with_unit(name), str(one["count"]), *_figures(one, 4))
+        for name, one in of_metrics.items()
+        if one["count"]
+    ]
+    yield from _table("statistics", ("", "members", "mean", "deviation", *_HEADS), rows)
+    for name, one in of_metrics.items():
+        texts = [f"{count} {text}" for text, count in one["texts"].items()]
+        if len(texts) > 5:
+            texts[5:] = [f"and {count_text(len(texts) - 5, 'other text')}"]
+        if texts:
+            yield f"{name}: {'; '.join(texts)}"
+        yield from _without_number(results, name)
     heads = ("", "members", "share", "95 % interval", "not passed")
-    _print_rows("passed", heads, [_share_row(share) for share in shares])
-    for one in [one for one in (*of_metrics.values(), *shares) if one.get("count") != 0][:1]:
-        print_line(f"±, 95 % intervals: {one['basis']}")
-    rough = [name for name, one in of_metrics.items() if one["is_rough"]]
-    if rough:
-        print_line(f"± may be too small (few members or skewed values): {listing(rough)}")
-    _print_correlations(results, correlations)
-    _print_failures(results, command_of)
-    _print_reasons("ended before their stop time", ended_early)
-    if parts.worst:
-        _print_extremes(results, command_of, parts.worst)
+    yield from _table("passed", heads, map(_share_row, shares))
+    yield from _basis(results, [name for name, one in of_metrics.items() if one["is_rough"]])
+    yield from _correlations(results, correlations)
+    yield from _failures(outcome, results.done)
+    yield from _reasons("ended before their stop time", ended_early)
+    if parts.worst and largest:
+        yield from _extremes(results, largest)
+        number = next(iter(next(iter(largest.values()))))
+        yield f"member {number} alone: {command_of(number)}"
 
 
 def _outcome(results: StudyResults, command_of: CommandOf) -> Figures:
@@ -171,225 +201,166 @@ def _outcome(results: StudyResults, command_of: CommandOf) -> Figures:
     }
 
 
-def _failed_text(results: StudyResults) -> str:
-    return f"{results.failed} failed" if results.failed else "none failed"
-
-
-def _print_wall_time(results: StudyResults) -> None:
+def _done(begin: str, results: StudyResults) -> Shown:
+    """Show how many members failed, and how long members take."""
+    yield f"{begin}, {results.failed or 'none'} failed"
     failed = results.columns.failed
     completed, others = results.wall_times[~failed], results.wall_times[failed]
-    if len(completed):
-        line = f"wall time: median {np.median(completed):.3g} s per member"
-        if len(others):
-            line += f" that completed; at most {others.max():.3g} s per failed member"
-        print_line(line)
-    elif len(others):
-        print_line(f"wall time: median {np.median(others):.3g} s per failed member")
+    times = [f"median {np.median(completed):.3g} s per member"] if len(completed) else []
+    times += [f"at most {others.max():.3g} s per failed member"] if len(others) else []
+    if times:
+        yield f"wall time: {'; '.join(times)}"
 
 
-def _print_rows(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table, unless it has no rows."""
-    table = new_table(title, heads)
-    for row in rows:
-        table.add_row(*row)
-    if rows:
-        print_table(table)
-
-
-def _print_statistics(results: StudyResults, of_metrics: Mapping[str, Figures]) -> None:
-    with_values = {name: one for name, one in of_metrics.items() if one["count"]}
-    rows = [
-        (results.with_unit(name), str(one["count"]), *_figures(one, 4))
-        for name, one in with_values.items()
-    ]
-    _print_rows("statistics", ("", "members", "mean", "deviation", *_HEADS), rows)
-    for name, one in of_metrics.items():
-        texts = [f"{count} {text}" for text, count in one["texts"].items()]
-        if len(texts) > 5:
-            texts[5:] = [f"and {count_text(len(texts) - 5, 'other text')}"]
-        if texts:
-            print_line(f"{name}: {'; '.join(texts)}")
-        for words, numbers in _without_number(results, name):
-            counted = count_text(len(numbers))
-            print_line(f"{name}: {words} in {counted}: {_members_text(numbers)}")
-
-
-def _without_number(results: StudyResults, name: str) -> list[tuple[str, Sequence[int]]]:
-    """Return which members have no finite value of a metric, beside those that failed."""
+def _without_number(results: StudyResults, name: str) -> Shown:
+    """Show which members have no finite value of a metric, beside those that failed."""
     column = results.columns.metrics[name]
-    pairs = (("no value", column.without_value), ("infinite", column.infinite))
-    return [(words, numbers.tolist()) for words, numbers in pairs if len(numbers)]
+    for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
+        if len(numbers):
+            members = _members_text(numbers.tolist())
+            yield f"{name}: {words} in {count_text(len(numbers))}: {members}"
+
+
+def _basis(results: StudyResults, rough: Sequence[str]) -> Shown:
+    """Show what intervals rest on, and of which metrics they are rough."""
+    yield f"±, 95 % intervals: {results.layout.basis}"
+    if rough:
+        why = "few members or skewed values"
+        yield f"intervals of means (±) may be too narrow ({why}): {listing(rough)}"
 
 
 def _figures(one: Figures, digits: int) -> list[str]:
     """Return the cells of a mean, a deviation and quantiles."""
-    found = [f"{quantile['value']:.{digits}g}" for quantile in one["quantiles"]]
     mean = text_with_half_width(one["mean"], one["mean_interval"])
+    found = [_number_text(quantile["value"], digits) for quantile in one["quantiles"]]
     return [mean, _number_text(one["deviation"], 4), *(found or [""] * len(_HEADS))]
 
 
 def _share_row(one: Figures) -> list[str]:
     others = one["of"] - one["passed"]
     why = [_members_text(one["first_not_passed"], others)] if others else []
-    for key, words in (("failed", "failed"), ("without_value", "have no value")):
-        if one[key]:
-            why.append(f"{one[key]} of them {words}")
+    why += [f"{one['failed']} of them failed"] if one["failed"] else []
+    why += [f"{one['without_value']} of them have no value"] if one["without_value"] else []
     share = "" if one["share"] is None else f"{100.0 * one['share']:.3g} %"
-    lower, upper = one["interval"]
-    ends = "" if lower is None else f"{100.0 * lower:.3g} % to {100.0 * upper:.3g} %"
-    return [one["condition"], f"{one['passed']} of {one['of']}", share, ends, "; ".join(why)]
+    ends = [f"{100.0 * end:.3g} %" for end in one["interval"] if end is not None]
+    passed = f"{one['passed']} of {one['of']}"
+    return [one["condition"], passed, share, " to ".join(ends), "; ".join(why)]
 
 
-def _print_correlations(results: StudyResults, correlations: Sequence[Figures]) -> None:
+def _correlations(results: StudyResults, correlations: Sequence[Figures]) -> Shown:
     if correlations and all(one["count"] < _LEAST for one in correlations):
-        print_line(f"rank correlations: none for fewer than {_LEAST} members")
+        yield f"rank correlations: none for fewer than {_LEAST} members"
     rows = []
     for name in results.columns.raw_metrics:
         found = statistics.strongest(correlations, name)
         strong = [one for one in found if abs(one["value"]) >= 0.1 and one["is_distinct"]]
         shown = [f"{one['parameter']} {one['value']:+.2f}" for one in strong[:3]]
         rows += [(name, ", ".join(shown))] if shown else []
-    _print_rows("rank correlation", ("", "strongest parameters"), rows)
-    if rows and independence_of(results.layout).is_drawn:
+    yield from _table("rank correlation", ("", "strongest parameters"), rows)
+    if rows and results.layout.is_drawn:
         count = len(correlations)
         by_chance = f"; about {count // 20} of {count} pairs are significant by chance"
         more = by_chance if count >= 20 else ""
-        print_line(f"correlations not significant at the 5 % level are omitted{more}")
+        yield f"correlations not significant at the 5 % level are omitted{more}"
 
 
-def _print_failures(results: StudyResults, command_of: CommandOf) -> None:
-    """Print why members failed, with the command of the first of each reason, and warnings."""
-    failures = statistics.reasons_of(results.columns, failed=True)
-    _print_reasons("failures", failures)
-    for group in failures[:_MOST_REASONS]:
-        _print_command(group["first_members"][0], command_of)
-    warnings = statistics.warnings_by_text(results.columns)
-    for line in statistics.warning_lines(warnings, results.done):
-        print_line(line)
+def _failures(outcome: Figures, done: int) -> Shown:
+    """Show why members failed, with the command of the first of each reason, and warnings."""
+    yield from _reasons("failures", outcome["failures"])
+    for one in outcome["failures"][:_MOST_REASONS]:
+        yield f"member {one['first_members'][0]} alone: {one['command']}"
+    yield from statistics.warning_lines(outcome["warnings"], done)
 
 
-def _print_reasons(title: str, groups: Sequence[Figures]) -> None:
-    rows = []
-    for group in groups[:_MOST_REASONS]:
-        members = _members_text(group["first_members"], group["count"])
-        rows.append((str(group["count"]), members, group["reason"]))
-    _print_rows(title, ("members", "first of them", "reason"), rows)
+def _reasons(title: str, groups: Sequence[Figures]) -> Shown:
+    rows = [
+        (str(one["count"]), _members_text(one["first_members"], one["count"]), one["reason"])
+        for one in groups[:_MOST_REASONS]
+    ]
+    yield from _table(title, ("members", "first of them", "reason"), rows)
     if len(groups) > len(rows):
-        print_line(f"and {count_text(len(groups) - len(rows), 'other reason')}; see --json")
+        yield f"and {count_text(len(groups) - len(rows), 'other reason')}; see --json"
 
 
-def _print_command(number: int, command_of: CommandOf) -> None:
-    print_line(f"member {number} alone: {command_of(number)}")
-
-
-def _print_extremes(results: StudyResults, command_of: CommandOf, count: int) -> None:
+def _extremes(results: StudyResults, largest: Mapping[str, Mapping[int, float]]) -> Shown:
     rows = []
-    first = []
-    for name, column in results.columns.metrics.items():
-        if len(column.values) + len(column.infinite):
-            smallest = statistics.extremes(results.columns, name, 1, largest=False)
-            ends = [smallest, statistics.extremes(results.columns, name, count)]
-            cells = [", ".join(f"{k}: {value:.6g}" for k, value in end.items()) for end in ends]
-            rows.append((results.with_unit(name), *cells))
-            first.append(next(iter(ends[1])))
-    _print_rows("smallest and largest values, by member", ("", "smallest", "largest"), rows)
-    if first:
-        _print_command(first[0], command_of)
+    for name, found in largest.items():
+        ends = (statistics.extremes(results.columns, name, 1, largest=False), found)
+        cells = [", ".join(f"{k}: {value:.6g}" for k, value in end.items()) for end in ends]
+        rows.append((results.with_unit(name), *cells))
+    title = "smallest and largest values, by member"
+    return _table(title, ("", "smallest", "largest"), rows)
 
 
-def _show_metrics(results: StudyResults, parts: ShownParts) -> None:
-    """Print all that is known of some metrics."""
-    columns = results.columns
-    for name in parts.metrics:
-        columns.metric(name)
-    of_metrics = statistics.study_statistics(columns, results.layout)
-    correlations = statistics.rank_correlations(columns, results.layout)
-    content = {}
-    for name in parts.metrics:
-        content[name] = {
+# --- parts ---
+
+
+def _metrics(results: StudyResults, parts: ShownParts) -> Shown:
+    """Show all that is known of some metrics."""
+    columns, layout = results.columns, results.layout
+    of_metrics = statistics.study_statistics(columns, layout)
+    correlations = statistics.rank_correlations(columns, layout)
+    content = {
+        name: {
             **of_metrics[name],
             "correlations": statistics.strongest(correlations, name),
             "largest": [*statistics.extremes(columns, name, 20)],
             "smallest": [*statistics.extremes(columns, name, 20, largest=False)],
         }
-    if parts.as_json:
-        print_json(content)
-        return
-    for name, one in content.items():
-        _print_metric(results, name, one)
-        own = [pair for pair in correlations if pair["metric"] == name]
-        few = [pair["parameter"] for pair in own if pair["count"] < _LEAST]
-        if few:
-            which = "" if len(few) == len(own) else f" with {listing(few)}"
-            print_line(f"rank correlations{which}: none for fewer than {_LEAST} members")
-        for words, numbers in _without_number(results, name):
-            print_line(f"{words} in members {_members_text(numbers)}")
-
-
-def _print_metric(results: StudyResults, name: str, one: Figures) -> None:
-    counts = {
-        "failed": one["failed"],
-        "no value": one["without_value"],
-        "infinite": one["infinite"],
+        for name in parts.metrics
     }
-    rows = [("members", str(one["count"]), "")]
-    rows += [(words, str(count), "") for words, count in counts.items() if count]
-    figures = [("mean", one["mean"], one["mean_interval"])]
-    figures += [("standard deviation", one["deviation"], one["deviation_interval"])]
+    yield content
+    for name, one in content.items():
+        yield from _table(results.with_unit(name), _METRIC_HEADS, _metric_rows(results, name, one))
+        yield from _basis(results, [name] if one["is_rough"] else [])
+        yield _METHODS
+        if layout.kind == "saltelli":
+            yield "statistics: matrices A and B; smallest, largest, missing values: all members"
+        if any(one["metric"] == name and one["count"] < _LEAST for one in correlations):
+            yield f"rank correlations: none for fewer than {_LEAST} members"
+        yield from _without_number(results, name)
+
+
+def _metric_rows(results: StudyResults, name: str, one: Figures) -> Iterator[tuple[str, str, str]]:
+    yield "members", str(one["count"]), ""
+    for key, words in (("failed", "failed"), ("without_value", "no value"), ("infinite",) * 2):
+        if one[key]:
+            yield words, str(one[key]), ""
+    yield "mean", _number_text(one["mean"]), interval_text(one["mean_interval"])
+    deviation = _number_text(one["deviation"])
+    yield "standard deviation", deviation, interval_text(one["deviation_interval"])
     for head, quantile in zip(_HEADS, one["quantiles"], strict=False):
-        figures += [(head, quantile["value"], quantile["interval"])]
-    for words, value, interval in figures:
-        rows.append((words, _number_text(value), interval_text(interval)))
+        yield head, _number_text(quantile["value"]), interval_text(quantile["interval"])
     for words in ("smallest", "largest"):
         ends = statistics.extremes(results.columns, name, 5, largest=words == "largest")
         members = f"members {_members_text([*ends])}" if ends else ""
-        rows.append((words, _number_text(next(iter(ends.values()), None)), members))
+        yield words, _number_text(next(iter(ends.values()), None)), members
     for pair in one["correlations"]:
         head = f"rank correlation with {pair['parameter']}"
-        rows.append((head, f"{pair['value']:+.3f}", interval_text(pair["interval"])))
-    _print_rows(results.with_unit(name), ("", "", "95 % interval"), rows)
-    if results.layout.kind == "saltelli":
-        print_line(
-            "statistics: members of matrices A and B; smallest, largest and missing values: all "
-            "members"
-        )
-    print_line(f"95 % intervals: {one['basis']}")
-    if one["mean_interval"].lower is not None:
-        print_line(
-            "mean: Student's t; standard deviation: Bonett; quantiles: order statistics; rank "
-            "correlations: Fisher's z"
-        )
-    if one["is_rough"]:
-        print_line("the interval of the mean may be too narrow (few members or skewed values)")
+        yield head, f"{pair['value']:+.3f}", interval_text(pair["interval"])
 
 
-def _show_groups(results: StudyResults, parts: ShownParts) -> None:
-    """Print the statistics of metrics for each value of a key."""
+def _groups(results: StudyResults, parts: ShownParts) -> Shown:
+    """Show the statistics of metrics for each value of a key."""
     columns = results.columns
-    for name in parts.metrics:
-        columns.metric(name)
     groups = statistics.statistics_by(columns, results.layout, parts.by)
-    if parts.as_json:
-        print_json({"key": parts.by, "groups": groups})
-        return
+    yield {"key": parts.by, "groups": groups}
     every = [name for name, column in columns.metrics.items() if len(column.values)]
     heads = (results.with_unit(parts.by), "members", "failed", "mean", "deviation", *_HEADS)
-    is_rough = False
-    for name in parts.metrics or every:
+    names = parts.metrics or every
+    for name in names:
         rows = []
         for group in groups:
             one, value = group["statistics"][name], group["value"]
             head = value if isinstance(value, str) else quoted(value)
             rows.append((head, str(one["count"]), str(group["failed"] or ""), *_figures(one, 5)))
-            is_rough |= one["is_rough"]
-        _print_rows(results.with_unit(name), heads, rows)
-    print_line(f"±, 95 % intervals: {independence_of(results.layout).basis}")
-    if is_rough:
-        print_line("± may be too small for groups of few members or with skewed values")
+        yield from _table(results.with_unit(name), heads, rows)
+    rough = [name for name in names if any(one["statistics"][name]["is_rough"] for one in groups)]
+    yield from _basis(results, rough)
 
 
-def _show_sobol(results: StudyResults, parts: ShownParts) -> None:
-    """Print the Sobol indices of metrics, and which metrics have none."""
+def _sobol(results: StudyResults, parts: ShownParts) -> Shown:
+    """Show the Sobol indices of metrics; on stderr which metrics have none."""
     sensitivity.check_has_indices(results.layout)
     found = []
     without = []
@@ -397,98 +368,90 @@ def _show_sobol(results: StudyResults, parts: ShownParts) -> None:
         try:
             found.append(sensitivity.sobol_indices(results.columns, results.layout, name))
         except UsageError as error:
-            if parts.metrics:
-                raise
             without.append(str(error))
-    if without and not found:
+    if without and (parts.metrics or not found):
         raise UsageError("; ".join(without))
-    if parts.as_json:
-        print_json({indices.metric: indices.to_dict() for indices in found})
-        return
+    yield {indices.metric: indices.to_dict() for indices in found}
     for indices in found:
-        _print_indices(indices, results.with_unit(indices.metric))
+        yield from _indices(indices, results.with_unit(indices.metric))
     for text in without:
-        print_line(text, error=True)
+        console.print_line(text, error=True)
 
 
-def _print_indices(indices: sensitivity.SobolIndices, name: str) -> None:
+def _indices(indices: sensitivity.SobolIndices, name: str) -> Shown:
     first, total = indices.first_order, indices.total_order
     rows = []
     for k in np.argsort(-total, kind="stable"):
-        ends = ["", ""]
-        if indices.has_intervals:
-            pair = (indices.first_intervals[k], indices.total_intervals[k])
-            ends = [f"{lower:.3f} to {upper:.3f}" for lower, upper in pair]
-        rows.append((indices.parameters[k], f"{first[k]:.3f}", ends[0], f"{total[k]:.3f}", ends[1]))
+        of_first = (f"{first[k]:.3f}", interval_text(indices.first_intervals[k], ".3f"))
+        of_total = (f"{total[k]:.3f}", interval_text(indices.total_intervals[k], ".3f"))
+        rows.append((indices.parameters[k], *of_first, *of_total))
     rows.append(("sum", f"{first.sum():.3f}", "", f"{total.sum():.3f}", ""))
     heads = ("", "first order", "95 % interval", "total order", "95 % interval")
-    _print_rows(f"Sobol indices of {name}", heads, rows)
+    yield from _table(f"Sobol indices of {name}", heads, rows)
     basis = "rough (bootstrap)" if indices.has_intervals else "none (too few)"
-    print_line(f"of {count_text(indices.base_points, 'base point')}; 95 % intervals: {basis}")
-    if indices.remark:
-        print_line(indices.remark)
+    yield f"of {count_text(indices.base_points, 'base point')}; 95 % intervals: {basis}"
+    yield from filter(None, [indices.remark])
     omitted = indices.omitted.tolist()
     if omitted:
-        print_line(
+        yield (
             f"omitted: {count_text(len(omitted), 'base point')} with a member that failed, has no "
             f"value or is missing: {_members_text(omitted)}; the indices are biased if this "
             "depends on the parameters"
         )
 
 
-def _show_member(
-    row: dict[str, Any], results: StudyResults, command: str, *, as_json: bool
-) -> None:
-    """Print all that is recorded of a member, and the command that runs it alone."""
-    if as_json:
-        print_json({**row, "command": command})
-        return
+def _member(study: Study, results: StudyResults, number: int, command: str) -> Shown:
+    """Show all that is recorded of a member, and the command that runs it alone."""
+    row = study.table(members=[number]).to_pylist()[0]
+    yield {**row, "command": command}
     reason = f": {row['reason']}" if row["reason"] else ""
-    print_line(f"member {row['member']}: {row['status']}{reason}")
-    keys = (*results.columns.parameters, *results.layout.noise_seeds)
-    sections: dict[str, dict[str, Any]] = {"parameters": {}, "metrics": {}, "run": {}}
+    yield f"member {number}: {row['status']}{reason}"
+    titles = dict.fromkeys(results.columns.parameters, "parameters")
+    titles |= dict.fromkeys(results.layout.noise_seeds, "parameters")
+    titles |= dict.fromkeys(results.columns.raw_metrics, "metrics")
+    empty = {"parameters": "the scenario's own value", "metrics": "no value", "run": ""}
+    sections: dict[str, list[tuple[str, str]]] = {title: [] for title in empty}
     for name, value in row.items():
-        shown = results.with_unit(name)
-        if name in keys:
-            sections["parameters"][shown] = "the scenario's own value" if value is None else value
-        elif name in results.columns.raw_metrics:
-            sections["metrics"][shown] = "no value" if value is None else value
-        elif name not in ("member", "status", "reason", "designs") and value not in (None, ""):
-            sections["run"][shown] = shortened(str(value))
-    for title, values in sections.items():
-        print_section(title, values)
-    print_line(f"alone: {command}")
+        title = titles.get(name, "run")
+        text = empty[title] if value is None else shortened(str(value))
+        if text and name not in ("member", "status", "reason", "designs"):
+            sections[title].append((results.with_unit(name), text))
+    for title, rows in sections.items():
+        yield from _table(title, ("", ""), rows)
+    yield f"alone: {command}"
 
 
-def _show_search(
+# --- searches, tunings, verifications, estimates ---
+
+
+def _search(
     results: StudyResults, search: Search, command_of: CommandOf, parts: ShownParts
-) -> None:
-    """Print the best members of a search."""
+) -> Shown:
+    """Show the best members of a search."""
     columns = results.columns
     best = statistics.extremes(columns, search.metric, parts.worst, largest=search.maximize)
-    shown = []
-    for number, objective in best.items():
-        (row,) = columns.rows_of(np.array([number])).tolist()
-        values = {key: column.tolist()[row] for key, column in columns.parameters.items()}
-        found: Figures = {"member": number, "objective": objective, "values": values}
+    places = columns.rows_of(np.array([*best], np.int64))
+    points = zip(*(one[places].tolist() for one in columns.parameters.values()), strict=True)
+    shown: list[Figures] = []
+    for (number, objective), point in zip(best.items(), points, strict=True):
+        values = dict(zip(columns.parameters, point, strict=True))
+        found = {"member": number, "objective": objective, "values": values}
         shown.append({**found, "command": command_of(number)})
-    if parts.as_json:
-        print_json({**_outcome(results, command_of), "search": asdict(search), "best": shown})
-        return
-    done = f"{count_text(results.done)} of at most {results.planned}, {_failed_text(results)}"
-    print_line(f"{results.name}: {search.method}, {search.goal}; {done}")
-    _print_wall_time(results)
+    outcome = _outcome(results, command_of)
+    yield {**outcome, "search": asdict(search), "best": shown}
+    done = f"{count_text(results.done)} of at most {results.planned}"
+    yield from _done(f"{results.name}: {search.method}, {search.goal}; {done}", results)
     keys = [key for key in columns.parameters if key != RECORDING]  # one of all
-    rows = []
-    for one in shown:
-        cells = [_number_text(one["values"][key]) for key in keys]
-        rows.append((str(one["member"]), _number_text(one["objective"]), *cells))
-    _print_rows("best members", ("member", search.metric, *keys), rows)
-    if not rows and results.done > results.failed:
-        print_line(f"{search.metric}: no member has a finite value")
-    _print_failures(results, command_of)
-    if best:
-        _print_command(next(iter(best)), command_of)
+    rows = [
+        map(_number_text, (one["member"], one["objective"], *map(one["values"].get, keys)))
+        for one in shown
+    ]
+    yield from _table("best members", ("member", search.metric, *keys), rows)
+    if not best and results.done > results.failed:
+        yield f"{search.metric}: no member has a finite value"
+    yield from _failures(outcome, results.done)
+    for one in shown[:1]:
+        yield f"member {one['member']} alone: {one['command']}"
 
 
 def tuning_lines(result: TuningResult) -> list[str]:
@@ -513,42 +476,43 @@ def tuning_lines(result: TuningResult) -> list[str]:
 
 def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
     """Print what came of running members again, and what that does not show."""
-    if as_json:
-        print_json(found.to_dict())
-        return
+    _print(_verification(found), as_json=as_json)
+
+
+def _verification(found: StudyVerification) -> Shown:
+    yield found.to_dict()
     count = len(found.members)
     numbers = listing([str(number) for number in found.members], 10)
     rerun = "rerun, each built from scratch in its own process"
-    print_line(f"{found.name}: {count} of {count_text(found.done)} {rerun}: {numbers}")
+    yield f"{found.name}: {count} of {count_text(found.done)} {rerun}: {numbers}"
     for item in found.differences:
-        print_line(f"member {item.member}: {item.name} was {item.recorded!r}, is {item.now!r}")
+        yield f"member {item.member}: {item.name} was {item.recorded!r}, is {item.now!r}"
     differing = len({item.member for item in found.differences})
     if differing:
         differ = "differs" if differing == 1 else "differ"
-        print_line(f"{differing} of {count_text(count)} {differ} from the record")
+        yield f"{differing} of {count_text(count)} {differ} from the record"
     else:
-        print_line(f"identical bit for bit: {listing(found.values, 10)}")
+        yield f"identical bit for bit: {listing(found.values, 10)}"
+    not_shown = [f"{count_text(found.done - count)} not rerun"] if found.done > count else []
     elsewhere = "results on other machines"
     if found.elsewhere:
-        machines = listing(found.elsewhere, 3)
-        elsewhere = (
-            f"results on the original machine ({machines}): libraries of this one may round "
-            "differently"
-        )
-    others = found.done - count
-    not_shown = [f"{count_text(others)} not rerun"] if others else []
+        machines = f"results on the original machine ({listing(found.elsewhere, 3)})"
+        elsewhere = f"{machines}: libraries of this one may round differently"
     not_shown += [elsewhere, "signals without a metric"]
     if found.is_searched:
         not_shown.append("whether the search would choose these members again")
     not_shown += [f"{name} was {old}, is {now}" for name, (old, now) in found.environment.items()]
-    print_line(f"not verified: {'; '.join(not_shown)}")
+    yield f"not verified: {'; '.join(not_shown)}"
 
 
 def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False) -> None:
     """Print what a study will take."""
-    if as_json:
-        print_json({"name": name, **estimate.to_dict()})
-        return
+    _print(_estimate(name, estimate), as_json=as_json)
+
+
+def _estimate(name: str, estimate: StudyEstimate) -> Shown:
+    yield {"name": name, **estimate.to_dict()}
+    logs = estimate.log_bytes
     entries = {
         "members": str(estimate.members),
         "first member of a worker": f"{estimate.first_time:.3g} s",
@@ -556,11 +520,12 @@ def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False)
         f"total, on {estimate.workers} workers": _duration(estimate.study_time),
         "dataset": f"about {_bytes(estimate.dataset_bytes)}, before compression",
     }
-    if estimate.log_bytes is None:
-        entries["kept logs"] = "unknown (as many as fail)"
-    elif estimate.log_bytes:
-        entries["kept logs"] = _bytes(estimate.log_bytes)
-    print_section(f"{name}: dry run, nothing was recorded", entries)
+    if logs != 0:
+        entries["kept logs"] = "unknown (as many as fail)" if logs is None else _bytes(logs)
+    yield from _table(f"{name}: dry run, nothing was recorded", ("", ""), entries.items())
+
+
+# --- texts ---
 
 
 def _duration(seconds: float) -> str:
@@ -588,24 +553,21 @@ def text_with_half_width(value: float | None, interval: ConfidenceInterval) -> s
     if value is None or not 0.0 < half_width < math.inf:
         return _number_text(value)
     exponent = int(f"{half_width:.1e}".partition("e")[2])
-    decimals = 1 - exponent
-    if -3 <= decimals <= 8 and abs(value) < 1e8:
-        digits = max(decimals, 0)
-        return f"{value:.{digits}f} ± {half_width:.{digits}f}"
-    common = max(exponent, math.floor(math.log10(abs(value))) if value else exponent)
-    decimals += common
+    common = 0
+    if not -7 <= exponent <= 4 or abs(value) >= 1e8:
+        common = max(exponent, math.floor(math.log10(abs(value))) if value else exponent)
+    digits = max(1 - exponent + common, 0)
     unit = 10.0**common
-    return f"({value / unit:.{decimals}f} ± {half_width / unit:.{decimals}f})e{common:+03d}"
+    text = f"{value / unit:.{digits}f} ± {half_width / unit:.{digits}f}"
+    return f"({text})e{common:+03d}" if common else text
 
 
-def interval_text(interval: ConfidenceInterval) -> str:
+def interval_text(interval: ConfidenceInterval, form: str = ".4g") -> str:
     """Return an interval in words; which end it has not."""
-    lower, upper = interval
-    if lower is None:
-        return "" if upper is None else f"to {upper:.4g}; too few members for the lower end"
-    if upper is None:
-        return f"from {lower:.4g}; too few members for the upper end"
-    return f"{lower:.4g} to {upper:.4g}"
+    if interval == NO_INTERVAL:
+        return ""
+    lower, upper = ("(too few members)" if end is None else f"{end:{form}}" for end in interval)
+    return f"{lower} to {upper}"
 
 
 def _members_text(numbers: Sequence[int], count: int | None = None) -> str:

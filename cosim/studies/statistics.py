@@ -26,7 +26,6 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -37,15 +36,12 @@ from scipy.special import ndtri, stdtrit
 from cosim.arrays import Vector
 from cosim.errors import UsageError, nearest, quoted
 from cosim.studies.layout import (
-    Independence,
     MemberColumns,
     MetricColumn,
     NumberColumn,
     StudyLayout,
     count_text,
     drawn_members,
-    independence_of,
-    is_constant,
     numbers_of,
 )
 
@@ -58,6 +54,7 @@ _NORMAL_QUANTILE: Final = float(ndtri(_UPPER))
 _LISTED: Final = 20  # members of a reason or condition that JSON names
 Figures: TypeAlias = dict[str, Any]  # with the keys that --json has
 Units: TypeAlias = NumberColumn | None  # of each value, shape (n,); None: each is one
+_NUMBER: Final = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?")
 _COMPARISONS: Final = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq, "!=": ne}
 
 
@@ -184,40 +181,36 @@ def _unit_sums(values: Vector, units: Units) -> Vector:
 
 
 def study_statistics(columns: MemberColumns, layout: StudyLayout) -> dict[str, Figures]:
-    """Return what is said of each metric."""
-    metrics = drawn_members(columns, layout).metrics
-    of_design = independence_of(layout)
-    return {name: metric_statistics(column, of_design) for name, column in metrics.items()}
-
-
-def metric_statistics(column: MetricColumn, of_design: Independence) -> Figures:
-    """Return what is said of a metric: figures of the members that have a finite value."""
-    values = column.values
-    count = len(values)
-    drawn = (of_design.units_of(column.numbers), of_design.variance_factor(column.numbers))
-    ordered = np.sort(values)
-    quantiles = []
-    for probability in PROBABILITIES if count else ():
-        value = float(np.quantile(ordered, probability))
-        known = effective_count((values <= value).astype(np.float64), *drawn)
-        interval = quantile_interval(ordered, probability, math.floor(known + 1e-9))
-        quantiles.append({"probability": probability, "value": value, "interval": interval})
-    return {
-        "count": count,
-        "failed": len(column.failed),
-        "without_value": len(column.without_value),
-        "infinite": len(column.infinite),
-        "mean": float(values.mean()) if count else None,
-        "mean_interval": mean_interval(values, *drawn),
-        "is_rough": is_rough(values, drawn[0]),
-        "deviation": float(values.std(ddof=1)) if count > 1 else None,
-        "deviation_interval": deviation_interval(values, *drawn),
-        "minimum": float(ordered[0]) if count else None,
-        "maximum": float(ordered[-1]) if count else None,
-        "quantiles": quantiles,
-        "basis": of_design.basis,
-        "texts": column.texts,
-    }
+    """Return what is said of each metric: figures of the members that have a finite value."""
+    found = {}
+    for name, column in drawn_members(columns, layout).metrics.items():
+        values = column.values
+        has_any = len(values) > 0
+        drawn = (layout.units_of(column.numbers), layout.variance_factor(column.numbers))
+        ordered = np.sort(values)
+        quantiles = []
+        for probability in PROBABILITIES if has_any else ():
+            value = float(np.quantile(ordered, probability))
+            known = effective_count((values <= value).astype(np.float64), *drawn)
+            interval = quantile_interval(ordered, probability, math.floor(known + 1e-9))
+            quantiles.append({"probability": probability, "value": value, "interval": interval})
+        found[name] = {
+            "count": len(values),
+            "failed": len(column.failed),
+            "without_value": len(column.without_value),
+            "infinite": len(column.infinite),
+            "mean": float(values.mean()) if has_any else None,
+            "mean_interval": mean_interval(values, *drawn),
+            "is_rough": is_rough(values, drawn[0]),
+            "deviation": float(values.std(ddof=1)) if len(values) > 1 else None,
+            "deviation_interval": deviation_interval(values, *drawn),
+            "minimum": float(ordered[0]) if has_any else None,
+            "maximum": float(ordered[-1]) if has_any else None,
+            "quantiles": quantiles,
+            "basis": layout.basis,
+            "texts": column.texts,
+        }
+    return found
 
 
 def statistics_by(columns: MemberColumns, layout: StudyLayout, key: str) -> list[Figures]:
@@ -225,24 +218,24 @@ def statistics_by(columns: MemberColumns, layout: StudyLayout, key: str) -> list
     if key not in columns.parameters:
         raise UsageError(f"the study does not vary {key!r}; {nearest(key, columns.parameters)}")
     values = columns.parameters[key].tolist()
-    rows: dict[str, list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for row, value in enumerate(values):
-        rows.setdefault(repr(value), []).append(row)
-    if len(rows) > 200:
-        raise UsageError(f"{key!r}: expected at most 200 values, as of a grid key, got {len(rows)}")
-    groups = list(rows.values())
-    if all(isinstance(values[own[0]], int | float) for own in groups):
-        groups.sort(key=lambda own: values[own[0]])
+        groups.setdefault(repr(value), []).append(row)
+    if len(groups) > 200:
+        wanted = "expected at most 200 values, as of a grid key"
+        raise UsageError(f"{key!r}: {wanted}, got {len(groups)}")
+    rows = list(groups.values())
+    if numbers_of(columns.parameters[key]) is not None:
+        rows.sort(key=lambda own: values[own[0]])
     found = []
-    for own in groups:
+    for own in rows:
         part = columns.only(np.array(own))
         head = {"value": values[own[0]], "members": len(own), "failed": int(part.failed.sum())}
         found.append({**head, "statistics": study_statistics(part, layout)})
     return found
 
 
-@dataclass(frozen=True)
-class RunningMean:
+class RunningMean(NamedTuple):
     """The mean of the first members, and the half-width of its interval (NaN: of one unit)."""
 
     counts: NumberColumn
@@ -250,79 +243,80 @@ class RunningMean:
     half_widths: Vector
 
 
-def running_mean(column: MetricColumn, of_design: Independence) -> RunningMean:
+def running_mean(column: MetricColumn, layout: StudyLayout) -> RunningMean:
     """Return the mean over the members, unit by unit; UsageError if they were chosen."""
-    if not of_design.is_drawn:
+    if not layout.is_drawn:
         raise UsageError(
             f"the mean of {column.name!r} does not converge: the members of this study were "
             "chosen, not drawn; use samples or seeds"
         )
-    units = of_design.units_of(column.numbers)
+    units = layout.units_of(column.numbers)
     _, index = np.unique(column.numbers if units is None else units, return_inverse=True)
     sizes = np.bincount(index)
     values = np.bincount(index, weights=column.values) / sizes
     number = np.arange(1.0, len(values) + 1.0)
-    shifted = values - values[:1].sum()  # sums of squares about a value do not cancel
+    first = values[:1].sum()
+    shifted = values - first  # sums of squares about a value do not cancel
     mean = np.cumsum(shifted) / number
     squares = np.cumsum(shifted**2) - number * mean**2
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.maximum(squares, 0.0) / (number - 1.0)
         half_widths = stdtrit(number - 1.0, _UPPER) * np.sqrt(variance / number)
-        if of_design.layout.kind == "latin-hypercube":
+        if layout.kind == "latin-hypercube":
             half_widths = half_widths * np.sqrt(number / (number - 1.0))
-    return RunningMean(np.cumsum(sizes), mean + values[:1].sum(), half_widths)
+    return RunningMean(np.cumsum(sizes), mean + first, half_widths)
 
 
 def passed_share(columns: MemberColumns, layout: StudyLayout, condition: str) -> Figures:
     """Return how many members pass ``METRIC < NUMBER``, several of them joined by ``and``.
 
-    Members that failed or have no value do not pass.
+    A metric that is a text is compared by ``METRIC == TEXT``. Members that failed or have no value
+    do not pass.
     """
     drawn = drawn_members(columns, layout)
-    passed = ~drawn.failed
-    has_value = ~drawn.failed
+    passed = has_value = ~drawn.failed
     for part in re.split(r"\s+and\s+", condition):
-        metric, compare, value = _comparison(drawn, part, condition)
-        has_value &= drawn.has_value(metric)
-        passed &= has_value & np.asarray(compare(drawn.raw_metrics[metric], value), np.bool_)
-    count = len(passed)
-    of_design = independence_of(layout)
-    drawn_alike = (of_design.units_of(drawn.numbers), of_design.variance_factor(drawn.numbers))
-    known = effective_count(passed.astype(np.float64), *drawn_alike)
+        metric, compare, value = _comparison(drawn, part)
+        has_value = has_value & drawn.has_value(metric)
+        passed = passed & np.asarray(compare(drawn.raw_metrics[metric], value), np.bool_)
+    passed = passed & has_value
+    count, of = int(passed.sum()), len(passed)
+    together = (layout.units_of(drawn.numbers), layout.variance_factor(drawn.numbers))
+    known = effective_count(passed.astype(np.float64), *together)
     return {
         "condition": condition,
-        "passed": int(passed.sum()),
-        "of": count,
+        "passed": count,
+        "of": of,
         "failed": int(drawn.failed.sum()),
         "without_value": int((~has_value & ~drawn.failed).sum()),
-        "share": float(passed.sum() / count) if count else None,
-        "interval": proportion_interval(int(passed.sum()), count, known),
-        "basis": of_design.basis,
+        "share": count / of if of else None,
+        "interval": proportion_interval(count, of, known),
+        "basis": layout.basis,
         "first_not_passed": drawn.numbers[~passed][:_LISTED].tolist(),
     }
 
 
-def _comparison(columns: MemberColumns, part: str, condition: str) -> tuple[str, Any, float | str]:
+def _comparison(columns: MemberColumns, text: str) -> tuple[str, Any, float | str]:
     """Read ``METRIC < NUMBER``, or ``METRIC == TEXT`` of a metric that is a text."""
-    found = re.fullmatch(r"\s*(.+?)\s*(<=|>=|==|!=|<|>)\s*(.+?)\s*", part)
-    if found is None:
-        known = " ".join(_COMPARISONS)
-        raise UsageError(
-            f"condition {quoted(condition)}: expected METRIC COMPARISON VALUE (comparisons: "
-            f"{known}), such as 'rms < 0.1'; got {quoted(part)}"
-        )
-    metric, comparison, text = found.groups()
-    columns.check_metric(metric)
-    if columns.raw_metrics[metric].dtype != object:
-        with suppress(ValueError):
-            if not math.isnan(float(text)):
-                return metric, _COMPARISONS[comparison], float(text)
-    elif comparison in ("==", "!="):
-        return metric, _COMPARISONS[comparison], text.strip("'\"")
+    found = re.fullmatch(r"\s*(.+?)\s*(<=|>=|==|!=|<|>)\s*(.+?)\s*", text)
+    if found is not None:
+        metric, comparison, value = found.groups()
+        columns.check_metric(metric)
+        if columns.raw_metrics[metric].dtype != object:
+            with suppress(ValueError):
+                if not math.isnan(float(value)):
+                    return metric, _COMPARISONS[comparison], float(value)
+        elif comparison in ("==", "!="):
+            return metric, _COMPARISONS[comparison], value.strip("'\"")
     raise UsageError(
-        f"metric {metric!r}: expected a number, or == or != and a text for a metric that is a "
-        f"text; got {comparison} {quoted(text)}"
+        f"condition: expected METRIC COMPARISON NUMBER (comparisons: {' '.join(_COMPARISONS)}), "
+        f"such as 'rms < 0.1', or METRIC == TEXT of a metric that is a text; got {quoted(text)}"
     )
+
+
+def is_constant(values: Vector) -> bool:
+    """Return whether all values are one, but for rounding."""
+    return not len(values) or float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max())
 
 
 class _Ranks:
@@ -375,57 +369,51 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[Figur
     ``LEAST_MEMBERS``; ``is_distinct``: not by chance, at the 5 % level.
     """
     drawn = drawn_members(columns, layout)
-    of_design = independence_of(layout)
     every = {key: numbers_of(raw) for key, raw in drawn.parameters.items()}
     parameters = {key: numbers for key, numbers in every.items() if numbers is not None}
+    metrics = {name: drawn.numeric(name) for name, one in drawn.metrics.items() if not one.texts}
+    numbers = {**parameters, **metrics}
 
     @lru_cache(maxsize=len(parameters) + 2)  # most metrics have all members
-    def ranks(name: str, known: bytes, *, is_metric: bool) -> _Ranks:
-        values = drawn.numeric(name) if is_metric else parameters[name]
-        return _Ranks(values[np.frombuffer(known, np.bool_)])
+    def ranks(name: str, known: bytes) -> _Ranks:
+        return _Ranks(numbers[name][np.frombuffer(known, np.bool_)])
 
     found = []
-    for metric, column in drawn.metrics.items():
-        if column.texts:
-            continue
-        of_metric = drawn.numeric(metric)
-        for key, numbers in parameters.items():
-            known = np.isfinite(of_metric) & ~np.isnan(numbers)
-            members = drawn.numbers[known]
-            mask = known.tobytes()
-            pair = (ranks(metric, mask, is_metric=True), ranks(key, mask, is_metric=False))
-            value, interval, is_distinct = _correlation(*pair, members, of_design)
-            pair_of = {"metric": metric, "parameter": key, "value": value, "interval": interval}
-            found.append({**pair_of, "count": len(members), "is_distinct": is_distinct})
+    for metric, of_metric in metrics.items():
+        for key, of_key in parameters.items():
+            known = np.isfinite(of_metric) & ~np.isnan(of_key)
+            mask, members = known.tobytes(), drawn.numbers[known]
+            correlation = _correlation(ranks(metric, mask), ranks(key, mask), members, layout)
+            found.append({"metric": metric, "parameter": key, **correlation})
     return found
 
 
 def _correlation(
-    first: _Ranks, other: _Ranks, members: NumberColumn, of_design: Independence
-) -> tuple[float | None, ConfidenceInterval, bool]:
+    first: _Ranks, other: _Ranks, members: NumberColumn, layout: StudyLayout
+) -> Figures:
     """Return a correlation, its interval, and whether it is distinct."""
-    value = first.correlation(other)
-    if value is None or len(members) < LEAST_MEMBERS:
-        return None, NO_INTERVAL, False
-    if not of_design.is_drawn:
-        return value, NO_INTERVAL, True
-    units = of_design.units_of(members)
-    if units is not None:
-        independent = len(np.unique(units))
-        if independent < 5:  # of fewer, chance alone makes all of one sign
-            return value, NO_INTERVAL, False
+    value = first.correlation(other) if len(members) >= LEAST_MEMBERS else None
+    units = layout.units_of(members)
+    independent = len(members if units is None else np.unique(units))
+    interval, is_distinct = NO_INTERVAL, False
+    if value is None:
+        pass
+    elif not layout.is_drawn or (units is None and abs(value) >= 1.0):
+        is_distinct = True
+    elif units is None:
+        of_normal = math.sqrt((1.0 + 0.5 * value**2) / (independent - 3.0))
+        deviation = max(of_normal, first.deviation(other, value) / (1.0 - value**2))
+        half_width = _NORMAL_QUANTILE * deviation
+        middle = math.atanh(value)
+        lower, upper = math.tanh(middle - half_width), math.tanh(middle + half_width)
+        interval, is_distinct = ConfidenceInterval(lower, upper), not lower <= 0.0 <= upper
+    elif independent >= 5:  # of fewer, chance alone makes all of one sign
         largest = student_quantile(independent) * first.deviation(other, value, units)
-        if of_design.layout.kind not in ("grid", "cases"):  # whose parameters were not drawn
+        if layout.kind not in ("grid", "cases"):  # whose parameters were not drawn
             largest = max(largest, _NORMAL_QUANTILE / math.sqrt(independent - 1))
-        return value, NO_INTERVAL, abs(value) > largest
-    if abs(value) >= 1.0:
-        return value, NO_INTERVAL, True
-    of_normal = math.sqrt((1.0 + 0.5 * value**2) / (len(members) - 3.0))
-    deviation = max(of_normal, first.deviation(other, value) / (1.0 - value**2))
-    half_width = _NORMAL_QUANTILE * deviation
-    middle = math.atanh(value)
-    lower, upper = math.tanh(middle - half_width), math.tanh(middle + half_width)
-    return value, ConfidenceInterval(lower, upper), not lower <= 0.0 <= upper
+        is_distinct = abs(value) > largest
+    count = len(members)
+    return {"value": value, "interval": interval, "count": count, "is_distinct": is_distinct}
 
 
 def strongest(correlations: Sequence[Figures], metric: str) -> list[Figures]:
@@ -469,12 +457,12 @@ def grouped(pairs: Iterable[tuple[int, str]]) -> list[Figures]:
     """Group members by texts that differ in numbers only; the text is that of the first."""
     members: dict[str, tuple[str, dict[int, None]]] = {}
     for number, text in pairs:
-        _, own = members.setdefault(_without_numbers(text), (text, {}))
-        own[number] = None
-    groups = []
-    for text, own in sorted(members.values(), key=lambda group: -len(group[1])):
-        groups.append({"reason": text, "count": len(own), "first_members": [*own][:_LISTED]})
-    return groups
+        without_numbers = _NUMBER.sub("#", text)
+        members.setdefault(without_numbers, (text, {}))[1][number] = None
+    return [
+        {"reason": text, "count": len(own), "first_members": [*own][:_LISTED]}
+        for text, own in sorted(members.values(), key=lambda group: -len(group[1]))
+    ]
 
 
 def warning_lines(groups: Sequence[Figures], count: int) -> list[str]:
@@ -487,8 +475,3 @@ def warning_lines(groups: Sequence[Figures], count: int) -> list[str]:
     if len(groups) > 10:
         lines.append(f"{len(groups) - 10} more warnings; see the column 'warnings'")
     return lines
-
-
-@lru_cache(maxsize=1000)
-def _without_numbers(text: str) -> str:
-    return re.sub(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", "#", text)

@@ -33,22 +33,17 @@ class MadeStudy:
         table = self._table if members is None else self._table.take(list(members))
         return table if columns is None else table.select(list(columns))
 
-    def row(self, number):
-        return self._table.slice(number, 1).to_pylist()[0]
 
-
-def columns_of(metrics, *, parameters=None, failed=(), numbers=None):
-    """Return the columns of members with the metrics given: arrays, or texts and None."""
+def columns_of(metrics, *, parameters=None, failed=()):
+    """Return the columns of members with the metrics given: numbers, or texts and None."""
     arrays = {}
     for name, values in metrics.items():
         is_text = any(isinstance(value, str) for value in values)
         arrays[name] = np.array(values, object if is_text else np.float64)
-    count = len(next(iter(arrays.values())))
-    members = np.arange(count) if numbers is None else np.array(numbers)
-    lost = np.isin(members, list(failed))
-    reasons = np.array(["crashed" if one else "" for one in lost], object)
+    numbers = np.arange(len(next(iter(arrays.values()))))
+    none = np.full(len(numbers), "", object)
     varied = {key: np.array(values) for key, values in (parameters or {}).items()}
-    return MemberColumns(members, lost, reasons, varied, arrays, np.full(count, "", object))
+    return MemberColumns(numbers, np.isin(numbers, list(failed)), none, varied, arrays, none)
 
 
 def command_of(number):
@@ -56,50 +51,41 @@ def command_of(number):
 
 
 def tolerances(count=200):
-    """Return a random study in which some members failed, and some have no value."""
+    """Return a random study in which members 3, 17 and 40 failed, and some have no value."""
     rng = np.random.default_rng(1)
+    numbers = np.arange(count)
+    failed = np.isin(numbers, [3, 17, 40])
     rate = np.exp(rng.uniform(np.log(10.0), np.log(1e4), count))
     mass = rng.normal(2.0, 0.1, count)
     rms = 0.05 + 3.0 / rate + 0.02 * rng.normal(size=count) ** 2
     settling = 0.4 * mass + 0.02 * rng.normal(size=count)
-    status = np.full(count, "complete", object)
     reason = np.full(count, "", object)
-    status[[3, 17, 40]] = "failed"
-    reason[3] = "RunawayError: the values of loop 1 grow without end at t = 0.25 s"
-    reason[17] = "RunawayError: the values of loop 1 grow without end at t = 1.5 s"
-    reason[40] = "crashed: signal 11 (SIGSEGV)"
-    reason[60] = "ended at 3 s by the action 'stop when settled'"
-    numbers = {"rms": rms, "settling": settling}
-    for name, values in numbers.items():
-        empty = status == "failed"
-        if name == "settling":
-            empty = empty | (np.arange(count) % 50 == 5)
-        numbers[name] = pyarrow.array(values, mask=empty)
-    verdict = pyarrow.array(np.where(rms < 0.1, "identifiable", "weak"), mask=status == "failed")
+    reason[[3, 17, 40, 60]] = (
+        "RunawayError: the values of loop 1 grow without end at t = 0.25 s",
+        "RunawayError: the values of loop 1 grow without end at t = 1.5 s",
+        "crashed: signal 11 (SIGSEGV)",
+        "ended at 3 s by the action 'stop when settled'",
+    )
     columns = {
         "observer.filter_rate": rate,
         "plant.mass": mass,
-        **numbers,
-        "verdict": verdict,
-        "status": pyarrow.array(status, "string"),
+        "rms": pyarrow.array(rms, mask=failed),
+        "settling": pyarrow.array(settling, mask=failed | (numbers % 50 == 5)),
+        "verdict": pyarrow.array(np.where(rms < 0.1, "identifiable", "weak"), mask=failed),
+        "status": pyarrow.array(np.where(failed, "failed", "complete")),
         "reason": pyarrow.array(reason, "string"),
     }
     parameters = ("observer.filter_rate", "plant.mass")
-    study = MadeStudy(
-        columns,
-        parameters,
-        ("rms", "settling", "verdict"),
-        planned=count + 10,
-        units={"settling": "s", "plant.mass": "kg", "observer.filter_rate": "rad/s"},
-    )
+    units = {"settling": "s", "plant.mass": "kg", "observer.filter_rate": "rad/s"}
+    metrics = ("rms", "settling", "verdict")
+    study = MadeStudy(columns, parameters, metrics, planned=count + 10, units=units)
     layout = StudyLayout("random", samples=count + 10, parameters=parameters)
     return study, results_of_study(study, layout)
 
 
 def saltelli():
     """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 failed, and its layout."""
-    rng = np.random.default_rng(0)
-    points = stats.qmc.Sobol(4, rng=rng).random(256)
+    points = stats.qmc.Sobol(4, rng=np.random.default_rng(0)).random(256)
     of_a, of_b = points[:, :2], points[:, 2:]
     mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
     rows = np.concatenate([of_a, of_b, *mixed])
