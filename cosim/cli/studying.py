@@ -302,8 +302,7 @@ def _dry_run(file: Any, workers: int | None, place: str | None, *, as_json: bool
         plan = plan_study(file)
         for text in plan.notices:
             print_notice(text)
-        if place is not None:
-            check_place(plan, place)
+        check_place(plan, place)
         estimate = estimate_study(plan, worker_count(workers))
     print_estimate(file.name, estimate, as_json=as_json)
 

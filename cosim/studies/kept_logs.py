@@ -76,7 +76,7 @@ def keep_logs(
         ):
             members = map(plan.design.member, numbers)
             for member, outcome in executor.run(members, partial(log_member, folder)):
-                reason = _keep(dataset, folder, outcome)
+                reason = _keep(dataset, folder, outcome, status)
                 if reason:
                     without.append(f"{member.number} ({reason})")
                 for name, was, now in different(dataset, rows[member.number], member, outcome):
@@ -89,7 +89,7 @@ def keep_logs(
                 if progress is not None:
                     progress(done, len(chosen), len(without))
     if without:
-        notice(f"no log of failed members: {listing(without, 3)}")
+        notice(f"no log of members that failed: {listing(without, 3)}")
 
 
 def log_member(folder: Path, subject: StudySubject, member: StudyMember) -> MemberOutcome:
@@ -97,8 +97,11 @@ def log_member(folder: Path, subject: StudySubject, member: StudyMember) -> Memb
     return run_member(subject, member, folder / f"{member.number}.mcap")
 
 
-def _keep(dataset: StudyDataset, folder: Path, outcome: MemberOutcome) -> str:
-    """Put a log to the others, or what is intact in it; return why there is none."""
+def _keep(dataset: StudyDataset, folder: Path, outcome: MemberOutcome, recorded: str) -> str:
+    """Put a log to the others, or what is intact in it; return why there is none.
+
+    One that failed before, and has no log, is not tried again.
+    """
     log = folder / f"{outcome.number}.mcap"
     if outcome.status == FAILED:
         try:
@@ -109,7 +112,8 @@ def _keep(dataset: StudyDataset, folder: Path, outcome: MemberOutcome) -> str:
                 recover(log, recovered, force=True)
             except LogError:
                 reason = f"{outcome.reason}, before a row of its log was written"
-                dataset.storage.write(f"{LOGS}/{outcome.number}.txt", f"{reason}\n".encode())
+                if recorded == FAILED:
+                    dataset.storage.write(f"{LOGS}/{outcome.number}.txt", f"{reason}\n".encode())
                 return reason
             log = recovered
     dataset.storage.write(f"{LOGS}/{outcome.number}.mcap", log)

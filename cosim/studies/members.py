@@ -20,7 +20,7 @@ from cosim.core.recorded.signals import DistinctWarnings, RunMessage, warning_te
 from cosim.core.recorders import EndOfRun, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Recorder
 from cosim.digests import FileDigests, digest_of
-from cosim.errors import ChangedFileError, Interrupted, UsageError
+from cosim.errors import ChangedFileError, Interrupted, LogWriteError, UsageError
 from cosim.files import file_type
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log.editing.joining import open_joined
@@ -74,6 +74,8 @@ def run_member(
         If no member of the study can be run.
     ChangedFileError
         If a file is not the one that the study began with.
+    LogWriteError
+        If the log cannot be written, as on a full disk.
     """
     return opened(subject).run(member, out)
 
@@ -136,7 +138,7 @@ class OpenedSubject:
             reason = measured.end.reason
             if sink is None:
                 values |= self._recorder.values()
-        except (Interrupted, ChangedFileError):
+        except (Interrupted, ChangedFileError, LogWriteError):
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
             self._check_all(member)  # a file that was changed may be the cause

@@ -26,7 +26,7 @@ if sys.platform != "win32":
 _LOCK: Final = "_lock"
 _TEMPORARY: Final = ".cosim-tmp"
 _PERIOD: Final = 10.0  # [s] between two writes of a file to which nothing can be appended
-_RESUME: Final = "; all outcomes so far are saved: fix this and run the study again to continue"
+_RESUME: Final = "; what was recorded before is there: fix this and run the study again to continue"
 
 
 def library(name: str, what: str = "studies need", extra: str = "study") -> Any:
@@ -70,7 +70,7 @@ class Storage:
         if text.startswith(("file://", "local://")):
             url = urlsplit(text)
             text = unquote(url.netloc + url.path)
-        self._folder = None if "://" in text else path_argument("place", text)
+        self._folder = None if "://" in text else path_argument("out", text)
         self._lock = -1
         self._later: dict[str, bytes] = {}  # files behind a URL that lines are appended to
         self._due = monotonic() + _PERIOD

@@ -189,10 +189,11 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
     return StudyDataset.open_or_create(place, identity, planned=plan.design.column, new=new)
 
 
-def check_place(plan: StudyPlan, place: str | Path) -> None:
-    """Check that a study goes on in the dataset that is there, if there is one; change nothing."""
-    if StudyDataset.is_at(place):
-        StudyDataset.open(place).grown(plan.identity({}), plan.design.column)
+def check_place(plan: StudyPlan, place: str | Path | None) -> None:
+    """Check the columns of a study, and that it goes on in a dataset that is there, if one is."""
+    identity = plan.identity({})
+    if place is not None and StudyDataset.is_at(place):
+        StudyDataset.open(place).grown(identity, plan.design.column)
 
 
 def _timed(plan: StudyPlan, count: int) -> list[MemberOutcome]:

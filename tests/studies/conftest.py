@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from cosim.studies import dataset
 from tests.studies.in_process import run_members_in_this_process, run_members_in_workers
 
 S3_SERVER = """
@@ -34,6 +35,12 @@ def worker_processes() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         run_members_in_workers(patch)
         yield
+
+
+@pytest.fixture
+def parts_of_ten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let parts of datasets have ten members."""
+    monkeypatch.setattr(dataset, "PART_SIZE", 10)
 
 
 @pytest.fixture(scope="session")

@@ -320,7 +320,7 @@ def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, parts_of_ten, mon
     with monkeypatch.context() as patch:
         patch.setattr(storage.os, "write", full)
         with (
-            pytest.raises(DatasetWriteError, match=r"No space left on device; all outcomes so f"),
+            pytest.raises(DatasetWriteError, match=r"No space left on device; what was recorded"),
             opened(tmp_path / "x", COUNT) as dataset,
         ):
             complete(dataset, 1, added.append)

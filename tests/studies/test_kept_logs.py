@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 import cosim
+from cosim.errors import LogError, LogWriteError, RunError
+from cosim.studies import members
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.kept_logs import chosen_members, kept_count, limit_again
@@ -92,6 +94,26 @@ def test_logs_are_those_of_the_rows_and_made_once(run):
     for row in study.table().to_pylist():
         log = cosim.open_log(row["log"])
         assert (log.status, log["u.y"][-1]) == ("complete", row["y"])
+
+
+def test_a_full_disk_ends_a_study_whose_logs_are_written_later(run, monkeypatch):
+    """Also where the log cannot even be begun."""
+    begun = LogError("0.mcap cannot be written: No space left on device")
+    written = LogWriteError("0.mcap cannot be written further: No space left on device")
+
+    def full(error):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(members, "record", lambda *_, **__: full(written))
+        with pytest.raises(RunError, match=r"0.mcap cannot be written further: No space left"):
+            run(keep="worst 1 of y")
+        patch.setattr(members, "record", lambda *_, **__: full(begun))
+        study, notices = run(keep="worst 1 of y")
+    assert study.logs == {}
+    assert any("No space left on device" in text for text in notices)
+    study, _ = run(keep="worst 1 of y")
+    assert set(study.logs) == {2}
 
 
 def test_a_model_that_is_not_deterministic_is_noticed(run, tmp_path, monkeypatch):

@@ -19,6 +19,7 @@ from cosim.digests import sha256_of
 from cosim.errors import ChangedFileError, CosimError, Interrupted, ScenarioError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
+from cosim.scenario.swapping.swap_comparison import compare_swaps
 from cosim.studies import members as module
 from cosim.studies.contracts import COMPLETE, FAILED, StudyMember, StudySubject
 from cosim.studies.members import OpenedSubject, inspect_member, run_member
@@ -325,6 +326,23 @@ def study(tmp_path):
         digests=digests,
     )
     return subject, tmp_path
+
+
+def test_a_swap_is_compared_once_and_without_what_is_varied_beside_it(study, monkeypatch):
+    """What members vary is meant to differ: it is no warning of each of them."""
+    subject, folder = study
+    compared = []
+
+    def compare(scenario, fmus):
+        compared.append(scenario.tree["components"]["plant"])
+        return compare_swaps(scenario, fmus)
+
+    monkeypatch.setattr("cosim.scenario.swapping.swap_comparison.compare_swaps", compare)
+    for number in range(6):
+        swap = {"plant": str(folder / f"{'bc'[number % 2]}.fmu")}
+        outcome = run_member(subject, StudyMember(number, {"plant.start.A": -2.0 - number}, swap))
+        assert outcome.status == COMPLETE
+    assert [table["start"]["A"] for table in compared] == [-1.0, -1.0]
 
 
 @pytest.mark.parametrize("name", ["x.toml", "u.csv", "a.fmu"])
