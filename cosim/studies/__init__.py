@@ -2,18 +2,17 @@
 
 ::
 
-    contracts   what the parts hand to each other: members, their outcomes, what runs them
-    metrics     what is kept of a run: expressions over its signals
-    document    the study as users write it: file, options, variations
-    dataset     outcomes as Parquet, in folders and buckets
-    workers     child processes that run members; a crash affects only its member
-    members     one member after the other in one process
-    design      which members there are, and whether they can be built
-    cluster     members on the workers of dask.distributed
-    analysis    statistics and sensitivity of what members came to
-    running     a whole study: plan, run, keep logs
-    tuning      searches whose trials are members
-    verification  members that run again alone, with the same bits
-    plots       pictures of a study
-    tables      what the command line prints
+    contracts                            members of a study, and what they come to
+    study_file, variations               the study as users write it: file, options, what is varied
+    cases, design, checking, plan        which members there are, and whether they can be built
+    metrics, measuring                   what is kept of a run: expressions over its signals
+    members                              run_member: the one way a member is run
+    worker, workers, cluster             where members run: child processes, workers of dask
+    storage, identity, dataset           outcomes as Parquet, in folders and buckets; whose they are
+    studying, kept_logs, verifying       a whole study, its logs, its members run again
+    study                                a dataset as it is read
+    layout, statistics, sensitivity      what members come to together
+    search, standard_errors, residual    searches whose trials are members, and how sure they are
+    tuning, tuning_result                ``cosim.tune``
+    show, panels, plots                  tables, JSON, pictures
 """

@@ -353,6 +353,7 @@ def _groups(results: StudyResults, parts: ShownParts) -> Shown:
         for group in groups:
             one, value = group["statistics"][name], group["value"]
             head = value if isinstance(value, str) else quoted(value)
+            head = "the scenario's own" if value is None else head
             rows.append((head, str(one["count"]), str(group["failed"] or ""), *_figures(one, 5)))
         yield from _table(results.with_unit(name), heads, rows)
     rough = [name for name in names if any(one["statistics"][name]["is_rough"] for one in groups)]

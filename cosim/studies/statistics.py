@@ -88,7 +88,7 @@ def is_rough(values: Vector, units: Units = None) -> bool:
 
     Of fewer than 10 units, or fewer than 25 times their squared skewness (Cochran, p. 42).
     """
-    sums = _unit_sums(_centered(values), units)
+    sums = _deviations(values, units)
     number = len(sums)
     if number < 2 or not sums.any():
         return False
@@ -161,7 +161,7 @@ def proportion_interval(passed: int, of: int, n: float) -> ConfidenceInterval:
 
 def _mean_variance(values: Vector, units: Units = None) -> tuple[float, int]:
     """Return the estimated variance of a mean, and the number of its independent units."""
-    sums = _unit_sums(_centered(values), units)
+    sums = _deviations(values, units)
     number = len(sums)
     if number < 2:
         return math.nan, number
@@ -169,7 +169,19 @@ def _mean_variance(values: Vector, units: Units = None) -> tuple[float, int]:
 
 
 def _centered(values: Vector) -> Vector:
-    return values - values.mean() if len(values) else values
+    """Return what values are above their mean; equal ones not by its rounding."""
+    has_spread = len(values) and np.ptp(values) > 0.0
+    return values - values.mean() if has_spread else np.zeros(len(values))
+
+
+def _deviations(values: Vector, units: Units) -> Vector:
+    """Return what units are above their share of the sum; zeros where that is rounding."""
+    sums = _unit_sums(_centered(values), units)
+    if units is not None and len(sums):
+        rounding = 1e-15 * len(values) * float(np.abs(values).max())
+        if np.abs(sums).max() <= rounding:
+            return np.zeros(len(sums))
+    return sums
 
 
 def _unit_sums(values: Vector, units: Units) -> Vector:
@@ -178,6 +190,10 @@ def _unit_sums(values: Vector, units: Units) -> Vector:
         return values
     _, index = np.unique(units, return_inverse=True)
     return np.bincount(index, weights=values).astype(np.float64)
+
+
+def _deviation(values: Vector) -> float:
+    return float(values.std(ddof=1)) if np.ptp(values) > 0.0 else 0.0
 
 
 def study_statistics(columns: MemberColumns, layout: StudyLayout) -> dict[str, Figures]:
@@ -202,7 +218,7 @@ def study_statistics(columns: MemberColumns, layout: StudyLayout) -> dict[str, F
             "mean": float(values.mean()) if has_any else None,
             "mean_interval": mean_interval(values, *drawn),
             "is_rough": is_rough(values, drawn[0]),
-            "deviation": float(values.std(ddof=1)) if len(values) > 1 else None,
+            "deviation": _deviation(values) if len(values) > 1 else None,
             "deviation_interval": deviation_interval(values, *drawn),
             "minimum": float(ordered[0]) if has_any else None,
             "maximum": float(ordered[-1]) if has_any else None,
@@ -217,7 +233,8 @@ def statistics_by(columns: MemberColumns, layout: StudyLayout, key: str) -> list
     """Return the statistics for each value of a key; UsageError if not varied, or too many."""
     if key not in columns.parameters:
         raise UsageError(f"the study does not vary {key!r}; {nearest(key, columns.parameters)}")
-    values = columns.parameters[key].tolist()
+    raw = columns.parameters[key].tolist()
+    values = [None if value != value else value for value in raw]  # an empty cell of a case
     groups: dict[str, list[int]] = {}
     for row, value in enumerate(values):
         groups.setdefault(repr(value), []).append(row)
@@ -226,7 +243,7 @@ def statistics_by(columns: MemberColumns, layout: StudyLayout, key: str) -> list
         raise UsageError(f"{key!r}: {wanted}, got {len(groups)}")
     rows = list(groups.values())
     if numbers_of(columns.parameters[key]) is not None:
-        rows.sort(key=lambda own: values[own[0]])
+        rows.sort(key=lambda own: (values[own[0]] is None, values[own[0]] or 0.0))
     found = []
     for own in rows:
         part = columns.only(np.array(own))
@@ -253,18 +270,19 @@ def running_mean(column: MetricColumn, layout: StudyLayout) -> RunningMean:
     units = layout.units_of(column.numbers)
     _, index = np.unique(column.numbers if units is None else units, return_inverse=True)
     sizes = np.bincount(index)
-    values = np.bincount(index, weights=column.values) / sizes
-    number = np.arange(1.0, len(values) + 1.0)
-    first = values[:1].sum()
-    shifted = values - first  # sums of squares about a value do not cancel
-    mean = np.cumsum(shifted) / number
-    squares = np.cumsum(shifted**2) - number * mean**2
+    first = column.values[:1].sum()  # sums of squares about a value do not cancel
+    sums = np.bincount(index, weights=column.values - first)
+    number = np.arange(1.0, len(sums) + 1.0)
+    counts = np.cumsum(sizes)
+    mean = np.cumsum(sums) / counts
+    squares = np.cumsum(sums**2) - mean * np.cumsum(sums * sizes) * 2.0
+    squares += mean**2 * np.cumsum(sizes**2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        variance = np.maximum(squares, 0.0) / (number - 1.0)
-        half_widths = stdtrit(number - 1.0, _UPPER) * np.sqrt(variance / number)
+        variance = np.maximum(squares, 0.0) * number / (number - 1.0) / counts**2
+        half_widths = stdtrit(number - 1.0, _UPPER) * np.sqrt(variance)
         if layout.kind == "latin-hypercube":
             half_widths = half_widths * np.sqrt(number / (number - 1.0))
-    return RunningMean(np.cumsum(sizes), mean + first, half_widths)
+    return RunningMean(counts, mean + first, half_widths)
 
 
 def passed_share(columns: MemberColumns, layout: StudyLayout, condition: str) -> Figures:

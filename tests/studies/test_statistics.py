@@ -25,6 +25,7 @@ from cosim.studies.statistics import (
     quantile_interval,
     rank_correlations,
     running_mean,
+    statistics_by,
     strongest,
     study_statistics,
     warning_lines,
@@ -337,6 +338,46 @@ def test_the_running_mean_is_that_of_the_first_members():
     assert (counts.tolist(), means.tolist()) == ([2, 4], [2.0, 4.0])
     with pytest.raises(UsageError, match=r"'a'.*chosen, not drawn"):
         running_mean(column, StudyLayout("grid", grid=4))
+
+
+def test_the_running_mean_ends_at_the_mean_of_all_members():
+    """With its interval, also where units have other numbers of members, as some have no value."""
+    rng = np.random.default_rng(5)
+    values = np.repeat(rng.normal(size=40), 4) + rng.normal(size=160)
+    values[rng.integers(160, size=30)] = np.nan
+    columns, layout = columns_of({"a": values}), StudyLayout("random", seeds=4, samples=40)
+    found = running_mean(columns.metric("a"), layout)
+    (all_of_it,) = study_statistics(columns, layout).values()
+    assert found.counts[-1] == all_of_it["count"]
+    ends = (found.means[-1] - found.half_widths[-1], found.means[-1] + found.half_widths[-1])
+    assert (found.means[-1], *ends) == pytest.approx(
+        (all_of_it["mean"], *all_of_it["mean_interval"]), rel=1e-12
+    )
+
+
+def test_rounding_is_no_spread():
+    """Of equal values, and of units that have the same sum: a metric that seeds do not change."""
+    found = statistics_of(np.full(6, 0.1))
+    assert (found["deviation"], found["mean_interval"][0]) == (0.0, found["mean_interval"][1])
+    assert found["deviation_interval"] == NO_INTERVAL
+    cases = np.random.default_rng(6).normal(size=5)
+    layout = StudyLayout("cases", seeds=8, samples=5)
+    values = cases.repeat(8)
+    found = statistics_of(values, layout)
+    assert np.ptp(found["mean_interval"]) == 0.0
+    columns = columns_of({"a": values})
+    ends = [
+        passed_share(columns, layout, f"a < {one}")["interval"].lower
+        for one in np.sort(cases) + 1e-9
+    ]
+    assert ends == sorted(ends)  # the more pass, the higher
+
+
+def test_members_with_the_own_value_are_a_group():
+    """An empty cell of a case comes last."""
+    columns = columns_of({"a": [1.0, 2.0, 3.0, 4.0]}, parameters={"k": [3.0, np.nan, 1.0, np.nan]})
+    groups = statistics_by(columns, StudyLayout("cases", samples=4), "k")
+    assert [(one["value"], one["members"]) for one in groups] == [(1.0, 1), (3.0, 1), (None, 2)]
 
 
 def test_the_extremes_are_the_largest_or_smallest_values():
