@@ -150,8 +150,9 @@ def tune(
     expression = minimize if maximize is None else maximize
     if (minimize is not None and maximize is not None) or not isinstance(expression, str):
         names = f"{option('minimize')} and {option('maximize')}"
-        found = f"got {quoted(minimize)} and {quoted(maximize)}"
-        raise UsageError(f"{names}: expected a metric for one of them, {found}")
+        given = [quoted(one) for one in (minimize, maximize) if one is not None]
+        found = " and ".join(given) or "neither"
+        raise UsageError(f"{names}: expected a metric for one of them, got {found}")
     keys = tuple(_read_key(key, each) for key, each in mapping_argument("vary", vary).items())
     search = Search(
         OBJECTIVE,
