@@ -172,18 +172,18 @@ class _DesignCheck:
         """Return what is wrong with a member, by the keys without which it is not."""
         problem = self._problem(member, level)
         swaps = {f"{SWAP}{name}": path for name, path in member.swap.items()}
-        values = {**member.set, **swaps, RECORDING: member.recording}
+        values = {**member.set, **swaps}
         blamed = []
-        for key, value in values.items():
-            others = member_of(member.number, {k: v for k, v in values.items() if k != key})
-            rest = self._problem(others, level).splitlines()
+        for key, value in values.items():  # without its log it would run what the log has in it
+            others = {k: v for k, v in values.items() if k != key} | {RECORDING: member.recording}
+            rest = self._problem(member_of(member.number, others), level).splitlines()
             lines = [without_key(line, key) for line in problem.splitlines() if line not in rest]
             if lines:
                 text = "\n".join(lines)
-                is_path = key == RECORDING and text.startswith(value)
-                own = "" if is_path else f"{key} = {quoted(value)}: "
-                blamed.append(f"{self._place(key, member.number)}{own}{text}")
-        return blamed or [problem]
+                place = self._place(key, member.number)
+                blamed.append(f"{place}{key} = {quoted(value)}: {text}")
+        is_of_log = member.recording is not None and problem.startswith(member.recording)
+        return blamed or [f"{self._place(RECORDING, member.number) if is_of_log else ''}{problem}"]
 
     def _place(self, key: str, number: int) -> str:
         """Return where a value stands in the table of cases, before a message; empty: nowhere."""

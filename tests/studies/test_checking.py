@@ -12,6 +12,7 @@ from cosim.studies.checking import check_design, is_own_code
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design
 from cosim.studies.members import MemberSources
+from cosim.studies.members import OpenedSubject
 from cosim.studies.study_file import load_scenario, read_study
 from cosim.studies.workers import LocalExecutor
 
@@ -181,11 +182,20 @@ def logs(tmp_path_factory):
     ],
 )
 def test_values_that_a_replay_refuses_are_refused(logs, monkeypatch, vary, replay, message):
-    """Before any of them runs; others are not."""
+    """Before any of them runs; others are not. What a log has in it is never run for that."""
     monkeypatch.chdir(logs)
+    built = []
+
+    def inspect(opened, member):
+        built.append(member.recording)
+        return inspected(opened, member)
+
+    inspected = OpenedSubject.inspect
+    monkeypatch.setattr(OpenedSubject, "inspect", inspect)
     check(replay="a-*.mcap", vary={RATE: [100.0, 300.0]}, set={"identifier.period": 0.05})
     with pytest.raises(UsageError, match=message):
         check(vary=vary, replay=replay)
+    assert None not in built
 
 
 def test_a_scenario_that_has_changed_since_its_log_is_refused(logs, tmp_path):
