@@ -11,8 +11,7 @@ from cosim.errors import UsageError
 from cosim.studies.checking import check_design, is_own_code
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design
-from cosim.studies.members import MemberSources
-from cosim.studies.members import OpenedSubject
+from cosim.studies.members import MemberSources, OpenedSubject
 from cosim.studies.study_file import load_scenario, read_study
 from cosim.studies.workers import LocalExecutor
 
