@@ -22,7 +22,7 @@ from cosim.live.publisher import Publisher
 from cosim.live.server import LiveServer
 from cosim.log import Log
 from cosim.log.contents.preamble import LOG_TOPIC
-from cosim.scenario.recorded_tables import Lateness
+from cosim.scenario.record import Lateness
 from cosim.scenario.running.real_time import BLOCK, RealTimePace, pace_of
 
 _LONGEST_SLEEP: Final = 0.05  # s, until it is looked whether playback is to end

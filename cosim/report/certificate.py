@@ -12,8 +12,8 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
 from cosim.report.summary import Summary, ValueOutcome, summarize
-from cosim.scenario.recorded_metadata import recorded_certificate
-from cosim.scenario.recorded_tables import CertificateRecord, StepErrorRecord
+from cosim.scenario.record import RecordedCertificate, StepSearch, StepTrial, recorded_certificate
+from cosim.theory.richardson import StepError
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,6 @@ class CouplingShare:
     estimate: str
     error: float
     coupling: float | None
-
-
-@dataclass(frozen=True)
-class StepTrial:
-    """A step that was tried [s], and why it was not taken; empty where it was fine."""
-
-    step: float
-    failure: str
 
 
 @dataclass(frozen=True)
@@ -134,7 +126,8 @@ class StepCertificate(Mapping[str, SignalCertificate]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return asdict(self)
+        trials = [{"step": trial.step, "failure": trial.failure} for trial in self.trials]
+        return {**asdict(self), "trials": trials}
 
 
 def certificate(recording: RecordedRun) -> StepCertificate:
@@ -166,11 +159,7 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
     for channel in declared_channels(recording.channels).values():
         signals += _outputs(channel, record.signals)
     shares = () if record.problem else tuple(_shares(summary.values, record))
-    tolerances: Mapping[str, float] = {}
-    trials: tuple[StepTrial, ...] = ()
-    if record.search is not None:
-        tolerances = record.search.tolerances
-        trials = tuple(StepTrial(trial.step, trial.failure) for trial in record.search.trials)
+    search = record.search or StepSearch()
     return StepCertificate(
         record.step,
         record.finer_steps,
@@ -180,23 +169,22 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
         record.solvers,
         tuple(signals),
         shares,
-        tolerances,
-        trials,
+        search.tolerances,
+        search.trials,
     )
 
 
-def _outputs(
-    channel: Channel, records: Mapping[str, StepErrorRecord]
-) -> Iterator[SignalCertificate]:
+def _outputs(channel: Channel, records: Mapping[str, StepError]) -> Iterator[SignalCertificate]:
     for signal in channel.interface.outputs:
         for element, unit in zip(signal.elements, signal.measures, strict=True):
             label = f"{channel.name}.{element}"
             if label in records:
-                values = {key: getattr(records[label], key) for key in StepErrorRecord.model_fields}
-                yield SignalCertificate(label, unit.name, **values)
+                yield SignalCertificate(label, unit.name, **asdict(records[label]))
 
 
-def _shares(values: tuple[ValueOutcome, ...], record: CertificateRecord) -> Iterator[CouplingShare]:
+def _shares(
+    values: tuple[ValueOutcome, ...], record: RecordedCertificate
+) -> Iterator[CouplingShare]:
     for outcome in values:
         if outcome.value is None or outcome.estimate not in record.signals:
             continue

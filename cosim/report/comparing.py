@@ -30,7 +30,7 @@ from cosim.scenario.document.swap import (
     port_names,
 )
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.record import truth_of
 from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
 

@@ -9,8 +9,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.recording import Recording
 from cosim.errors import LogError
-from cosim.scenario.recorded_metadata import recorded_start
-from cosim.scenario.recorded_tables import CompensationRecord
+from cosim.scenario.record import Compensation, recorded_start
 from cosim.theory.compensation.activation import Activation
 
 LAST_PART = 0.25  # of the time since then, over which the error that is left is averaged
@@ -54,7 +53,7 @@ class CompensationSummary:
 
 
 def summarize_compensation(
-    recording: Recording, name: str, record: CompensationRecord
+    recording: Recording, name: str, record: Compensation
 ) -> CompensationSummary:
     """Summarize what a compensator did, from its recorded rows.
 
@@ -92,7 +91,7 @@ def summarize_compensation(
     )
 
 
-def _regulated_error(recording: Recording, name: str, record: CompensationRecord) -> Matrix:
+def _regulated_error(recording: Recording, name: str, record: Compensation) -> Matrix:
     y = as_columns(recording[f"{name}.y"])
     r = as_columns(recording[f"{name}.r"])
     regulated = list(record.regulated)
@@ -103,7 +102,7 @@ def _regulated_error(recording: Recording, name: str, record: CompensationRecord
     return error
 
 
-def _reason(recording: Recording, name: str, record: CompensationRecord) -> str:
+def _reason(recording: Recording, name: str, record: Compensation) -> str:
     """Return why the internal model stayed out, by the last estimate."""
     if not record.internal_model:
         return "internal_model = false"

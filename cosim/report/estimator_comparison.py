@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,12 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import recorded_identification, truth_of
-from cosim.scenario.recorded_tables import ParameterRecord
+from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.replay import replay
 from cosim.temporary import TemporaryFolder
+from cosim.theory.assessment.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
 ALL = "all"
@@ -54,7 +54,7 @@ class EstimatorResult:
         None: the method has none.
     error : Vector, shape (P,), or None
         theta less the truth; None: there is no [truth].
-    verdicts : tuple of ParameterRecord
+    verdicts : tuple of ParameterVerdict
         What output error says of each theta; empty: nothing is said.
     """
 
@@ -65,7 +65,7 @@ class EstimatorResult:
     theta: Vector | None = None
     standard_error: Vector | None = None
     error: Vector | None = None
-    verdicts: tuple[ParameterRecord, ...] = ()
+    verdicts: tuple[ParameterVerdict, ...] = ()
 
     @property
     def half_width(self) -> Vector:
@@ -126,7 +126,7 @@ class EstimatorComparison:
                     "standard_error": _plain(result.standard_error),
                     "error": _plain(result.error),
                     "time_ratio": result.time_ratio,
-                    "verdicts": [record.model_dump() for record in result.verdicts],
+                    "verdicts": [asdict(verdict) for verdict in result.verdicts],
                     "log": log,
                 }
             )
@@ -263,7 +263,7 @@ def _estimate(
     )
 
 
-def _verdicts(recording: Recording, component: str) -> tuple[ParameterRecord, ...]:
+def _verdicts(recording: Recording, component: str) -> tuple[ParameterVerdict, ...]:
     """Return what was recorded of the identifier's own estimate."""
     record = recorded_identification(recording).get(component)
     return () if record is None else record.estimate

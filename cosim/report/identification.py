@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
+from cosim.documents import plain
 from cosim.report.summary import noise_text
-from cosim.scenario.identification.irregular import IrregularPart, irregular_part
-from cosim.scenario.identification.run_verdicts import plain_amplitudes
+from cosim.scenario.identification.irregular import irregular_part
+from cosim.scenario.identification.run_verdicts import verdicts_of
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
-from cosim.scenario.recorded_tables import IdentificationRecord
+from cosim.scenario.record import IrregularPart
 from cosim.theory.assessment.validation import Validation, ValidationVerdict
 from cosim.theory.bounded.feasible_program import Watch
 
@@ -59,8 +60,7 @@ class IdentificationReport:
     @property
     def noise(self) -> str:
         """What is known of the noise of y."""
-        record = IdentificationRecord.model_validate(self.identification.assessment.to_dict())
-        return noise_text(record)
+        return noise_text(verdicts_of(self.identification.assessment))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -68,7 +68,7 @@ class IdentificationReport:
             "identifier": self.identification.records[0].identifier,
             "offset": self.identification.assessment.problem.offset,
             **self.identification.assessment.to_dict(),
-            "undetected": [error.to_dict() for error in self.identification.undetected],
+            "undetected": [plain(error) for error in self.identification.undetected],
             "logs": self._logs(),
             "contradictions": list(self.identification.contradictions),
         }
@@ -83,14 +83,13 @@ class IdentificationReport:
 
     def _logs(self) -> list[dict[str, Any]]:
         fit = self.identification.assessment.fit
-        amplitudes = plain_amplitudes(self.identification.amplitudes)
         logs = []
         for i, record in enumerate(self.identification.records):
             logs.append(
                 {
                     "log": record.log.label,
                     "samples": record.data.samples,
-                    "amplitudes": amplitudes[i],
+                    "amplitudes": list(map(plain, self.identification.amplitudes[i])),
                     "x0": fit.x0[i].tolist(),
                     "offset": fit.offset[i].tolist(),
                 }

@@ -29,7 +29,7 @@ from cosim.scenario.data_files.field_file import field_data
 from cosim.scenario.document.action_tables import effect_of, signals_of
 from cosim.scenario.document.document import find
 from cosim.scenario.document.schema import ActionTable
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.record import (
     component_table,
     recorded_certificate,
     recorded_loop_gains,

@@ -16,7 +16,7 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
 from cosim.instants import NANOSECONDS
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 from cosim.units import Unit, conversions_between, units_text
 
 _PART_STEPS: Final = 2**17  # of a run that are looked at together

@@ -29,7 +29,7 @@ import itertools
 import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from decimal import Decimal
 from operator import attrgetter
 from typing import Any, TypeAlias
@@ -52,8 +52,9 @@ from cosim.log.contents.environment import environment_changes
 from cosim.log.contents.layout import signals_json
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.scenario.actions.settings import recorded_designs as settings_designs
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.record import (
     EIGENVALUE_FIGURES,
+    IdentifierVerdicts,
     component_metadata,
     component_table,
     recorded_identification,
@@ -61,8 +62,8 @@ from cosim.scenario.recorded_metadata import (
     recorded_warnings,
     run_metadata,
 )
-from cosim.scenario.recorded_tables import IdentificationRecord, ParameterRecord
 from cosim.scenario.recordings.recorded_scenario import recorded_stop
+from cosim.theory.assessment.documents import ParameterVerdict
 
 _ALWAYS_COMPARED = (
     "connections",
@@ -439,7 +440,7 @@ def _elements_of(channels: Mapping[str, Channel]) -> set[tuple[str, str]]:
     return elements
 
 
-def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
+def _parameters(record: IdentifierVerdicts | None) -> list[dict[str, Any]]:
     """Return what a log says of the parameters of an identifier."""
     if record is None:
         return []
@@ -447,7 +448,7 @@ def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
 
 
 def _beside_verdicts(
-    name: str, recorded: IdentificationRecord, expected: IdentificationRecord
+    name: str, recorded: IdentifierVerdicts, expected: IdentifierVerdicts
 ) -> Iterator[_Statement]:
     """Yield amplitudes, errors that pass and intervals that differ, where the log has some."""
     if recorded.amplitudes:
@@ -467,28 +468,28 @@ def _beside_verdicts(
             yield f"guaranteed intervals of {name!r}", computed, replayed
 
 
-def _guaranteed(record: IdentificationRecord) -> list[dict[str, Any]]:
+def _guaranteed(record: IdentifierVerdicts) -> list[dict[str, Any]]:
     """Return what a log says of an irregular part of the disturbance, the problem left out."""
     irregular = record.irregular
     if irregular is None:
         return []
     part = {"bound": irregular.bound, "confidence": irregular.confidence}
-    return [part, *(effect.model_dump() for effect in irregular.effects)]
+    return [part, *map(asdict, irregular.effects)]
 
 
-def _amplitudes(record: IdentificationRecord) -> list[dict[str, Any]]:
+def _amplitudes(record: IdentifierVerdicts) -> list[dict[str, Any]]:
     """Return what a log says of the amplitudes and phases of an identifier."""
     return _plain(itertools.chain.from_iterable(record.amplitudes))
 
 
-def _undetected(record: IdentificationRecord) -> list[dict[str, Any]]:
+def _undetected(record: IdentifierVerdicts) -> list[dict[str, Any]]:
     """Return what a log says of errors that would pass, flat and with the texts left out."""
     return [{"error": own.error, "size": own.size, **own.half_widths} for own in record.undetected]
 
 
-def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:
+def _plain(parameters: Iterable[ParameterVerdict]) -> list[dict[str, Any]]:
     """Return verdicts as plain values, reasons left out."""
-    return [parameter.model_dump(exclude={"reason"}) for parameter in parameters]
+    return [asdict(replace(parameter, reason="")) for parameter in parameters]
 
 
 def _agree(

@@ -6,7 +6,8 @@ Errors against the truth, estimates, start times of identifiers, and what their 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -29,7 +30,14 @@ from cosim.report.recorded_rows import (
 )
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.record import (
+    ComponentRecord,
+    IdentifierVerdicts,
+    IrregularPart,
+    Lateness,
+    Reconstruction,
+    StateChange,
+    WindowChoice,
     component_record,
     connected_sources,
     first_order_loops,
@@ -46,17 +54,10 @@ from cosim.scenario.recorded_metadata import (
     truth_of,
     until_came_true,
 )
-from cosim.scenario.recorded_tables import (
-    ComponentRecord,
-    IdentificationRecord,
-    IrregularRecord,
-    Lateness,
-    ParameterRecord,
-    ReconstructionRecord,
-)
 from cosim.theory.assessment.consistency import NOTHING_ELSE
-from cosim.theory.assessment.verdicts import Verdict
+from cosim.theory.assessment.documents import ParameterVerdict, Verdict
 from cosim.theory.disturbances.excitation import describe_excitation, information
+from cosim.theory.reconstruction.filters import Bias
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
@@ -100,8 +101,8 @@ class DeltaReconstruction:
     parameters: Mapping[str, float]
     lag: float  # s
     noise_gain: tuple[float, ...]  # of the elements of delta, for white noise in each of y
-    bias: Mapping[str, Any]  # the leading error: coefficient times a derivative of a signal
-    choice: Mapping[str, Any] | None = None  # of auto: what it rests on, and what it expects
+    bias: Bias
+    choice: WindowChoice | None = None  # of auto
 
 
 @dataclass(frozen=True)
@@ -112,56 +113,6 @@ class ValueOutcome:
     value: float | None  # None: no value yet
     truth: float
     error: float | None
-
-
-@dataclass(frozen=True, repr=False)
-class ParameterSummary:
-    """What may be said about one estimated parameter.
-
-    Parameters
-    ----------
-    estimate : str
-        Its port; of an amplitude or a phase its name.
-    verdict : str
-        ``IDENTIFIABLE``, ``WEAK``, ``NOT_IDENTIFIABLE``, ``INCONSISTENT`` or ``NO_ESTIMATE``.
-    reason : str
-        Of the verdict, a sentence.
-    value, standard_error, half_width : float or None
-        The estimate, its error and its 95 % interval; None: the data say nothing about it.
-    """
-
-    estimate: str
-    verdict: str
-    reason: str
-    value: float | None
-    standard_error: float | None
-    half_width: float | None
-
-    def __repr__(self) -> str:
-        value = "no value" if self.value is None else f"{self.value:.6g}"
-        width = "" if self.half_width is None else f" ± {self.half_width:.2g}"
-        return f"<{self.estimate}: {value}{width} {self.verdict}>"
-
-
-@dataclass(frozen=True)
-class GuaranteedSummary:
-    """What an irregular part of the disturbance within a bound leaves open of every theta.
-
-    Parameters
-    ----------
-    bound : float
-    problem : str
-        Why that is not known.
-    effects : tuple of mapping
-        Of each theta its estimate, interval and reach to first order, as plain values.
-    confidence : float
-        Probability of the bounds of the noise.
-    """
-
-    bound: float
-    problem: str
-    effects: tuple[Mapping[str, Any], ...]
-    confidence: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,11 +131,11 @@ class Identification:
     verdict : str
         On the regression; empty where the method has none.
     notes : tuple of str
-    parameters : tuple of ParameterSummary
+    parameters : tuple of ParameterVerdict
         The verdict on each element of theta.
-    reference : tuple of ParameterSummary
+    reference : tuple of ParameterVerdict
         The same by output error, where the method is another.
-    amplitudes : tuple of ParameterSummary
+    amplitudes : tuple of ParameterVerdict
         Amplitudes and phases, by output error.
     undetected : tuple of str
         Which errors of the model would pass, and how far they move the estimate.
@@ -192,7 +143,7 @@ class Identification:
         Standard deviation of the noise of each y, from the residual of output error.
     noise : str
         What is known of the noise, or why nothing is.
-    guaranteed : GuaranteedSummary or None
+    guaranteed : IrregularPart or None
         Intervals for a bounded irregular part, where they are asked for.
     """
 
@@ -202,26 +153,30 @@ class Identification:
     eigenvalues: tuple[float, ...]
     verdict: str
     notes: tuple[str, ...] = ()
-    parameters: tuple[ParameterSummary, ...] = ()
-    reference: tuple[ParameterSummary, ...] = ()
-    amplitudes: tuple[ParameterSummary, ...] = ()
+    parameters: tuple[ParameterVerdict, ...] = ()
+    reference: tuple[ParameterVerdict, ...] = ()
+    amplitudes: tuple[ParameterVerdict, ...] = ()
     undetected: tuple[str, ...] = ()
     deviation: tuple[float, ...] = ()
     noise: str = ""
-    guaranteed: GuaranteedSummary | None = None
+    guaranteed: IrregularPart | None = None
 
     def __repr__(self) -> str:
         return f"<Identification by {self.component!r}: {list(self.parameters)}>"
 
-
-@dataclass(frozen=True)
-class StateChange:
-    """An initial state that was made consistent with the inputs at the start."""
-
-    component: str
-    entry: str
-    before: float
-    after: float
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content = asdict(self)
+        for key in ("parameters", "reference", "amplitudes"):
+            content[key] = [_verdict_row(one) for one in getattr(self, key)]
+        if self.guaranteed is not None:
+            effects = [{**asdict(one), "estimate": one.name} for one in self.guaranteed.effects]
+            for effect in effects:
+                del effect["name"]
+            keys = ("bound", "problem", "effects", "confidence")
+            content["guaranteed"] |= {"effects": effects}
+            content["guaranteed"] = {key: content["guaranteed"][key] for key in keys}
+        return content
 
 
 @dataclass(frozen=True, repr=False)
@@ -303,8 +258,12 @@ class Summary:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        warnings = [{"of": warning.source, "text": warning.text} for warning in self.warnings]
-        return {**asdict(self), "warnings": warnings}
+        content = asdict(self)
+        content["warnings"] = [{"of": one.source, "text": one.text} for one in self.warnings]
+        content["identifications"] = [one.to_dict() for one in self.identifications]
+        for change in content["changed_states"]:
+            change |= {name: change.pop(name) for name in ("entry", "before", "after")}
+        return content
 
 
 def summarize(recording: RecordedRun) -> Summary:
@@ -328,7 +287,7 @@ def summarize(recording: RecordedRun) -> Summary:
     recorded = recorded_identification(recording)
     identifications = []
     for name, record in identifiers.items():
-        identification = recorded.get(name, IdentificationRecord())
+        identification = recorded.get(name, IdentifierVerdicts())
         identifications.append(_identification(recording, name, record, identification))
     unknown = _without_value(identifications)
     signals: list[SignalError] = []
@@ -410,8 +369,7 @@ def _copied_code(recording: Recording) -> dict[str, str]:
 
 def _changed_states(recording: Recording) -> Iterator[StateChange]:
     for name, changes in recorded_state_changes(recording).items():
-        for change in changes:
-            yield StateChange(name, change.entry, change.before, change.after)
+        yield from (replace(change, component=name) for change in changes)
 
 
 def _last_values(recording: Recording) -> dict[str, float | list[float]]:
@@ -480,7 +438,7 @@ def _signal_error(
 
 
 def _reconstruction(
-    recording: Recording, name: str, record: ComponentRecord, design: ReconstructionRecord
+    recording: Recording, name: str, record: ComponentRecord, design: Reconstruction
 ) -> DeltaReconstruction:
     """Return what the delta of an observer costs, with its inputs held or interpolated."""
     channel = declared_channels(recording.channels)[name]
@@ -501,8 +459,8 @@ def _reconstruction(
         {key: value for key, value in parameters.items() if value is not None},
         design.lag,
         tuple(map(float, of_delta)),
-        design.bias.model_dump(),
-        None if record.choice is None else record.choice.result.model_dump(),
+        design.bias,
+        None if record.choice is None else record.choice.result,
     )
 
 
@@ -560,7 +518,7 @@ def _identification(
     recording: Recording,
     component: str,
     record: ComponentRecord,
-    identification: IdentificationRecord,
+    identification: IdentifierVerdicts,
 ) -> Identification:
     """Summarize what is known of an identifier."""
     eigenvalues: tuple[float, ...] = ()
@@ -569,9 +527,6 @@ def _identification(
         recording.channels, component, "regressor"
     ):
         eigenvalues, sentence = _information(recording, component, record)
-    amplitudes = []
-    for of_data in identification.amplitudes:
-        amplitudes += [_parameter(amplitude.name, amplitude) for amplitude in of_data]
     others = () if record.method == OUTPUT_ERROR else identification.parameters
     return Identification(
         component,
@@ -582,7 +537,7 @@ def _identification(
         (*record.notes, *_extent(recording, component, record, identification)),
         parameters=_parameters(component, _own_estimate(record, identification)),
         reference=_parameters(component, others),
-        amplitudes=tuple(amplitudes),
+        amplitudes=tuple(chain.from_iterable(identification.amplitudes)),
         undetected=tuple(error.text for error in identification.undetected),
         deviation=identification.deviation,
         noise=identification.problem or noise_text(identification),
@@ -590,21 +545,19 @@ def _identification(
     )
 
 
-def _guaranteed(component: str, record: IrregularRecord | None) -> GuaranteedSummary | None:
-    if record is None:
+def _guaranteed(component: str, part: IrregularPart | None) -> IrregularPart | None:
+    if part is None:
         return None
-    names = element_names(f"{component}.theta", len(record.effects))
-    effects = []
-    for name, effect in zip(names, record.effects, strict=True):
-        effects.append({**effect.model_dump(exclude={"name"}), "estimate": name})
-    return GuaranteedSummary(record.bound, record.problem, tuple(effects), record.confidence)
+    names = element_names(f"{component}.theta", len(part.effects))
+    pairs = zip(names, part.effects, strict=True)
+    return replace(part, effects=tuple(replace(effect, name=name) for name, effect in pairs))
 
 
 def _extent(
     recording: Recording,
     component: str,
     record: ComponentRecord,
-    identification: IdentificationRecord,
+    identification: IdentifierVerdicts,
 ) -> Iterator[str]:
     """Yield what the verdicts rest on, and why the signal theta has no last value beside them."""
     if identification.extent:
@@ -627,29 +580,28 @@ def _extent(
 
 
 def _own_estimate(
-    record: ComponentRecord, identification: IdentificationRecord
-) -> Sequence[ParameterRecord]:
+    record: ComponentRecord, identification: IdentifierVerdicts
+) -> Sequence[ParameterVerdict]:
     """Return what is known of the estimate of an identifier by the method that it has."""
     is_output_error = record.method == OUTPUT_ERROR
     return identification.parameters if is_output_error else identification.estimate
 
 
-def _parameters(component: str, records: Sequence[ParameterRecord]) -> tuple[ParameterSummary, ...]:
-    names = element_names(f"{component}.theta", len(records))
-    pairs = zip(names, records, strict=True)
-    return tuple(_parameter(name, record) for name, record in pairs)
+def _parameters(
+    component: str, verdicts: Sequence[ParameterVerdict]
+) -> tuple[ParameterVerdict, ...]:
+    """Return verdicts with the names of their ports."""
+    names = element_names(f"{component}.theta", len(verdicts))
+    pairs = zip(names, verdicts, strict=True)
+    return tuple(replace(verdict, name=name) for name, verdict in pairs)
 
 
-def _parameter(name: str, record: ParameterRecord) -> ParameterSummary:
-    half_width = None
-    if record.lower is not None and record.upper is not None:
-        half_width = 0.5 * (record.upper - record.lower)
-    return ParameterSummary(
-        name, record.verdict, record.reason, record.value, record.standard_error, half_width
-    )
+def _verdict_row(verdict: ParameterVerdict) -> dict[str, Any]:
+    keys = ("estimate", "verdict", "reason", "value", "standard_error", "half_width")
+    return {key: getattr(verdict, key) for key in keys}
 
 
-def noise_text(identification: IdentificationRecord) -> str:
+def noise_text(identification: IdentifierVerdicts) -> str:
     """Describe the noise of y as the residual of output error shows it."""
     if not identification.deviation:
         return ""

@@ -37,12 +37,12 @@ from cosim.report.verification_result import (
     Verification,
     VerificationStatus,
 )
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.record import (
+    ReplayOrigin,
     component_record,
     recorded_substep_counts,
     replay_origin,
 )
-from cosim.scenario.recorded_tables import ReplayOrigin
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 
 

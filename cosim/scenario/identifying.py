@@ -31,16 +31,17 @@ from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows, ThetaBounds, bounds_of
 from cosim.scenario.identification.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError
 from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
-from cosim.theory.assessment.undetected import UndetectedError, undetected_errors
+from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.validation import Validation, validate
-from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict
+from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.bounded.feasible_program import Watch
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant

@@ -11,11 +11,12 @@ from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
     from cosim.theory.assessment.assessing import assess
+    from cosim.theory.assessment.documents import Verdict
     from cosim.theory.assessment.fitted_model import FittedModel
     from cosim.theory.assessment.problem import OutputErrorProblem
     from cosim.theory.assessment.smoothing import smoothed_signals
     from cosim.theory.assessment.validation import validate
-    from cosim.theory.assessment.verdicts import Assessment, Verdict
+    from cosim.theory.assessment.verdicts import Assessment
     from cosim.theory.bounded.irregular_part import guaranteed_interval
     from cosim.theory.disturbances.excitation import describe_excitation, information
     from cosim.theory.disturbances.families import (
@@ -97,7 +98,7 @@ _HOMES = {
     "Term": "cosim.theory.disturbances.regression",
     "trapezoid_weights": "cosim.theory.estimators.least_squares",
     "validate": "cosim.theory.assessment.validation",
-    "Verdict": "cosim.theory.assessment.verdicts",
+    "Verdict": "cosim.theory.assessment.documents",
 }
 
 __all__ = [

@@ -42,6 +42,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.documents import document
 
 STEADY: Final = 0.3  # by which an order may differ from a whole number, and over time
 MOST_RESIDUAL: Final = 2.0**STEADY - 1.0  # of d1 - 2^p d2, over d1: the same in amplitudes
@@ -55,7 +56,7 @@ COMMON: Final = 0.9  # of the instants with values: those where all runs have on
 ROUNDING: Final = 1e3 * np.finfo(np.float64).eps  # of the largest value, over a run
 
 
-@dataclass(frozen=True, slots=True)
+@document
 class StepError:
     """The error of a signal by its step, as far as three runs show it.
 

@@ -16,8 +16,8 @@ from cosim.report.plots.intervals import band_curves
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.summary import summarize
 from cosim.report.tables.estimates import IF_WRONG, estimate_notes
-from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.scenario.identifying import identifier_record, identify_records
+from cosim.scenario.record import IDENTIFICATION
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 

@@ -210,7 +210,7 @@ def forged_results(log, path, change):
 def forge(results):
     """Give other verdicts, and another last row."""
     for parameter in results["identification"]["identifier"]["parameters"]:
-        parameter["verdict"] = "NOT IDENTIFIABLE"
+        parameter["verdict"] = "NOT_IDENTIFIABLE"
     for label in results["last"]:
         if label.startswith("observer."):
             results["last"][label] = 7.0

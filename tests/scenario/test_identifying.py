@@ -9,8 +9,9 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.identification.run_verdicts import IDENTIFICATION, plain_amplitudes
+from cosim.scenario.identification.run_verdicts import plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify_records
+from cosim.scenario.record import IDENTIFICATION
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 

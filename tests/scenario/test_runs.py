@@ -17,8 +17,7 @@ from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document.document import shipped
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import replay_origin
-from cosim.scenario.recorded_tables import ReplayOrigin
+from cosim.scenario.record import ReplayOrigin, replay_origin
 from tests.fmi import eventful, lag
 from tests.scenario.signals import COARSE
 

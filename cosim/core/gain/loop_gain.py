@@ -29,6 +29,7 @@ from cosim.core.graph import COUPLINGS, Graph
 from cosim.core.linearization import Linearized
 from cosim.core.stages.coupling import Stage
 from cosim.core.structure.order import Coupling
+from cosim.documents import document, told
 from cosim.errors import GraphError
 from cosim.instants import StepNs, step_part
 
@@ -43,7 +44,7 @@ NO_SOLUTION: Final = "its algebraic loop has no one solution at the start"
 GainVerdict: TypeAlias = Literal["fine", "noted", "refused", "unknown"]
 
 
-@dataclass(frozen=True, slots=True)
+@document
 class LoopGain:
     """The gain of a loop.
 
@@ -81,7 +82,7 @@ class LoopGain:
     unknown: tuple[str, ...] = ()
     reason: str = ""
     action: str = ""
-    parts: int = 1
+    parts: int = told(1)
 
     @property
     def exponent(self) -> float:

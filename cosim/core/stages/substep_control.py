@@ -16,6 +16,7 @@ from cosim.core.recording import Recording, Substep
 from cosim.core.stages.divided_step import OutsideColumns
 from cosim.core.stages.member import Member
 from cosim.core.stages.spans import Span, StepPart
+from cosim.documents import STRICT
 from cosim.errors import GraphError, LogError
 from cosim.instants import NANOSECONDS, StepNs, step_value
 
@@ -112,6 +113,8 @@ class SubstepCounts:
     worst_time : float
         Where that one begins [s].
     """
+
+    __pydantic_config__ = STRICT
 
     components: tuple[str, ...]
     accepted: int = 0

@@ -22,7 +22,7 @@ from cosim.report.plots.curves import (
 from cosim.report.plots.estimates import draw_truth, limit_to_settled, limit_to_truth
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import difference, element_names, has_signal, units_of
-from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.record import truth_of
 from cosim.units import units_text, with_unit
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import beside_truth, rows_of, stacked_units, time_ns_of
 from cosim.scenario.document.schema import truth_ports
-from cosim.scenario.recorded_metadata import run_metadata, truth_of
+from cosim.scenario.record import run_metadata, truth_of
 
 MOST_OUTPUTS: Final = 12  # of a run without truth that a picture shows
 _STANDARD = PictureOptions()

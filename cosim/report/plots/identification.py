@@ -23,9 +23,9 @@ from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import has_signal, stacked_rows_of, units_of
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
-from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.record import truth_of
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.spectrum import whiteness_spectrum
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.fitted_response import FittedResponse
 

@@ -8,8 +8,9 @@ from typing import Final
 
 from rich.table import Table
 
-from cosim.report.summary import Identification, ParameterSummary, Summary, ValueOutcome
+from cosim.report.summary import Identification, Summary, ValueOutcome
 from cosim.report.tables.console import new_table
+from cosim.theory.assessment.documents import ParameterVerdict
 
 _IN_TERM: Final = "in "  # begins the reason of an amplitude that names its term
 IF_WRONG: Final = "if it is wrong"  # the model, behind the sentence that says "if it is right"
@@ -39,7 +40,7 @@ class EstimateRow:
 def estimate_rows(summary: Summary) -> list[EstimateRow]:
     """Return the rows of a run, those with a truth first."""
     outcomes = {outcome.estimate: outcome for outcome in summary.values}
-    parameters: dict[str, ParameterSummary] = {}
+    parameters: dict[str, ParameterVerdict] = {}
     rows: list[EstimateRow] = []
     others: list[EstimateRow] = []
     for identification in summary.identifications:
@@ -63,7 +64,7 @@ def _further_rows(identification: Identification, *, single: bool) -> Iterator[E
 
 
 def _outcome_rows(
-    outcome: ValueOutcome, parameter: ParameterSummary | None
+    outcome: ValueOutcome, parameter: ParameterVerdict | None
 ) -> Iterator[EstimateRow]:
     """Yield a row; two where the signal ends with another value than that of the verdict."""
     truth = f"{outcome.truth:+g}"
@@ -87,7 +88,7 @@ def _is_shown_alike(value: float, other: float | None) -> bool:
 
 
 def _parameter_row(
-    label: str, parameter: ParameterSummary, *, truth: str = "", error: str = ""
+    label: str, parameter: ParameterVerdict, *, truth: str = "", error: str = ""
 ) -> EstimateRow:
     estimate = "no value" if parameter.value is None else f"{parameter.value:+.6g}"
     half_width = "" if parameter.half_width is None else f"± {parameter.half_width:.2g}"

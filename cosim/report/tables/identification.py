@@ -14,8 +14,8 @@ from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.report.tables.estimates import IF_WRONG, reason_notes, term_notes
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
+from cosim.theory.assessment.documents import ParameterVerdict
 from cosim.theory.assessment.validation import Validation
-from cosim.theory.assessment.verdicts import ParameterVerdict
 from cosim.theory.bounded.feasible_program import MOST_PROGRAMS_IN_ALL
 
 

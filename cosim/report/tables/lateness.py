@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.scenario.recorded_tables import Lateness
+from cosim.scenario.record import Lateness
 
 
 def lateness_text(lateness: Lateness) -> str:

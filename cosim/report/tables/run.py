@@ -21,7 +21,6 @@ from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
     DeltaReconstruction,
-    GuaranteedSummary,
     Identification,
     SignalError,
     Summary,
@@ -35,8 +34,9 @@ from cosim.report.tables.console import new_table, print_json, print_line, print
 from cosim.report.tables.estimates import estimate_notes, estimate_rows, estimate_table
 from cosim.report.tables.lateness import lateness_text
 from cosim.scenario.building.coupling_check import gain_text
-from cosim.scenario.recorded_metadata import recorded_start, recorded_window
-from cosim.theory.assessment.verdicts import Verdict
+from cosim.scenario.record import IrregularPart, recorded_start, recorded_window
+from cosim.theory.assessment.documents import Verdict
+from cosim.theory.reconstruction.filters import Bias
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
@@ -308,7 +308,7 @@ def _add_identification(
         _add_guaranteed(table, identification.guaranteed)
 
 
-def _add_guaranteed(table: Table, guaranteed: GuaranteedSummary) -> None:
+def _add_guaranteed(table: Table, guaranteed: IrregularPart) -> None:
     """Add the intervals that hold for an irregular part within a bound."""
     label = f"|delta_0| <= {guaranteed.bound:g}"
     if guaranteed.problem:
@@ -319,11 +319,9 @@ def _add_guaranteed(table: Table, guaranteed: GuaranteedSummary) -> None:
         chance = f", noise within its bounds with probability {guaranteed.confidence:g}"
     table.add_row(label, f"guaranteed intervals by output error{chance}:")
     for effect in guaranteed.effects:
-        interval = interval_text(
-            effect["lower"], effect["upper"], is_explained=effect["is_explained"]
-        )
-        reach = reach_text(effect["first_order"], holds=effect["holds"])
-        table.add_row(effect["estimate"], f"{interval}; {reach}")
+        interval = interval_text(effect.lower, effect.upper, is_explained=effect.is_explained)
+        reach = reach_text(effect.first_order, holds=effect.holds)
+        table.add_row(effect.name, f"{interval}; {reach}")
 
 
 def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, single: bool) -> None:
@@ -335,28 +333,28 @@ def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, si
     kind = ", ".join([f"{reconstruction.filter} filter", *parameters])
     gains = ", ".join(f"{gain:.3g}" for gain in reconstruction.noise_gain)
     text = f"{kind}: noise gain {gains} 1/s; bias {_bias(reconstruction.bias)}"
-    if not reconstruction.bias["coefficient"]:
+    if not reconstruction.bias.coefficient:
         text = f"{kind}: noise gain {gains}; y is not differentiated, no bias"
     if reconstruction.lag:
         text += f"; lag {reconstruction.lag:g} s"
     table.add_row(label, text)
     choice = reconstruction.choice
     if choice is not None:
-        noise = ", ".join(f"{deviation:.3g}" for deviation in choice["noise"])
+        noise = ", ".join(f"{deviation:.3g}" for deviation in choice.noise)
         text = (
-            f"chosen for noise of {noise} in y and delta of {choice['amplitude']:.3g} up to "
-            f"{choice['bandwidth']:.3g} rad/s; expected error {choice['error_by_noise']:.2g} from "
-            f"noise, {choice['error_by_bias']:.2g} from bias; {choice['assumption']}"
+            f"chosen for noise of {noise} in y and delta of {choice.amplitude:.3g} up to "
+            f"{choice.bandwidth:.3g} rad/s; expected error {choice.error_by_noise:.2g} from "
+            f"noise, {choice.error_by_bias:.2g} from bias; {choice.assumption}"
         )
         table.add_row("", text)
 
 
-def _bias(bias: Mapping[str, Any]) -> str:
+def _bias(bias: Bias) -> str:
     """Return the leading error as text."""
-    order = bias["derivative"]
+    order = bias.derivative
     ordinal = ORDINALS.get(order, f"{order}th")
-    signal = "the measurement" if bias["of"] == "G w" else bias["of"]
-    return f"{bias['coefficient']:.3g} x {ordinal} derivative of {signal}"
+    signal = "the measurement" if bias.of == "G w" else bias.of
+    return f"{bias.coefficient:.3g} x {ordinal} derivative of {signal}"
 
 
 def _add_compensation(table: Table, compensation: CompensationSummary, *, single: bool) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from cosim.core.recording import Recording
 from cosim.report.tables.console import print_json, print_line
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
     from cosim.report.verification_result import Verification

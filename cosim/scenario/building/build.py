@@ -41,7 +41,7 @@ from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap

@@ -17,7 +17,7 @@ from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_tables import ReplayOrigin
+from cosim.scenario.record import ReplayOrigin
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap

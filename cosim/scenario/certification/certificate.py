@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -33,6 +33,7 @@ from cosim.core.port import Port
 from cosim.core.recorders import Nothing, close, end_of_run, error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
+from cosim.documents import plain
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
 from cosim.instants import NANOSECONDS, StepNs, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
@@ -42,7 +43,7 @@ from cosim.scenario.document.edits import short
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recorded_metadata import CERTIFICATE
+from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.recording import Progress, run_into
 from cosim.theory.richardson import StepError, step_error
 
@@ -101,8 +102,8 @@ class Subject:
         """Return what keeps the rows of the run."""
         return ThinnedRows(self.every, self.steps)
 
-    def certificate(self, runs: Sequence[ThinnedRows], problem: str) -> dict[str, Any]:
-        """Return what a certificate says of the runs, as plain values, and of no signal yet.
+    def certificate(self, runs: Sequence[ThinnedRows], problem: str) -> RecordedCertificate:
+        """Return what a certificate says of the runs, and of no signal yet.
 
         Parameters
         ----------
@@ -112,15 +113,14 @@ class Subject:
             Why nothing is compared; empty where something is.
         """
         step = step_seconds(self.step_ns)
-        return {
-            "step": step,
-            "finer_steps": [step / finer for finer in FINER],
-            "ends": [run.end_ns / NANOSECONDS for run in runs],
-            "every": self.every,
-            "problem": problem,
-            "solvers": list(self.solvers),
-            "signals": {},
-        }
+        return RecordedCertificate(
+            step,
+            tuple(step / finer for finer in FINER),
+            tuple(run.end_ns / NANOSECONDS for run in runs),
+            self.every,
+            problem,
+            tuple(self.solvers),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,7 +352,7 @@ class Certifier:
     half, quarter : FinerRun
         With half of its step, and a quarter.
     search : mapping, optional
-        How its step was found, in plain values.
+        How its step was found.
     """
 
     def __init__(
@@ -360,14 +360,14 @@ class Certifier:
         subject: Subject,
         half: FinerRun,
         quarter: FinerRun,
-        search: Mapping[str, Any] | None = None,
+        search: StepSearch | None = None,
     ) -> None:
         self._subject = subject
         self._half = half
         self._quarter = quarter
         self._search = search
 
-    def with_search(self, search: Mapping[str, Any]) -> Certifier:
+    def with_search(self, search: StepSearch) -> Certifier:
         """Return the same that tells how its step was found."""
         return Certifier(self._subject, self._half, self._quarter, search)
 
@@ -384,14 +384,11 @@ class Certifier:
         """Return the certificate that it gives a run."""
         return Certification(self._subject, lambda: self)
 
-    def certificate(self, own: ThinnedRows) -> dict[str, Any]:
-        """Return the certificate, as plain values; ``own`` are the rows of the run."""
-        content = self._subject.certificate(self._runs(own), self.problem)
-        if self._search is not None:
-            content["search"] = dict(self._search)
-        if not self.problem:
-            content["signals"] = {label: asdict(error) for label, error in self.errors(own).items()}
-        return content
+    def certificate(self, own: ThinnedRows) -> RecordedCertificate:
+        """Return the certificate; ``own`` are the rows of the run."""
+        of_runs = self._subject.certificate(self._runs(own), self.problem)
+        signals = {} if self.problem else self.errors(own)
+        return replace(of_runs, signals=signals, search=self._search)
 
     def errors(self, own: ThinnedRows) -> dict[str, StepError]:
         """Return the error of every element of every signal, by its label.
@@ -547,7 +544,8 @@ class Certification:
 
     def _record_problem(self, recorder: Recorder, problem: str) -> None:
         """Record why there is no certificate."""
-        recorder.result({CERTIFICATE: self._subject.certificate([self._rows], problem)})
+        certificate = self._subject.certificate([self._rows], problem)
+        recorder.result({CERTIFICATE: plain(certificate)})
 
     def complete(self, resources: ExitStack) -> None:
         """Compute the certificate, record it, and end the recording.
@@ -566,7 +564,8 @@ class Certification:
         assert recorder is not None, "beside a recorder"
         try:
             resources.close()
-            recorder.result({CERTIFICATE: self._certifier().certificate(self._rows)})
+            certificate = self._certifier().certificate(self._rows)
+            recorder.result({CERTIFICATE: plain(certificate)})
         except BaseException as error:
             reason = error_text(error) or "interrupted by the user"
             problem = f"a run with a smaller step did not complete: {reason}"

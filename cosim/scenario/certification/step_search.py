@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 from cosim.core.clock import nanoseconds
 from cosim.core.passing_recorders import Watched
@@ -27,6 +27,7 @@ from cosim.scenario.certification.certificate import Certifier, certifier_of
 from cosim.scenario.certification.thinned_rows import QUARTERS
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
+from cosim.scenario.record import StepSearch, StepTrial
 from cosim.scenario.recordings.recording import Progress, run_into
 from cosim.theory.richardson import FEWEST, StepError
 
@@ -112,14 +113,11 @@ class TriedStep:
         components = self.certifier.of_conditions
         return any(label.partition(".")[0] in components for label in self.errors)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for the log."""
+    @property
+    def document(self) -> StepTrial:
+        """What the log says of it."""
         largest = {label: error.largest for label, error in self.errors.items()}
-        return {
-            "step": self.step_ns / NANOSECONDS,
-            "largest": largest,
-            "failure": self.failure,
-        }
+        return StepTrial(self.step_ns / NANOSECONDS, largest, self.failure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,11 +168,8 @@ def find_step(
         error.add_note("no step was found yet, so nothing is recorded")
         raise
     step = best.step_ns / NANOSECONDS
-    record = {
-        "tolerances": dict(tolerances),
-        "trials": [trial.to_dict() for trial in search.trials],
-    }
-    return FoundStep(step, best.certifier.with_search(record))
+    found = StepSearch(dict(tolerances), tuple(trial.document for trial in search.trials))
+    return FoundStep(step, best.certifier.with_search(found))
 
 
 def _tolerances(scenario: Scenario, tolerances: Mapping[str, float]) -> dict[str, float]:

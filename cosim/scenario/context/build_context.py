@@ -21,6 +21,7 @@ from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, Signal
 from cosim.core.structure.ports import unknown_port
+from cosim.documents import plain
 from cosim.errors import CosimError, UsageError
 from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.context.build_records import BuildRecords, KeptAnswer, LookedUpKinds
@@ -34,7 +35,7 @@ from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import AnyKind, KnownSignal, Spectrum
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -428,7 +429,7 @@ class ScenarioBuildContext:
             if self._recording is not None:
                 recorded = component_record(self._recording, name).choice
             if recorded is not None and recorded.request == request:
-                result: Mapping[str, Any] = recorded.result.model_dump(mode="json")
+                result: Mapping[str, Any] = plain(recorded.result)
             else:
                 result = choose()
             self._choices[name] = result

@@ -16,8 +16,7 @@ from cosim.errors import LogError
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.context.user_classes import NotImported
-from cosim.scenario.recorded_metadata import component_record
-from cosim.scenario.recorded_tables import LinearizationRecord
+from cosim.scenario.record import LinearizationRecord, component_record
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu

@@ -7,11 +7,12 @@ from typing import Any, final
 
 from cosim.arrays import Matrix
 from cosim.core.recording import Recording
+from cosim.documents import plain
 from cosim.errors import UsageError, nearest
 from cosim.scenario.context.models import LETTERS, system_of, system_of_file
 from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.document.schema import ModelTable
-from cosim.scenario.recorded_metadata import recorded_models
+from cosim.scenario.record import recorded_models
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 
@@ -85,7 +86,7 @@ class ScenarioModels:
         if self._recording is not None:
             record = recorded_models(self._recording).get(name)
             if record is not None and record.file == path:
-                self.records[name] = record.model_dump(mode="json")
+                self.records[name] = plain(record)
                 return record.arrays
         from cosim.scenario.data_files.model_file import (  # rarely needed
             missing_text,

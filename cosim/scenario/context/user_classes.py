@@ -13,8 +13,7 @@ from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.document.edits import short
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.kinds import Kind
-from cosim.scenario.recorded_metadata import component_record
-from cosim.scenario.recorded_tables import CodeRecord
+from cosim.scenario.record import CodeRecord, component_record
 
 if TYPE_CHECKING:
     from cosim.scenario.user_kinds.user_code import UserClass

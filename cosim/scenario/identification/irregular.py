@@ -2,69 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError
+from cosim.scenario.record import IrregularEffect, IrregularPart
 from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.bounded.feasible_program import Watch
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
 from cosim.theory.disturbed_plant import NoiseModel
 
 FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
-
-
-@dataclass(frozen=True, kw_only=True)
-class IrregularEffect:
-    """What an irregular part of the disturbance within a bound leaves open of one theta.
-
-    Parameters
-    ----------
-    name : str
-    first_order : float
-        Half width around the estimate.
-    holds : bool
-        Whether the first order does: the truths behind this estimate reach as far to both sides.
-    is_explained : bool
-        Whether any theta explains the data with this bound.
-    lower, upper : float or None
-        What the data and the estimate allow; None: no theta, or there is no end.
-    """
-
-    name: str
-    first_order: float
-    holds: bool
-    is_explained: bool
-    lower: float | None
-    upper: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class IrregularPart:
-    """What ``|delta_0| <= bound`` leaves open.
-
-    Parameters
-    ----------
-    bound : float
-    effects : tuple of IrregularEffect
-    confidence : float
-        Probability of the bounds of the noise.
-    unsolved : int
-        Searches whose linear programs could not be solved, or not within those that there may be;
-        with any the data alone show no end.
-    """
-
-    bound: float
-    effects: tuple[IrregularEffect, ...]
-    confidence: float
-    unsolved: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:

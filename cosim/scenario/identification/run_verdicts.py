@@ -8,7 +8,8 @@ signals: they rest on linear algebra whose last bits depend on the processor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -20,14 +21,14 @@ from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
+from cosim.scenario.record import IdentifierVerdicts, IrregularPart
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.undetected import undetected_errors
-from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, judge
+from cosim.theory.assessment.verdicts import Assessment, judge
 from cosim.theory.disturbed_plant import DataSet
 
-IDENTIFICATION: Final = "identification"  # the key of the results
 OUTPUT_ERROR: Final = "output-error"
 IDENTIFY_WITH_OFFSET: Final = "`cosim identify --offset`"
 
@@ -57,7 +58,7 @@ class Assessor:
 
     def results(self) -> dict[str, Any]:
         """Return the verdicts by identifier, as plain values."""
-        return {identifier.name: identifier.result() for identifier in self._identifiers}
+        return {own.name: own.result().to_dict() for own in self._identifiers}
 
 
 class _IdentifierData:
@@ -114,36 +115,36 @@ class _IdentifierData:
             self._samples.append(signals[first:, samples].copy())
         self._last = signals[-1].copy()
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> IdentifierVerdicts:
         """Return the verdict on the last estimate."""
         if not self._times:
-            return {"problem": "the run ended before there were data"}
+            return IdentifierVerdicts(problem="the run ended before there were data")
         if self._identified.problem:
-            return {"problem": self._identified.problem}
+            return IdentifierVerdicts(problem=self._identified.problem)
         theta = self._last[self._theta]
         try:
             return self._assessed(theta)
         except (AssumptionError, np.linalg.LinAlgError) as error:
-            return {"problem": str(error)}
+            return IdentifierVerdicts(problem=str(error))
 
-    def _assessed(self, theta: Vector) -> dict[str, Any]:
+    def _assessed(self, theta: Vector) -> IdentifierVerdicts:
         identified = self._identified
         problem = identified.problem_of([self._data()])
         assessment = advised(assess(problem, theta), [identified.alpha])
         error = None if self._error is None else self._last[self._error]
-        result = assessment.to_dict()
-        if identified.extent:
-            result["extent"] = identified.extent
         amplitudes = amplitude_verdicts(assessment)
-        result["amplitudes"] = plain_amplitudes(amplitudes)
         with_offset = "`offset = true`" if identified.has_offset_key else IDENTIFY_WITH_OFFSET
-        undetected = undetected_errors(assessment, amplitudes, with_offset=with_offset)
-        result["undetected"] = [error.to_dict() for error in undetected]
-        own = judge(assessment, theta, error)
-        result["estimate"] = [parameter.to_dict() for parameter in own]
+        irregular = None
         if identified.irregular is not None:
-            result["irregular"] = _irregular(assessment, identified.irregular)
-        return result
+            irregular = _irregular(assessment, identified.irregular)
+        return replace(
+            verdicts_of(assessment),
+            extent=identified.extent,
+            amplitudes=amplitudes,
+            undetected=undetected_errors(assessment, amplitudes, with_offset=with_offset),
+            estimate=judge(assessment, theta, error),
+            irregular=irregular,
+        )
 
     def _data(self) -> DataSet:
         t = np.concatenate(self._times)
@@ -157,14 +158,12 @@ class _IdentifierData:
         return whole.last(self._identified.window)
 
 
-def plain_amplitudes(
-    amplitudes: Sequence[Sequence[ParameterVerdict]],
-) -> list[list[dict[str, Any]]]:
-    """Return the verdicts on the amplitudes of each data set as plain values."""
-    return [[amplitude.to_dict() for amplitude in of_data] for of_data in amplitudes]
+def verdicts_of(assessment: Assessment) -> IdentifierVerdicts:
+    """Return what a fit by output error says of theta, and of the noise."""
+    return IdentifierVerdicts(**assessment.to_dict() | {"parameters": assessment.parameters})
 
 
-def _irregular(assessment: Assessment, bound: float) -> dict[str, Any]:
+def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
     """Return what an irregular part within its bound leaves open, or why that is not known."""
     # rarely needed
     from cosim.scenario.identification.irregular import interval_of, irregular_part
@@ -173,8 +172,8 @@ def _irregular(assessment: Assessment, bound: float) -> dict[str, Any]:
     try:
         interval = interval_of(assessment, bound, Programs.BEYOND_FIRST_ORDER)
     except (AssumptionError, RunError) as error:
-        return {"bound": bound, "problem": str(error)}
-    return irregular_part(bound, interval).to_dict()
+        return IrregularPart(bound, problem=str(error))
+    return irregular_part(bound, interval)
 
 
 def _shifted(columns: slice, offset: int) -> slice:

@@ -14,6 +14,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.compensator import Compensator, CompensatorOptions
 from cosim.core.contracts import Component
 from cosim.core.port import Port
+from cosim.documents import plain
 from cosim.errors import UsageError
 from cosim.scenario.document.schema import (
     Flag,
@@ -35,6 +36,7 @@ from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserve
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.terms import FamilyTerm
+from cosim.scenario.record import Compensation
 from cosim.theory.compensation.design import (
     CompensatorGains,
     decay_rate_of,
@@ -294,13 +296,10 @@ class CompensatorKind(Kind):
 
     def _record(self, regulated: tuple[int, ...], box: ParameterBox) -> dict[str, Any]:
         intervals = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
-        return {
-            "regulated": list(regulated),
-            "internal_model": self.internal_model,
-            "feedforward": self.feedforward,
-            "interval": [list(interval) for interval in intervals],
-            "largest_error": self.largest_error,
-        }
+        told = Compensation(
+            regulated, self.internal_model, tuple(intervals), self.largest_error, self.feedforward
+        )
+        return plain(told)
 
 
 class ObserverInLoop(NamedTuple):

@@ -15,10 +15,9 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
-from cosim.scenario.recorded_tables import StateChangeRecord
+from cosim.scenario.record import StateChange
 from cosim.theory.plants.descriptor import UserCoordinates
 
-INITIAL_STATES: Final = "initial_states"  # the key of the results
 ROUNDINGS: Final = 64.0  # of a term, that no one needs to hear of
 MOST_ENTRIES: Final = 12  # that a message lists
 
@@ -33,7 +32,7 @@ class GivenStates:
     values: Vector
     coordinates: UserCoordinates
 
-    def changes(self, *, u: Vector, delta: Vector, x: Vector) -> list[StateChangeRecord]:
+    def changes(self, *, u: Vector, delta: Vector, x: Vector) -> list[StateChange]:
         """Return the entries of x(0) that differ from x0 by more than rounding.
 
         An entry that has no value yet is left out.
@@ -47,14 +46,14 @@ class GivenStates:
         rounding = ROUNDINGS * np.finfo(np.float64).eps * terms
         changed = np.flatnonzero(np.abs(x - self.values) > rounding)
         return [
-            StateChangeRecord(entry=f"x[{i}]", before=float(self.values[i]), after=float(x[i]))
+            StateChange(entry=f"x[{i}]", before=float(self.values[i]), after=float(x[i]))
             for i in changed.tolist()
         ]
 
 
 def changed_states(
     graph: Graph, given: Mapping[str, GivenStates], row: Vector
-) -> dict[str, list[StateChangeRecord]]:
+) -> dict[str, list[StateChange]]:
     """Return what the first row of a run changes of the initial states, by component.
 
     A component of a partial log may lack a signal that this follows from; it is left out.
@@ -93,7 +92,7 @@ def _signals(channel: Channel, row: Vector) -> dict[str, Vector]:
     return signals
 
 
-def change_text(changes: Sequence[StateChangeRecord]) -> str:
+def change_text(changes: Sequence[StateChange]) -> str:
     """Return in words what became of initial states."""
     shown = []
     for change in changes[:MOST_ENTRIES]:

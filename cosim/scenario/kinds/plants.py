@@ -28,7 +28,7 @@ from cosim.scenario.kinds.base import (
     Sampling,
 )
 from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:

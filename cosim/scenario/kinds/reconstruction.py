@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
@@ -14,9 +14,11 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.core.contracts import Design
 from cosim.core.recording import Recording
+from cosim.documents import plain
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
 from cosim.scenario.kinds.variants import Variant, without_default
+from cosim.scenario.record import Reconstruction
 from cosim.theory.observers import observer
 from cosim.theory.plants.descriptor import ReducedSystem
 from cosim.theory.reconstruction.filters import (
@@ -51,17 +53,12 @@ FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
 
 def plain_reconstruction(reconstruction: AnyReconstruction) -> dict[str, Any]:
     """Return what a recording keeps of a reconstruction."""
-    plain: dict[str, Any] = {
-        "filter": reconstruction.name,
-        "lag": reconstruction.lag,
-        "bias": asdict(reconstruction.bias),
-    }
+    told = Reconstruction(reconstruction.name, reconstruction.lag, reconstruction.bias)
     if isinstance(reconstruction, SavitzkyGolay):
-        plain["half_width"] = reconstruction.lag
-        plain["order"] = reconstruction.order
+        told = replace(told, half_width=reconstruction.lag, order=reconstruction.order)
     elif not isinstance(reconstruction, DirectReconstruction):
-        plain["filter_rate"] = reconstruction.rate
-    return plain
+        told = replace(told, filter_rate=reconstruction.rate)
+    return plain(told)
 
 
 def averaging_observer(

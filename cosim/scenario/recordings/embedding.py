@@ -21,7 +21,7 @@ from cosim.files import read_bounded
 from cosim.log import Attachment, Log
 from cosim.log.reading.container import MOST_ATTACHED
 from cosim.scenario.context.fmus import RecordedFmu
-from cosim.scenario.recorded_metadata import MEANS, component_metadata, component_record
+from cosim.scenario.record import MEANS, component_metadata, component_record
 from cosim.temporary import TemporaryFolder
 
 MOST_EMBEDDED: Final = MOST_ATTACHED - 2**12  # bytes; the record of an attachment has a head, too

@@ -17,16 +17,17 @@ from cosim.core.recorded.signals import WARNINGS, DistinctWarnings, RunMessage
 from cosim.core.recorders import close, end_of_run, error_text
 from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP, MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
+from cosim.documents import plain
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.scenario.building.experiment import Experiment, MessageSource
-from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
-from cosim.scenario.kinds.initial_states import INITIAL_STATES, change_text, changed_states
+from cosim.scenario.identification.run_verdicts import Assessor
+from cosim.scenario.kinds.initial_states import change_text, changed_states
+from cosim.scenario.record import IDENTIFICATION, INITIAL_STATES, UNTIL
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
 
-UNTIL = "until"
 MEANS = (
     "every step sets {} to the mean of both of its ends, which are what the log has (no input "
     "derivatives)"
@@ -203,12 +204,12 @@ class MessageRecorder(PassingRecorder):
         """Record which initial states are others than those that the scenario gives."""
         experiment = self._experiment
         changed = changed_states(experiment.graph, experiment.given_states, row)
-        plain = {}
+        changes_of = {}
         for name, changes in changed.items():
             self.message(self._reached_ns, "warning", name, change_text(changes))
-            plain[name] = [change.model_dump() for change in changes]
-        if plain:
-            self._recorder.result({INITIAL_STATES: plain})
+            changes_of[name] = [plain(change) for change in changes]
+        if changes_of:
+            self._recorder.result({INITIAL_STATES: changes_of})
 
     def _record_messages(self, until_ns: int) -> None:
         """Record the new messages of all FMUs, and those that have waited for their instants."""

@@ -14,7 +14,7 @@ from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.parsing import read
-from cosim.scenario.recorded_metadata import component_metadata, component_record, run_metadata
+from cosim.scenario.record import component_metadata, component_record, run_metadata
 
 
 def recorded_document(log: CompleteRecording) -> Document:

@@ -11,7 +11,7 @@ from cosim.errors import LogError
 from cosim.instants import Grid
 from cosim.log import Log
 from cosim.log.contents.result import PARTIAL_STATUS
-from cosim.scenario.recorded_metadata import recorded_window, replay_origin
+from cosim.scenario.record import recorded_window, replay_origin
 
 _DOUBLE: Final = 8  # bytes
 _MOST_LOADED: Final = 2**25  # bytes of rows that are read before they are needed

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 
 from cosim.core.connections import Connection
-from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recorded.partial import partial_layout
 from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.core.signals import Channel
+from cosim.documents import plain
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
 from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.build import asks_for_means
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
-from cosim.scenario.recorded_metadata import MEANS
+from cosim.scenario.record import MEANS
 from cosim.scenario.recordings.viewer_panels import viewer_panels
 
 
@@ -50,11 +50,11 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     if settings.until is not None:
         run["until"] = settings.until
     if experiment.gains:
-        run["loop_gains"] = json.dumps(list(map(_plain_gain, experiment.gains)))
+        run["loop_gains"] = json.dumps(list(map(plain, experiment.gains)))
     if experiment.models:
         run["models"] = json.dumps(experiment.models)
     if experiment.origin is not None:
-        run["replay"] = json.dumps(asdict(experiment.origin))
+        run["replay"] = json.dumps(plain(experiment.origin))
     connections = {}
     for to, connection in experiment.graph.connections.items():
         values = _plain_connection(scenario.connections.get(to, connection))
@@ -82,14 +82,6 @@ def _record_of(experiment: Experiment, name: str) -> dict[str, str]:
     if graph.members[name].channel.interface.one_value and not as_of_old:
         record[MEANS] = json.dumps(graph.mean_inputs.get(name, []))
     return record
-
-
-def _plain_gain(gain: LoopGain) -> dict[str, Any]:
-    """Return the gain of a loop in plain values; its parts only where it takes substeps."""
-    values = asdict(gain)
-    if gain.parts == 1:
-        values.pop("parts")
-    return values
 
 
 def _plain_connection(connection: Connection) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
-from cosim.scenario.recorded_metadata import recorded_loop_gains
-from cosim.scenario.recorded_tables import ReplayOrigin
+from cosim.scenario.record import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
 from cosim.scenario.recordings.replay_changes import Swaps, check_changes

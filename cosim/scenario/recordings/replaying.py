@@ -27,8 +27,7 @@ from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
 from cosim.scenario.document.swap import is_map_key
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recorded_metadata import MEANS, component_metadata, component_record
-from cosim.scenario.recorded_tables import CodeRecord
+from cosim.scenario.record import MEANS, CodeRecord, component_metadata, component_record
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows

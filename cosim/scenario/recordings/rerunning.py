@@ -11,7 +11,7 @@ from cosim.errors import UsageError, flag, listing
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.plants import FmuKind
-from cosim.scenario.recorded_metadata import component_table, recorded_warnings
+from cosim.scenario.record import component_table, recorded_warnings
 from cosim.scenario.swapping.swap_report import SWAP_WARNINGS
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict
-from typing import Any, Final, final
+from typing import Final, final
 
 from cosim.arguments import number_argument
 from cosim.core.clock import Clock
@@ -18,9 +17,9 @@ from cosim.core.contracts import Block
 from cosim.core.passing_recorders import Watched
 from cosim.core.recorders import close
 from cosim.core.recording import Recorder
+from cosim.documents import plain
 from cosim.errors import UsageError, option
-from cosim.scenario.recorded_metadata import REAL_TIME
-from cosim.scenario.recorded_tables import Lateness
+from cosim.scenario.record import REAL_TIME, Lateness
 
 BLOCK: Final = 0.01  # s of wall time between two waits, about
 
@@ -108,7 +107,7 @@ class RealTimePace:
 
     def end(self, recorder: Recorder, error: BaseException | None) -> None:
         """Record how late the run was, and close the recorder."""
-        values: dict[str, Any] = asdict(self._lateness)
+        values = plain(self._lateness)
         try:
             recorder.result({REAL_TIME: values})
         finally:

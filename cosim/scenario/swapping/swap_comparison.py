@@ -31,7 +31,7 @@ from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recorded_metadata import component_metadata, component_record
+from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.swapping.port_comparison import (
     ComparedComponent,
     ComponentCapabilities,

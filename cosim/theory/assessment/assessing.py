@@ -17,6 +17,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, StartError
 from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
 from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise, residual_size
@@ -25,7 +26,6 @@ from cosim.theory.assessment.standing_outputs import standing_outputs
 from cosim.theory.assessment.term_order import ordered_like
 from cosim.theory.assessment.verdicts import (
     Assessment,
-    Verdict,
     VerdictMaker,
     are_hidden_by_errors,
     is_present,

@@ -15,17 +15,18 @@ even where it is as large as all of that is no error that tests can see: theta m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Vector
 from cosim.theory.assessment.amplitude_verdicts import constants_of
 from cosim.theory.assessment.consistency import LEAST_REMAINDER, ErrorTraces, TestedFit
+from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError, Verdict
 from cosim.theory.assessment.linearized_fit import pseudo_inverse
 from cosim.theory.assessment.model_errors import ModelError, missing_parts
-from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
+from cosim.theory.assessment.verdicts import Assessment
 
 LEAST_MOVE: Final = 0.5  # half widths, from which on it is told
 LARGEST_ERROR: Final = 0.1  # over the effect of the disturbance, of an alpha over its variation
@@ -34,37 +35,12 @@ SAME_MOVE: Final = 1.01  # of two errors that move a parameter as far the first 
 RATES: Final = 7  # of exponentials, a factor of 2 apart, from the slowest one over the record
 
 
-@dataclass(frozen=True)
-class UndetectedError:
-    """An error of the model that would just pass the tests of the residual.
-
-    Parameters
-    ----------
-    error : str
-    size : float
-        In the unit of what it is on.
-    half_widths : mapping of parameter or amplitude to float
-        By how many half widths of its interval it moves each, where that is more than half of one.
-    remedy : str
-        What removes it; empty: nothing that is known.
-    """
-
-    error: str
-    size: float
-    half_widths: Mapping[str, float]
-    remedy: str = ""
-
-    def __str__(self) -> str:
-        """Return it as a sentence."""
-        first, *others = self.half_widths.items()
-        moves = [f"{first[0]} moves by {_times_text(first[1])} half widths"]
-        moves += [f"{name} by {_times_text(times)}" for name, times in others]
-        removed = f"; {self.remedy} removes it" if self.remedy else ""
-        return f"{self.error} of {self.size:.2g} would pass: {', '.join(moves)}{removed}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {**asdict(self), "text": str(self)}
+def _sentence(error: str, size: float, half_widths: Mapping[str, float], remedy: str) -> str:
+    first, *others = half_widths.items()
+    moves = [f"{first[0]} moves by {_times_text(first[1])} half widths"]
+    moves += [f"{name} by {_times_text(times)}" for name, times in others]
+    removed = f"; {remedy} removes it" if remedy else ""
+    return f"{error} of {size:.2g} would pass: {', '.join(moves)}{removed}"
 
 
 def _times_text(times: float) -> str:
@@ -116,7 +92,8 @@ def undetected_errors(
         error = found[i].error
         remedy = with_offset if error.is_constant else ""
         if half_widths:
-            errors.append(UndetectedError(error.name, found[i].size, half_widths, remedy))
+            moved = (error.name, found[i].size, half_widths, remedy)
+            errors.append(UndetectedError(*moved, text=_sentence(*moved)))
     return tuple(errors)
 
 

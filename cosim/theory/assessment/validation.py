@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.documents import plain
 from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.consistency import (
@@ -85,7 +86,7 @@ class Validation:
             "deviation": self.deviation,
             "ratio": self.ratio,
             "tests": tests,
-            "own": [parameter.to_dict() for parameter in self.own.parameters],
+            "own": [plain(parameter) for parameter in self.own.parameters],
         }
 
 

@@ -22,19 +22,20 @@ with it (:func:`judge`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.documents import plain
 from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.assessment.consistency import (
     MARGIN,
     Consistency,
 )
+from cosim.theory.assessment.documents import ParameterVerdict, Verdict
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import StandingOutput
@@ -58,56 +59,6 @@ NOT_LARGER: Final = (
     "its component is not larger than the largest that noise alone fits: a larger disturbance or "
     "less noise would show it"
 )
-
-
-class Verdict(StrEnum):
-    """What may be said about a parameter."""
-
-    IDENTIFIABLE = "IDENTIFIABLE"
-    WEAK = "WEAK"
-    NOT_IDENTIFIABLE = "NOT_IDENTIFIABLE"
-    INCONSISTENT = "INCONSISTENT"
-    NO_ESTIMATE = "NO_ESTIMATE"
-
-    @property
-    def has_value(self) -> bool:
-        """Whether there is a number."""
-        return self not in (Verdict.NOT_IDENTIFIABLE, Verdict.NO_ESTIMATE)
-
-    @property
-    def has_interval(self) -> bool:
-        """Whether an interval around the number holds, if the model does."""
-        return self in (Verdict.IDENTIFIABLE, Verdict.WEAK)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ParameterVerdict:
-    """What may be said about one parameter.
-
-    Parameters
-    ----------
-    name : str
-    verdict : Verdict
-    value : float or None
-        None where the verdict has no value.
-    standard_error : float or None
-    lower, upper : float or None
-        The 95 % interval, with what step and quantization may have moved the estimate by; None
-        where the verdict has no interval.
-    reason : str
-    """
-
-    name: str
-    verdict: Verdict
-    value: float | None
-    standard_error: float | None
-    lower: float | None
-    upper: float | None
-    reason: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {**asdict(self), "verdict": str(self.verdict)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -170,7 +121,7 @@ class Assessment:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        parameters = [parameter.to_dict() for parameter in self.parameters]
+        parameters = [plain(parameter) for parameter in self.parameters]
         accuracy = np.max([one.deviations for one in self.consistency.accuracy], axis=0)
         tests = [test.to_dict() for test in self.consistency.tests]
         return {

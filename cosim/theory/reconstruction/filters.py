@@ -44,13 +44,14 @@ from typing import ClassVar, Final, Protocol
 import numpy as np
 
 from cosim.arrays import Vector, frozen
+from cosim.documents import document
 from cosim.errors import AssumptionError
 
 HIGHEST_ORDER: Final = 10  # of a fitted polynomial: beyond it noise is all that it follows
 MOST_SAMPLES: Final = 100_000  # on each side of a window
 
 
-@dataclass(frozen=True)
+@document
 class Bias:
     """The leading error of a reconstruction: ``coefficient`` times a derivative of a signal.
 

@@ -13,7 +13,7 @@ from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START,
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
 from cosim.scenario.assumptions.report import FILTER, RESOLUTION, check_assumptions
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import recorded_warnings
+from cosim.scenario.record import recorded_warnings
 from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]

@@ -11,7 +11,7 @@ from cosim.errors import LogError, NonFiniteError, ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import recorded_loop_gains, recorded_warnings
+from cosim.scenario.record import recorded_loop_gains, recorded_warnings
 
 PAIR = """
 [scenario]

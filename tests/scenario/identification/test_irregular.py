@@ -5,7 +5,7 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
-from cosim.scenario.identification.run_verdicts import IDENTIFICATION
+from cosim.scenario.record import IDENTIFICATION
 from cosim.theory.bounded import irregular_part
 from cosim.theory.bounded.set_membership import FeasibleInterval
 

@@ -29,7 +29,7 @@ from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.parameters import parameters_of
 from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
+from cosim.scenario.record import recorded_identification, recorded_warnings
 from cosim.testing import check_component
 from cosim.theory.disturbances.regression import expand
 from tests.scenario.refusals import check_refused

@@ -13,7 +13,7 @@ from cosim.scenario.assumptions.regression import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
-from cosim.scenario.recorded_metadata import recorded_identification
+from cosim.scenario.record import recorded_identification
 from tests.scenario.refusals import check_refused
 
 SOURCE = """

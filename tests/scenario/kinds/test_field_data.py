@@ -13,9 +13,8 @@ from scipy.stats import chi2
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import open_log
-from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.scenario.identifying import identifier_record, identify_records
-from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
+from cosim.scenario.record import IDENTIFICATION, recorded_identification, recorded_warnings
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error

@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import component_record, recorded_warnings
+from cosim.scenario.record import component_record, recorded_warnings
 from tests.scenario.general_plant import GENERAL, X0, write
 from tests.scenario.refusals import check_refused
 

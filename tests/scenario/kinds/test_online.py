@@ -9,7 +9,7 @@ import cosim
 from cosim.core.contracts import prepare
 from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
-from cosim.scenario.recorded_metadata import recorded_identification
+from cosim.scenario.record import recorded_identification
 from cosim.testing import check_component
 from tests.scenario.online import (
     COARSE,

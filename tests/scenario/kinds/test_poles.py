@@ -4,7 +4,7 @@ import numpy as np
 
 import cosim
 from cosim.errors import CosimError
-from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.record import component_record
 from tests.scenario.kinds.compensated_loop import scenario
 from tests.scenario.refusals import check_refused
 

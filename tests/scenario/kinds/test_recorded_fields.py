@@ -10,7 +10,7 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError
 from cosim.log import open_log
-from cosim.scenario.recorded_metadata import component_table, recorded_warnings
+from cosim.scenario.record import component_table, recorded_warnings
 from tests.log.crafting import put_together, take_apart
 from tests.log.foreign.field_logs import EPOCH, write_json
 from tests.scenario.field_recordings import (

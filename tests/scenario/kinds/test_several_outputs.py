@@ -6,7 +6,7 @@ import pytest
 import cosim
 from cosim.errors import CosimError
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import recorded_identification
+from cosim.scenario.record import recorded_identification
 from cosim.testing import check_component
 from tests.scenario.kinds.two_outputs import SCENARIO
 from tests.scenario.online import identifiers

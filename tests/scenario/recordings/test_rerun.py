@@ -13,7 +13,7 @@ from cosim.errors import FmuError, LogError, UsageError
 from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
-from cosim.scenario.recorded_metadata import component_record, replay_origin
+from cosim.scenario.record import component_record, replay_origin
 from cosim.scenario.recordings import embedding
 from cosim.scenario.running.replay import replays_of
 from tests.fmi import lag

@@ -7,7 +7,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import component_record, replay_origin
+from cosim.scenario.record import component_record, replay_origin
 from tests.fmi import lag
 from tests.fmi.compiled import with_description
 

@@ -8,8 +8,8 @@ import pytest
 from cosim.native.numerics.linear import first_order_hold, linear_step
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet
 from tests.theory.experiments import FAMILIES, THETA, design

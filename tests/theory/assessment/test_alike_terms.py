@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from cosim.theory.assessment.assessing import assess, assess_near
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential, Polynomial, TExponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from tests.theory.straight_lines import simulate_lines

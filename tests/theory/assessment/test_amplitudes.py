@@ -5,8 +5,8 @@ import pytest
 
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess_near
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.forced_response import simulate

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from cosim.theory.assessment.assessing import assess_near
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 

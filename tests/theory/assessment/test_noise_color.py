@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from cosim.theory.assessment.assessing import assess_near
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.noise_color import (
     ColoredRecord,
     Criterion,
@@ -17,7 +18,6 @@ from cosim.theory.assessment.noise_color import (
     largest_power,
 )
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above

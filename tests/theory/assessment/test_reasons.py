@@ -10,8 +10,9 @@ import pytest
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_near
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict, judge
+from cosim.theory.assessment.verdicts import judge
 from cosim.theory.disturbances.families import (
     DampedSine,
     Exponential,

@@ -7,8 +7,8 @@ import pytest
 
 import cosim
 from cosim.theory.assessment.assessing import assess_near
+from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import alpha_products, expand
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
