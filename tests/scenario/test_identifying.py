@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.documents import plain
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.identification.run_verdicts import plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import IDENTIFICATION
 
@@ -37,7 +37,7 @@ def test_a_log_says_what_the_run_said(logs):
     found = identify_records([identifier_record(logs[0])])
     recorded = dict(logs[0].results[IDENTIFICATION]["identifier"])
     recorded.pop("estimate")
-    assert recorded.pop("amplitudes") == plain_amplitudes(found.amplitudes)
+    assert recorded.pop("amplitudes") == [list(map(plain, own)) for own in found.amplitudes]
     undetected = recorded.pop("undetected")
     assert [own["half_widths"] for own in undetected] == [
         dict(own.half_widths) for own in found.undetected

@@ -135,7 +135,7 @@ def test_a_direct_disturbance_is_not_said_to_be_filtered(tmp_path):
     (reconstruction,) = summarize(log).reconstructions
     assert reconstruction.filter == "direct"
     np.testing.assert_allclose(reconstruction.noise_gain, [0.5], rtol=0.3)  # and what x hat adds
-    assert reconstruction.bias["coefficient"] == 0.0
+    assert reconstruction.bias.coefficient == 0.0
     assert recorded_warnings(log) == []
     warned = cosim.run(
         write(

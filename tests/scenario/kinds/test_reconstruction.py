@@ -300,7 +300,7 @@ def test_the_choice_is_for_the_noise_that_is_there(academic):
     assert 0.5 * result["error_by_noise"] < rms < 1.5 * predicted
     (reconstruction,) = summarize(run).reconstructions
     assert reconstruction.noise_gain[0] * 1e-3 == pytest.approx(result["error_by_noise"], rel=0.02)
-    assert "each exponential of size 1" in reconstruction.choice["assumption"]
+    assert "each exponential of size 1" in reconstruction.choice.assumption
 
 
 def test_the_noise_can_be_that_of_a_log_which_a_replay_does_not_need(academic, tmp_path):
