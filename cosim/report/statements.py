@@ -25,17 +25,17 @@ warnings and messages of another version of cosim, whose sentences may be others
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from decimal import Decimal
+from functools import partial
+from itertools import chain
 from operator import attrgetter
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.core.contracts import Design
 from cosim.core.port import Port
@@ -44,7 +44,7 @@ from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, DistinctWarning
 from cosim.core.recorders import Memory
 from cosim.core.recording import Substep
 from cosim.core.signals import Channel, Interface, element_names
-from cosim.core.stages.substep_control import SubstepCounts
+from cosim.documents import plain
 from cosim.errors import quoted
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
@@ -205,6 +205,7 @@ def compared_statements(source: Log, again: Log | Memory, designs: DesignPairs |
     return text
 
 
+@final
 class _Statements:
     """The statements of a log, each beside what its replay says."""
 
@@ -238,36 +239,51 @@ class _Statements:
     def pairs(self) -> Iterator[_Statement]:
         """Yield them all."""
         yield from self._of_run()
-        yield from self._of_connections()
+        yield from self._each(
+            "connection to {!r}", lambda run: run.metadata.get("cosim.connections", {})
+        )
         for name in self._known:
             yield from self._of_component(name)
         if self.has_own_words:
             yield from self._of_messages()
         yield from self._of_substeps()
-        yield from self._of_end()
+        if self._source.status != "unfinished":
+            yield from self._of_end()
         yield from self._of_identification()
+
+    def _both(self, what: str, said: Callable[[Log | Memory], Any]) -> _Statement:
+        return what, said(self._source), said(self._again)
+
+    def _each(
+        self, what: str, said: Callable[[Log | Memory], Mapping[str, Any]]
+    ) -> Iterator[_Statement]:
+        """Yield what both say by key; of a partial replay what it says."""
+        _, recorded, expected = self._both(what, said)
+        for key in {**expected, **recorded} if self.has_all else expected:
+            yield what.format(key), recorded.get(key), expected.get(key)
 
     def _of_run(self) -> Iterator[_Statement]:
         source = self._source
-        recorded = run_metadata(source)
-        expected = run_metadata(self._again)
         left_out = _OTHER_KEYS if self.has_all else _OTHER_KEYS | _OF_ALL_KEYS
-        for key in sorted((expected.keys() | recorded.keys()) - left_out):
-            yield key, recorded.get(key), expected.get(key)
-        yield "overrides", self._event_bits(source), self._event_bits(self._again)
-        stop = recorded_stop(source)
-        yield "stop", recorded.get("stop"), repr(stop)
+        of_runs = run_metadata(source), run_metadata(self._again)
+        for key in sorted({**of_runs[0], **of_runs[1]}.keys() - left_out):
+            yield key, of_runs[0].get(key), of_runs[1].get(key)
+        yield self._both("overrides", self._event_bits)
+        stop = repr(recorded_stop(source))
+        yield "stop", of_runs[0].get("stop"), stop
         if source.status == "complete" and not source.reason:
-            yield "end of the run [ns]", source.end_ns, int(Decimal(repr(stop)).scaleb(9))
-        stages = list(self._again.schedule)
-        if self.has_all:
-            yield "stages", source.schedule, stages
-        else:
-            own = [stage for stage in stages if not self._computed.isdisjoint(stage.split())]
-            # of those that do not depend on each other, others decide on the order
-            yield "stages", sorted(set(source.schedule).intersection(own)), sorted(own)
+            yield "end of the run [ns]", source.end_ns, int(Decimal(stop).scaleb(9))
+        yield self._both("stages", self._stages)
         step = source.metadata.get("cosim.schedule", {}).get("step_ns")
         yield "step of the schedule [ns]", step, str(source.step_ns)
+
+    def _stages(self, run: Log | Memory) -> list[str]:
+        stages = list(run.schedule)
+        if self.has_all:
+            return stages
+        own = [one for one in self._again.schedule if not self._computed.isdisjoint(one.split())]
+        # of those that do not depend on each other, others decide on the order
+        return sorted(set(stages).intersection(own))
 
     def _event_bits(self, run: Log | Memory) -> list[tuple[Any, ...]]:
         """Return the jumps that the replay may have, to the last bit; NaN is equal to itself so."""
@@ -283,6 +299,40 @@ class _Statements:
                 events.append((event.time_ns, event.cause, event.signal, values))
         return events
 
+    def _of_component(self, name: str) -> Iterator[_Statement]:
+        own = partial(component_metadata, component=name)
+        table = component_metadata(self._again, name)["table"]
+        yield f"table of {name!r}", own(self._source).get("table"), table
+        yield f"kind of {name!r}", self._source.kinds.get(name), json.loads(table)["kind"]
+        declared = declared_channels(self._source.channels)
+        if name not in self._computed or name not in declared:
+            return
+        what = f"tables that {name!r} rests on"
+        yield self._both(what, lambda run: own(run).get("fingerprint"))
+        yield self._both(f"held inputs of {name!r}", lambda run: run.held[name].tolist())
+        signals = _declaration(declared[name].interface)
+        yield f"signals of {name!r}", signals, _declaration(self._known[name].interface)
+        _, recorded, expected = self._both("", lambda run: component_table(run, name))
+        for key in {**expected, **recorded}:
+            value, other = recorded.get(key), expected.get(key)
+            if key not in EIGENVALUE_FIGURES or not _are_close(value, other):
+                yield f"{key} of {name!r}", value, other
+
+    def _of_messages(self) -> Iterator[_Statement]:
+        for what, texts in (("warnings", recorded_warnings), ("messages", _named_messages)):
+            found, expected = (
+                [one for one in texts(run) if one[0] in self._computed]
+                for run in (self._source, self._again)
+            )
+            if not self.has_all:  # of what is not here there is no warning
+                found = [entry for entry in found if entry in expected]
+            yield what, found, expected
+        if self._source.status == "complete":
+            noted = {warning[1:] for warning in self._source.warnings}
+            warned = {one[1:] for one in DistinctWarnings(self._source.messages())}
+            if len(noted) < MOST_WARNINGS:
+                yield f"{WARNINGS} in {RESULT_FILE}", sorted(noted), sorted(warned)
+
     def _of_substeps(self) -> Iterator[_Statement]:
         recorded = _substeps_before(self._source.end_ns, self._source)
         if not self.has_all:
@@ -296,70 +346,8 @@ class _Statements:
             for number, (a, b) in enumerate(zip(found.values, computed.values, strict=False)):
                 yield f"{about}: value {number}", a.hex(), b.hex()
 
-    def _of_connections(self) -> Iterator[_Statement]:
-        recorded = self._source.metadata.get("cosim.connections", {})
-        expected = self._again.metadata["cosim.connections"]
-        ports = {**expected, **recorded} if self.has_all else expected
-        for port in ports:
-            yield f"connection to {port!r}", recorded.get(port), expected.get(port)
-
-    def _of_component(self, name: str) -> Iterator[_Statement]:
-        source = self._source
-        recorded = component_metadata(source, name)
-        expected = component_metadata(self._again, name)
-        yield f"table of {name!r}", recorded.get("table"), expected["table"]
-        kind = json.loads(expected["table"])["kind"]
-        yield f"kind of {name!r}", source.kinds.get(name), kind
-        declared = declared_channels(source.channels)
-        if name not in self._computed or name not in declared:
-            return
-        what = f"tables that {name!r} rests on"
-        yield what, recorded.get("fingerprint"), expected["fingerprint"]
-        held = source.held[name].tolist()
-        yield f"held inputs of {name!r}", held, self._again.held[name].tolist()
-        signals = _declaration(declared[name].interface)
-        yield f"signals of {name!r}", signals, _declaration(self._known[name].interface)
-        yield from self._of_metadata(name)
-
-    def _of_metadata(self, name: str) -> Iterator[_Statement]:
-        recorded = component_table(self._source, name)
-        expected = component_table(self._again, name)
-        for key in {**expected, **recorded}:
-            value = recorded.get(key)
-            other = expected.get(key)
-            if key not in EIGENVALUE_FIGURES or not _are_close(value, other):
-                yield f"{key} of {name!r}", value, other
-
-    def _of_messages(self) -> Iterator[_Statement]:
-        warnings = self._own(recorded_warnings(self._source))
-        expected_warnings = self._own(recorded_warnings(self._again))
-        messages = self._own_messages(self._source)
-        expected_messages = self._own_messages(self._again)
-        if not self.has_all:  # of what is not here there is no warning
-            warnings = [entry for entry in warnings if entry in expected_warnings]
-            messages = [entry for entry in messages if entry in expected_messages]
-        yield "warnings", warnings, expected_warnings
-        yield "messages", messages, expected_messages
-        if self._source.status != "complete":
-            return
-        noted = {warning[1:] for warning in self._source.warnings}
-        warned = {one[1:] for one in DistinctWarnings(self._source.messages())}
-        if len(noted) < MOST_WARNINGS:
-            yield f"{WARNINGS} in {RESULT_FILE}", sorted(noted), sorted(warned)
-
-    def _own(self, texts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-        """Return the texts of the components that were computed again."""
-        return [(name, text) for name, text in texts if name in self._computed]
-
-    def _own_messages(self, run: Log | Memory) -> list[tuple[str, str]]:
-        # "run" is how the run ended: a replay ends where the recording does, whatever the reason
-        named = [(message.source, message.text) for message in run.messages()]
-        return [entry for entry in self._own(named) if entry[0] != "run"]
-
     def _of_end(self) -> Iterator[_Statement]:
         results = self._source.results
-        if self._source.status == "unfinished":
-            return
         if not results:
             yield RESULT_FILE, None, "how the run ended, and its last row"
             return
@@ -369,53 +357,49 @@ class _Statements:
             text = value if value is None else str(value)
             yield f"{key} in {RESULT_FILE}", text, recorded.get(key)
         if self._source.status == "complete":  # else the run may have taken some beyond the end
-            counts = recorded_substep_counts(self._source)
-            expected_counts = recorded_substep_counts(self._again)
-            if not self.has_all:
-                loops = [own.components for own in expected_counts]
-                counts = tuple(own for own in counts if own.components in loops)
-            yield from _of_counts(counts, expected_counts)
+            yield from self._of_counts()
+        last = results.get("last")
         if self._source.status == PARTIAL_STATUS:
             return  # a last row there may be is that of the whole run
-        recorded_labels = _labels(self._source.channels)
-        own = self._again.results["last"].items()
-        expected = {label: value for label, value in own if label in recorded_labels}
-        last = results.get("last")
         if last is None and self._source.status in ("failed", "interrupted"):
             return  # on a full disk, or recovered: not even the last rows could be kept
-        if not isinstance(last, dict):
-            last = {}
-        labels = {**expected, **last} if self.has_all else expected
-        for label in labels:
-            yield f"last row in {RESULT_FILE}: {label}", last.get(label), expected.get(label)
+        recorded_labels = _labels(self._source.channels)
+        of_replay = self._again.results["last"].items()
+        expected = {label: value for label, value in of_replay if label in recorded_labels}
+        found = last if isinstance(last, dict) else {}
+        for label in {**expected, **found} if self.has_all else expected:
+            yield f"last row in {RESULT_FILE}: {label}", found.get(label), expected.get(label)
+
+    def _of_counts(self) -> Iterator[_Statement]:
+        """Yield the counts of every loop one by one."""
+        what = f"counts of substeps in {RESULT_FILE}"
+        _, found, expected = self._both(what, recorded_substep_counts)
+        if not self.has_all:
+            there = [own.components for own in expected]
+            found = [own for own in found if own.components in there]
+        loops = [list(own.components) for own in found]
+        yield f"{what}: loops", loops, [list(own.components) for own in expected]
+        for own, other in zip(found, expected, strict=False):
+            for field in fields(own)[1:]:
+                place = f"{what}: loop of {own.components[0]!r}, {field.name}"
+                yield place, getattr(own, field.name), getattr(other, field.name)
 
     def _of_identification(self) -> Iterator[_Statement]:
         """Yield the verdicts that differ; a log without any says nothing false of them."""
-        recorded = recorded_identification(self._source)
-        if not recorded:
+        if not recorded_identification(self._source):
             return
-        expected = recorded_identification(self._again)
-        names = {**expected, **recorded} if self.has_all else expected
-        for name in names:
-            computed = _parameters(recorded.get(name))
-            replayed = _parameters(expected.get(name))
-            if not _agree(computed, replayed):
-                yield f"verdicts on {name!r}", computed, replayed
-            if name in recorded and name in expected:
-                yield from _beside_verdicts(name, recorded[name], expected[name])
+        for name, recorded, expected in self._each("{}", recorded_identification):
+            for what, (part, rtol) in _OF_VERDICTS.items():
+                found, computed = part(recorded or _NOTHING), part(expected or _NOTHING)
+                is_said = found or what == _VERDICTS  # older logs have not all the others
+                if is_said and not _agree(found, computed, rtol):
+                    yield f"{what} {name!r}", found, computed
 
 
-def _of_counts(
-    counts: Sequence[SubstepCounts], expected: Sequence[SubstepCounts]
-) -> Iterator[_Statement]:
-    """Yield the counts of every loop one by one."""
-    what = f"counts of substeps in {RESULT_FILE}"
-    loops = [list(own.components) for own in counts]
-    yield f"{what}: loops", loops, [list(own.components) for own in expected]
-    for own, other in zip(counts, expected, strict=False):
-        for field in fields(own)[1:]:
-            place = f"{what}: loop of {own.components[0]!r}, {field.name}"
-            yield place, getattr(own, field.name), getattr(other, field.name)
+def _named_messages(run: Log | Memory) -> list[tuple[str, str]]:
+    # "run" is how the run ended: a replay ends where the recording does, whatever the reason
+    named = [(message.source, message.text) for message in run.messages()]
+    return [entry for entry in named if entry[0] != "run"]
 
 
 def _substeps_before(time_ns: int, run: Log | Memory) -> list[Substep]:
@@ -426,92 +410,16 @@ def _substeps_before(time_ns: int, run: Log | Memory) -> list[Substep]:
 
 def _labels(channels: Mapping[str, Channel]) -> set[str]:
     """Return the names of all elements, ``component.signal[0]``."""
-    labels = set()
-    for name, channel in channels.items():
-        labels |= {f"{name}.{element}" for element in element_names(channel.signals)}
-    return labels
+    return {
+        f"{name}.{element}"
+        for name, channel in channels.items()
+        for element in element_names(channel.signals)
+    }
 
 
 def _elements_of(channels: Mapping[str, Channel]) -> set[tuple[str, str]]:
     """Return all signals by component and name."""
-    elements = set()
-    for name, channel in channels.items():
-        elements |= {(name, signal) for signal in channel.by_name}
-    return elements
-
-
-def _parameters(record: IdentifierVerdicts | None) -> list[dict[str, Any]]:
-    """Return what a log says of the parameters of an identifier."""
-    if record is None:
-        return []
-    return _plain((*record.parameters, *record.estimate))
-
-
-def _beside_verdicts(
-    name: str, recorded: IdentifierVerdicts, expected: IdentifierVerdicts
-) -> Iterator[_Statement]:
-    """Yield amplitudes, errors that pass and intervals that differ, where the log has some."""
-    if recorded.amplitudes:
-        computed = _amplitudes(recorded)
-        replayed = _amplitudes(expected)
-        if not _agree(computed, replayed):
-            yield f"amplitudes of {name!r}", computed, replayed
-    if recorded.undetected:
-        computed = _undetected(recorded)
-        replayed = _undetected(expected)
-        if not _agree(computed, replayed):
-            yield f"undetected errors of {name!r}", computed, replayed
-    if recorded.irregular is not None:
-        computed = _guaranteed(recorded)
-        replayed = _guaranteed(expected)
-        if not _agree(computed, replayed, rtol=_GUARANTEED_RTOL):
-            yield f"guaranteed intervals of {name!r}", computed, replayed
-
-
-def _guaranteed(record: IdentifierVerdicts) -> list[dict[str, Any]]:
-    """Return what a log says of an irregular part of the disturbance, the problem left out."""
-    irregular = record.irregular
-    if irregular is None:
-        return []
-    part = {"bound": irregular.bound, "confidence": irregular.confidence}
-    return [part, *map(asdict, irregular.effects)]
-
-
-def _amplitudes(record: IdentifierVerdicts) -> list[dict[str, Any]]:
-    """Return what a log says of the amplitudes and phases of an identifier."""
-    return _plain(itertools.chain.from_iterable(record.amplitudes))
-
-
-def _undetected(record: IdentifierVerdicts) -> list[dict[str, Any]]:
-    """Return what a log says of errors that would pass, flat and with the texts left out."""
-    return [{"error": own.error, "size": own.size, **own.half_widths} for own in record.undetected]
-
-
-def _plain(parameters: Iterable[ParameterVerdict]) -> list[dict[str, Any]]:
-    """Return verdicts as plain values, reasons left out."""
-    return [asdict(replace(parameter, reason="")) for parameter in parameters]
-
-
-def _agree(
-    computed: Sequence[dict[str, Any]],
-    replayed: Sequence[dict[str, Any]],
-    *,
-    rtol: float = _ESTIMATE_RTOL,
-) -> bool:
-    """Return whether verdicts are equal and their numbers equal but for rounding."""
-    if len(computed) != len(replayed):
-        return False
-    for verdict, expected_verdict in zip(computed, replayed, strict=True):
-        if verdict.keys() != expected_verdict.keys():
-            return False
-        for key, value in verdict.items():
-            other = expected_verdict[key]
-            if isinstance(value, float) and isinstance(other, float):
-                if not math.isclose(value, other, rel_tol=rtol, abs_tol=1e-12):
-                    return False
-            elif value != other:
-                return False
-    return True
+    return {(name, signal) for name, channel in channels.items() for signal in channel.by_name}
 
 
 def _declaration(interface: Interface) -> tuple[Any, ...]:
@@ -519,17 +427,61 @@ def _declaration(interface: Interface) -> tuple[Any, ...]:
     return signals_json(interface), dict(interface.initial), tuple(interface.delayed)
 
 
+# --- verdicts ---
+
+
+def _plain(verdicts: Iterable[ParameterVerdict]) -> list[dict[str, Any]]:
+    """Return verdicts as plain values, reasons left out."""
+    return [plain(replace(one, reason="")) for one in verdicts]
+
+
+def _undetected(said: IdentifierVerdicts) -> list[dict[str, Any]]:
+    """Return errors that would pass, flat and with the texts left out."""
+    return [{"error": own.error, "size": own.size, **own.half_widths} for own in said.undetected]
+
+
+def _guaranteed(said: IdentifierVerdicts) -> list[dict[str, Any]]:
+    """Return what is said of an irregular part of the disturbance, the problem left out."""
+    part = said.irregular
+    if part is None:
+        return []
+    return [{"bound": part.bound, "confidence": part.confidence}, *map(plain, part.effects)]
+
+
+_NOTHING: Final = IdentifierVerdicts()
+_VERDICTS: Final = "verdicts on"
+_OF_VERDICTS: Final[Mapping[str, tuple[Callable[[IdentifierVerdicts], Any], float]]] = {
+    _VERDICTS: (lambda said: _plain((*said.parameters, *said.estimate)), _ESTIMATE_RTOL),
+    "amplitudes of": (lambda said: _plain(chain(*said.amplitudes)), _ESTIMATE_RTOL),
+    "undetected errors of": (_undetected, _ESTIMATE_RTOL),
+    "guaranteed intervals of": (_guaranteed, _GUARANTEED_RTOL),
+}
+
+
+def _agree(found: Any, expected: Any, rtol: float) -> bool:
+    """Return whether verdicts are equal, and their numbers equal but for rounding."""
+    match found, expected:
+        case dict(), dict():
+            return found.keys() == expected.keys() and all(
+                _agree(value, expected[key], rtol) for key, value in found.items()
+            )
+        case list(), list():
+            is_as_long = len(found) == len(expected)
+            pairs = zip(found, expected, strict=False)
+            return is_as_long and all(_agree(a, b, rtol) for a, b in pairs)
+        case float(), float():
+            return math.isclose(found, expected, rel_tol=rtol, abs_tol=1e-12)
+    return bool(found == expected)
+
+
 def _are_close(recorded: Any, expected: Any) -> bool:
     """Return whether eigenvalues, or what is computed from them, are equal but for rounding."""
     try:
-        a = _complex_numbers(recorded)
-        b = _complex_numbers(expected)
+        a, b = map(_complex_numbers, (recorded, expected))
     except (TypeError, ValueError):
         return False
-    if len(a) != len(b):
-        return False
-    if not len(a):
-        return True
+    if len(a) != len(b) or not len(a):
+        return len(a) == len(b)
     distances = np.abs(a[:, np.newaxis] - b)  # whatever their order, which rounding changes too
     nearest = max(distances.min(axis=0).max(), distances.min(axis=1).max())
     return bool(nearest <= _EIGENVALUE_RTOL * np.abs(b).max())
