@@ -36,6 +36,7 @@ from operator import attrgetter
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.core.contracts import Design
 from cosim.core.port import Port
