@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from cosim.log.comparison.diff import diff
     from cosim.log.reading.reader import open_log
     from cosim.report.certificate import certificate
-    from cosim.report.comparing import compare
-    from cosim.report.estimator_comparison import compare_estimators
+    from cosim.report.comparing import compare, compare_estimators
     from cosim.report.sweep import replay_sweep
     from cosim.scenario.assumptions.report import check_assumptions
     from cosim.scenario.context.models import model_table
@@ -37,7 +36,7 @@ _HOMES = {
     "certificate": "cosim.report.certificate",
     "check_assumptions": "cosim.scenario.assumptions.report",
     "compare": "cosim.report.comparing",
-    "compare_estimators": "cosim.report.estimator_comparison",
+    "compare_estimators": "cosim.report.comparing",
     "design": "cosim.scenario.experiment_design.ranking",
     "diff": "cosim.log.comparison.diff",
     "identify": "cosim.scenario.identifying",

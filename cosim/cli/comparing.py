@@ -28,8 +28,7 @@ from cosim.report.printable import printable
 if TYPE_CHECKING:
     from cosim.log import Log
     from cosim.log.comparison.difference import LogDifference
-    from cosim.report.comparing import Comparison
-    from cosim.report.estimator_comparison import EstimatorComparison
+    from cosim.report.comparing import Comparison, EstimatorComparison
 
 AlternativesOption = Annotated[
     list[str] | None,
@@ -227,7 +226,7 @@ def _compare_estimators(
     force: bool,
     as_json: bool,
 ) -> None:
-    from cosim.report.estimator_comparison import ALL, compare_estimators
+    from cosim.report.comparing import ALL, compare_estimators
     from cosim.report.tables.comparison import print_estimators
     from cosim.scenario.running.execution import load
 

@@ -66,7 +66,7 @@ def recover(
     Keeps every chunk whose CRC matches, also after the damage, and shows which rows are lost.
     """
     from cosim.log.editing.recovering import recover as recover_log
-    from cosim.report.tables.recovery import print_recovery
+    from cosim.report.tables.logs import print_recovery
 
     print_recovery(recover_log(log, out, force=force), as_json=as_json)
 

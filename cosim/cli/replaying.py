@@ -201,7 +201,7 @@ def replay(
 
             plot_run(again, plot)
         if verify and isinstance(replays, LogReplays):
-            from cosim.report.tables.verification import print_verification
+            from cosim.report.tables.logs import print_verification
             from cosim.report.verification import verify as verify_replay
 
             source = replays.source
@@ -252,7 +252,7 @@ def _replay_each(
 ) -> None:
     """Replay with every combination of values; exit with 1 if one fails."""
     from cosim.report.sweep import sweep_of
-    from cosim.report.tables.sweep import print_sweep
+    from cosim.report.tables.comparison import print_sweep
 
     values = read_variations(vary)
     with show_progress(quiet or as_json) as progress, prints_to_stderr():

@@ -186,7 +186,7 @@ def run(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.report.tables.rotation import is_rotated, print_rotated
+    from cosim.report.tables.logs import is_rotated, print_rotated
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.execution import load
     from cosim.scenario.running.execution import run as run_scenario

@@ -1,13 +1,14 @@
-"""The same scenario on several plants: errors against the truth, differences of the estimates."""
+"""Several runs of one scenario: on several plants, or several estimators on the same data."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,23 +17,31 @@ from cosim.arrays import Vector
 from cosim.core.port import split_element
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorders import Memory
-from cosim.core.signals import Interface
+from cosim.core.recording import Recording
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.files import file_type
-from cosim.log import Log
-from cosim.report.recorded_rows import difference, has_signal
+from cosim.log import Log, open_log
+from cosim.report.recorded_rows import difference, has_signal, rows_of, stacked_rows_of
 from cosim.report.summary import Summary, summarize
 from cosim.scenario.document.edits import component_in, short
-from cosim.scenario.document.swap import (
-    PortNames,
-    component_table,
-    marked_path,
-    port_names,
-)
+from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.document.swap import PortNames, component_table, marked_path, port_names
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
+from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.record import truth_of
+from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
+from cosim.scenario.running.replay import replay
+from cosim.temporary import TemporaryFolder
+from cosim.theory.assessment.documents import ParameterVerdict
+from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
+
+ALL: Final = "all"  # estimators
+
+
+# --- plants ---
 
 
 @dataclass(frozen=True)
@@ -81,11 +90,7 @@ class Comparison:
     @cached_property
     def recordings(self) -> dict[str, RecordedRun]:
         """The runs that did not fail, by label."""
-        recordings: dict[str, RecordedRun] = {}
-        for outcome in self.outcomes:
-            if outcome.recording is not None:
-                recordings[outcome.label] = outcome.recording
-        return recordings
+        return {one.label: one.recording for one in self.outcomes if one.recording is not None}
 
     @cached_property
     def estimates(self) -> dict[str, Any]:
@@ -118,32 +123,20 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        summaries = self.summaries
         plants = []
         for outcome in self.outcomes:
-            plant: dict[str, Any] = {"plant": outcome.label, "error": outcome.error or None}
-            plant["log"] = plant["summary"] = None
-            if isinstance(outcome.recording, Log) and outcome.recording.is_at_its_path:
-                plant["log"] = str(outcome.recording.path)
-            if outcome.label in summaries:
-                plant["summary"] = summaries[outcome.label].to_dict()
-            plants.append(plant)
-        return {
-            "scenario": self.scenario,
-            "component": self.component,
-            "plants": plants,
-            "differences": [asdict(row) for row in self.differences],
-        }
-
-
-@dataclass(frozen=True)
-class _Alternative:
-    """A plant to run, and what is changed for it."""
-
-    label: str
-    path: str | None  # None: the component of the scenario itself
-    map: Mapping[str, PortNames] = field(default_factory=dict)
-    changes: Mapping[str, Any] = field(default_factory=dict)
+            summary = self.summaries.get(outcome.label)
+            plants.append(
+                {
+                    "plant": outcome.label,
+                    "error": outcome.error or None,
+                    "log": _path_of(outcome.recording),
+                    "summary": None if summary is None else summary.to_dict(),
+                }
+            )
+        differences = [asdict(row) for row in self.differences]
+        own = {"scenario": self.scenario, "component": self.component}
+        return {**own, "plants": plants, "differences": differences}
 
 
 def compare(
@@ -187,88 +180,71 @@ def compare(
     base = truth_argument("base", base)
     folder = None if out is None else path_argument("out", out)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    component, paths = _paths(loaded, swap, base=base)
+    component, paths = _alternatives(loaded, swap, base=base)
     maps = _maps_by_path(component, paths, mapping_argument("map", map))
     changes = dict(mapping_argument("set", set))
-    common = _changes_of_others(changes, component)
-    alternatives = []
-    if base:
-        alternatives.append(_Alternative(loaded.specs[component].kind, None, changes=common))
+    of_others = {key: changes[key] for key in changes if component_in(short(key)) != component}
+    common = loaded.edit(set=of_others)  # a problem of all plants is raised once
+    labels = [loaded.specs[component].kind] if base else []
+    plants: list[Scenario | CosimError] = [common] if base else []
     for path in paths:
-        alternatives.append(_Alternative(_label(path), path, maps[path], changes))
-    loaded.edit(set=common)  # a problem of all plants is raised once, before anything runs
-    _check_edits(loaded, component, alternatives)
-    labels = _distinct([alternative.label for alternative in alternatives])
-    logs = _log_paths(labels, folder, force=force)
+        labels.append(_label(path))
+        try:
+            plants.append(loaded.edit(swap={component: path}, map=maps[path], set=changes))
+        except CosimError as error:  # of one plant: its outcome
+            plants.append(error)
+    problems = [str(plant) for plant in plants if isinstance(plant, CosimError)]
+    if len(problems) == len(paths):
+        raise UsageError("\n".join(dict.fromkeys(problems)))
+    labels = _distinct(labels)
+    logs = _targets([label.replace("#", "-") for label in labels], folder, force=force)
     outcomes = []
-    for label, alternative, log in zip(labels, alternatives, logs, strict=True):
-        outcomes.append(_run(loaded, component, label, alternative, log=log, force=force))
+    for label, plant, log in zip(labels, plants, logs, strict=True):
+        outcomes.append(_plant_run(label, plant, log, force=force))
     return Comparison(loaded.name, component, tuple(outcomes))
 
 
-def _log_paths(labels: Sequence[str], folder: Path | None, *, force: bool) -> list[Path | None]:
-    """Return where the log of each plant goes; check all of them, before the first run."""
-    logs: list[Path | None] = []
-    for label in labels:
-        log = None if folder is None else folder / f"{label.replace('#', '-')}.mcap"
+def _plant_run(
+    label: str, plant: Scenario | CosimError, log: Path | None, *, force: bool
+) -> PlantRun:
+    try:
+        if isinstance(plant, CosimError):
+            raise plant
+        return PlantRun(label, run(plant, out=log, force=force))
+    except Interrupted:
+        raise
+    except CosimError as error:  # of one plant, whatever it is: the others go on
+        return PlantRun(label, None, str(error))
+
+
+def _targets(names: Iterable[str], folder: Path | None, *, force: bool) -> list[Path | None]:
+    """Return where the log of each run goes; check all of them, before the first run."""
+    logs = [None if folder is None else folder / f"{name}.mcap" for name in names]
+    for log in logs:
         check_target(log, force=force)
-        logs.append(log)
     return logs
 
 
-def _check_edits(loaded: Scenario, component: str, alternatives: Sequence[_Alternative]) -> None:
-    """Refuse edits that make no scenario with any of the alternatives."""
-    problems: dict[str, None] = {}
-    for alternative in alternatives:
-        if alternative.path is None:
-            continue
-        swap = {component: alternative.path}
-        try:
-            loaded.edit(swap=swap, map=alternative.map, set=alternative.changes)
-        except CosimError as error:
-            problems[str(error)] = None
-        else:
-            return  # what the others cannot be is their outcome
-    raise UsageError("\n".join(problems))
-
-
-def _changes_of_others(changes: Mapping[str, Any], component: str) -> dict[str, Any]:
-    """Return the changes without those of the component."""
-    others = {}
-    for key, value in changes.items():
-        if component_in(short(key)) != component:
-            others[key] = value
-    return others
+def _path_of(recording: Log | Memory | None) -> str | None:
+    """Return where a run was recorded; None: nowhere that is there still."""
+    if isinstance(recording, Log) and recording.is_at_its_path:
+        return str(recording.path)
+    return None
 
 
 def _label(path: str) -> str:
     """Return ``x`` for x.fmu and x.mcap, ``x#cs`` for x.fmu#cs."""
     file, _, interface_type = path.rpartition("#")
-    if file_type(file) == "FMU":
-        return f"{Path(file).stem}#{interface_type}"
-    return Path(path).stem
+    return f"{Path(file).stem}#{interface_type}" if file_type(file) == "FMU" else Path(path).stem
 
 
-def _run(
-    loaded: Scenario,
-    component: str,
-    label: str,
-    alternative: _Alternative,
-    *,
-    log: Path | None,
-    force: bool,
-) -> PlantRun:
-    path = alternative.path
-    swap: dict[str, str | Path] = {} if path is None else {component: path}
-    maps = alternative.map
-    changes = alternative.changes
-    try:
-        recording = run(loaded, swap=swap, map=maps, set=changes, out=log, force=force)
-    except Interrupted:
-        raise
-    except CosimError as error:  # of one plant, whatever it is: the others go on
-        return PlantRun(label, None, str(error))
-    return PlantRun(label, recording)
+def _distinct(labels: Iterable[str]) -> list[str]:
+    """Append a number to labels that occur before."""
+    distinct: list[str] = []
+    for label in labels:
+        numbered = (f"{label}-{number}" for number in count(2))
+        distinct.append(next(name for name in chain([label], numbered) if name not in distinct))
+    return distinct
 
 
 def _largest(values: Vector) -> float | None:
@@ -276,141 +252,314 @@ def _largest(values: Vector) -> float | None:
     return float(finite.max()) if finite.size else None
 
 
-def _paths(
+def _alternatives(
     loaded: Scenario, swap: Mapping[str, Sequence[str | Path]], *, base: bool
 ) -> tuple[str, list[str]]:
-    """Return the component that is swapped, and the paths of its alternatives."""
+    """Return the component that is swapped, and the paths of files that can take its place."""
     swap = swap_argument(swap)
     if len(swap) != 1:
-        names = ", ".join(swap) or "none"
         raise UsageError(
             f"{option('swap')}: expected alternatives of one component, such as a.fmu and b.fmu "
-            f"of plant, got alternatives of {names}"
+            f"of plant, got alternatives of {', '.join(swap) or 'none'}"
         )
-    (component, paths), *_ = swap.items()
+    ((component, paths),) = swap.items()
+    place = option("swap", component)
     if component not in loaded.specs:
         suggestion = nearest(component, loaded.specs)
-        raise UsageError(
-            f"{option('swap', component)}: unknown component {component!r}; {suggestion}"
-        )
+        raise UsageError(f"{place}: unknown component {component!r}; {suggestion}")
     if isinstance(paths, str) or not isinstance(paths, Sequence):
-        raise UsageError(
-            f"{option('swap', component)}: expected a list of paths, got {quoted(paths)}"
-        )
+        raise UsageError(f"{place}: expected a list of paths, got {quoted(paths)}")
     if len(paths) + base < 2:
         raise UsageError(
-            f"{option('swap', component)}: expected two plants to compare, got one; "
-            f"give another, or omit {flag('base', False)}"
+            f"{place}: expected two plants to compare, got one; give another, or omit "
+            f"{flag('base', False)}"
         )
     listed = [marked_path(str(path_argument("swap", path))) for path in paths]
-    _check_paths(component, listed)
-    return component, listed
-
-
-def _check_paths(component: str, paths: Sequence[str]) -> None:
-    """Check that each path is that of a file that can take the component's place."""
     problems = []
-    for path in paths:
+    for path in listed:
         try:
             component_table(component, path)
         except UsageError as error:
-            problems.append(f"{option('swap', component)}: {error}")
+            problems.append(f"{place}: {error}")
     if problems:
         raise UsageError("\n".join(problems))
-
-
-def _distinct(labels: Sequence[str]) -> list[str]:
-    """Append a number to labels that occur before."""
-    distinct: list[str] = []
-    for label in labels:
-        name = label
-        number = 1
-        while name in distinct:
-            number += 1
-            name = f"{label}-{number}"
-        distinct.append(name)
-    return distinct
+    return component, listed
 
 
 def _maps_by_path(
     component: str, paths: Sequence[str], maps: Mapping[str, PortNames]
 ) -> dict[str, dict[str, PortNames]]:
-    """Return for each alternative the entries whose names are ports of it."""
-    if not maps:
-        return {path: {} for path in paths}  # without a look into the files
-    maps_by_path: dict[str, dict[str, PortNames]] = {}
-    known: dict[str, None] = {}
-    for path in paths:
-        names = _port_names(component, path, maps)
-        known |= dict.fromkeys(names)
-        used = [port for port, listed in maps.items() if not _unknown_names(names, listed)]
-        maps_by_path[path] = {port: maps[port] for port in used}
-    problems = []
-    for port, listed in maps.items():
-        for name in _unknown_names(known, listed):
-            suggestion = nearest(name, known)
-            problems.append(
-                f"{option('map', port)}: no alternative has a port {name!r}; {suggestion}"
-            )
-    if problems:
-        raise UsageError("\n".join(problems))
-    return maps_by_path
-
-
-def _unknown_names(known: Collection[str], listed: PortNames) -> list[str]:
-    """Return the names in an entry of a map that are no known ports or elements of them.
+    """Return for each alternative the entries whose names are ports of it.
 
     Raises
     ------
-    GraphError
-        If the entry is a list that is not closed.
+    UsageError
+        If a name is none of a port of any.
     """
-    unknown = []
-    for name in port_names(listed):
-        signal, _ = split_element(name)
-        if name not in known and signal not in known:
-            unknown.append(name)
-    return unknown
+    if not maps:
+        return {path: {} for path in paths}  # without a look into the files
+    listed = {port: port_names(names) for port, names in maps.items()}
+    mapped = list(chain.from_iterable(listed.values()))
+    ports = {path: _ports(component, path, mapped) for path in paths}
+    known = list(dict.fromkeys(chain.from_iterable(ports.values())))
+    problems = []
+    for port, names in listed.items():
+        for name in names:
+            if not _is_port(name, known):
+                problem = f"no alternative has a port {name!r}; {nearest(name, known)}"
+                problems.append(f"{option('map', port)}: {problem}")
+    if problems:
+        raise UsageError("\n".join(problems))
+    maps_by_path: dict[str, dict[str, PortNames]] = {path: {} for path in paths}
+    for path, own in maps_by_path.items():
+        for port, names in listed.items():
+            if all(_is_port(name, ports[path]) for name in names):
+                own[port] = maps[port]
+    return maps_by_path
 
 
-def _port_names(component: str, path: str, maps: Mapping[str, PortNames]) -> list[str]:
+def _is_port(name: str, ports: Collection[str]) -> bool:
+    """Return whether a name is that of a port, or of elements of one."""
+    return name in ports or split_element(name)[0] in ports
+
+
+def _ports(component: str, path: str, mapped: Sequence[str]) -> list[str]:
     """Return the ports of an alternative; none where it cannot be read: its run says why.
 
     Of an MCAP of another tool these are the mapped fields of its topics.
     """
-    table = component_table(component, path)
-    try:
-        if table["kind"] == "field-data":
-            return _sample_names(Path(table["path"]), maps)
-        interface = _interface(component, table)
-    except CosimError:
-        return []
-    return [signal.name for signal in interface.signals]
-
-
-def _sample_names(path: Path, maps: Mapping[str, PortNames]) -> list[str]:
-    from cosim.log.foreign.field_path import FieldProblem, split_field
+    from cosim.fmi.reading.model_description import read
     from cosim.log.foreign.topics import read_channels
     from cosim.scenario.data_files.field_file import field_data
 
-    if file_type(path) != "log":
-        return [signal.name for signal in field_data(path).signals]
-    topics = {channel.topic for channel in read_channels(path)}
-    found = []
-    for name in chain.from_iterable(port_names(listed) for listed in maps.values()):
-        try:
-            if split_field(name, topics) is not None:
-                found.append(name)
-        except FieldProblem:
-            found.append(name)  # whoever reads it says what is wrong
-    return found
+    table = component_table(component, path)
+    try:
+        if table["kind"] == "fmu":
+            return [one.name for one in read(table["path"]).description.interface.signals]
+        if table["kind"] == "recording":
+            channel = open_log(table["log"]).channels.get(component)
+            return [] if channel is None else list(channel.by_name)
+        if file_type(table["path"]) == "log":
+            topics = tuple(channel.topic for channel in read_channels(Path(table["path"])))
+            return [name for name in mapped if name.lstrip('"').startswith(topics)]
+        return [signal.name for signal in field_data(Path(table["path"])).signals]
+    except CosimError:
+        return []
 
 
-def _interface(component: str, table: Mapping[str, Any]) -> Interface:
-    from cosim.fmi.reading.model_description import read
-    from cosim.log import open_log
+# --- estimators ---
 
-    if table["kind"] == "fmu":
-        return read(table["path"]).description.interface
-    channels = open_log(table["log"]).channels
-    return channels[component].interface if component in channels else Interface()
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimatorResult:
+    """What one method makes of the data, at the end of the run.
+
+    Parameters
+    ----------
+    method : str
+    recording : Log, Memory or None
+        Its replay; None: that failed.
+    failure : str
+        Why it failed; empty: it did not.
+    time_ratio : float or None
+        Wall time of the identifier over that of all other components in the run.
+    theta : Vector, shape (P,), or None
+        NaN: no value.
+    standard_error : Vector, shape (P,), or None
+        None: the method has none.
+    error : Vector, shape (P,), or None
+        theta less the truth; None: there is no [truth].
+    verdicts : tuple of ParameterVerdict
+        What output error says of each theta; empty: nothing is said.
+    """
+
+    method: str
+    recording: Log | Memory | None = None
+    failure: str = ""
+    time_ratio: float | None = None
+    theta: Vector | None = None
+    standard_error: Vector | None = None
+    error: Vector | None = None
+    verdicts: tuple[ParameterVerdict, ...] = ()
+
+    @property
+    def half_width(self) -> Vector:
+        """Half of the 95 % intervals, shape (P,); NaN where there is none that may hold."""
+        assert self.theta is not None
+        if self.verdicts:
+            return np.array([one.half_width for one in self.verdicts], np.float64)
+        if self.standard_error is None:
+            return np.full(len(self.theta), np.nan)
+        return normal_two_sided(CONFIDENCE) * self.standard_error
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; None where there is no value."""
+        return {
+            "method": self.method,
+            "failure": self.failure or None,
+            "theta": _plain(self.theta),
+            "standard_error": _plain(self.standard_error),
+            "error": _plain(self.error),
+            "time_ratio": self.time_ratio,
+            "verdicts": [asdict(verdict) for verdict in self.verdicts],
+            "log": _path_of(self.recording),
+        }
+
+
+def _plain(values: Vector | None) -> list[float | None] | None:
+    if values is None:
+        return None
+    return [value if np.isfinite(value) else None for value in values.tolist()]
+
+
+@dataclass(frozen=True)
+class EstimatorComparison:
+    """Several methods of one identifier, the failed ones included."""
+
+    scenario: str
+    component: str
+    results: tuple[EstimatorResult, ...]
+
+    @cached_property
+    def recordings(self) -> dict[str, Recording]:
+        """The replays that did not fail, by method."""
+        return {one.method: one.recording for one in self.results if one.recording is not None}
+
+    @cached_property
+    def estimates(self) -> dict[str, Any]:
+        """theta with its truth, where there is one."""
+        theta = f"{self.component}.theta"
+        truths = [truth_of(recording).get(theta) for recording in self.recordings.values()]
+        return next(({theta: truth} for truth in truths if truth is not None), {})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; None where there is no value."""
+        methods = [result.to_dict() for result in self.results]
+        return {"scenario": self.scenario, "component": self.component, "methods": methods}
+
+
+def compare_estimators(
+    scenario: str | Path | Scenario,
+    *,
+    estimators: str | Sequence[str] = ALL,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    set: Mapping[str, Any] | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+) -> EstimatorComparison:
+    """Run a scenario once, and estimate theta from what it recorded by several methods.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`load` returned; with one identifier.
+    estimators : str or sequence of str
+        Methods of the kind ``identifier``, or ``"all"``. Keys of the identifier that a method does
+        not have are left out for it.
+    swap, map, set
+        As for :func:`run`.
+    out : str or Path, optional
+        Folder for the logs, ``<scenario>.mcap`` of the run and ``<method>.mcap`` of each replay;
+        without it the replays are kept in memory.
+    force : bool
+        Replace existing logs.
+
+    Raises
+    ------
+    UsageError
+        If there is not one identifier, or no such method.
+    CosimError
+        If the run fails. What fails with one method is its result.
+    """
+    force = truth_argument("force", force)
+    folder = None if out is None else path_argument("out", out)
+    methods = _methods(estimators)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(swap=swap, map=map, set=mapping_argument("set", set))
+    component = _identifier(edited)
+    table = edited.document.tree()[0]["components"][component]
+    targets = _targets(methods, folder, force=force)
+    with ExitStack() as resources:
+        logs = folder or resources.enter_context(TemporaryFolder("compare"))
+        times: dict[str, float] = {}
+        log = run(edited, out=logs / f"{edited.name}.mcap", force=force, profile=times)
+        assert isinstance(log, Log)
+        others = sum(times.get(name, 0.0) for name in edited.specs if name != component)
+        results = []
+        for method, target in zip(methods, targets, strict=True):
+            foreign = foreign_keys(METHODS, method)
+            own = {key: value for key, value in table.items() if key not in foreign}
+            changes = {component: {**own, "method": method}}
+            times = {}
+            try:
+                again = replay(log, set=changes, out=target, force=force, profile=times)
+            except Interrupted:
+                raise
+            except CosimError as error:  # of one method, whatever it is: the others go on
+                results.append(EstimatorResult(method=method, failure=str(error)))
+            else:
+                ratio = times[component] / others if others > 0.0 else None
+                results.append(_result(method, again, component, ratio))
+    return EstimatorComparison(edited.name, component, tuple(results))
+
+
+def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
+    """Return the methods of these names."""
+    if estimators == ALL:
+        return list(METHODS)
+    place = option("estimators")
+    known: dict[str, IdentificationMethod] = {method: method for method in METHODS}
+    methods: list[IdentificationMethod] = []
+    for name in [estimators] if isinstance(estimators, str) else estimators:
+        if name not in known:
+            raise UsageError(
+                f"{place}: no method {quoted(name)}; {nearest(str(name), [*known, ALL])}"
+            )
+        if known[name] in methods:
+            raise UsageError(f"{place}: {name} is given twice")
+        methods.append(known[name])
+    if not methods:
+        raise UsageError(f"{place}: expected {ALL}, or some of: {tuple(METHODS)}; got none")
+    return methods
+
+
+def _identifier(scenario: Scenario) -> str:
+    """Return the name of the one identifier."""
+    names = [name for name, spec in scenario.specs.items() if isinstance(spec, IdentifierKind)]
+    if len(names) != 1:
+        raise UsageError(
+            f"{option('estimators')}: expected one component of kind 'identifier', got "
+            f"{', '.join(names) or 'none'}"
+        )
+    return names[0]
+
+
+def _result(
+    method: str, recording: Log | Memory, component: str, time_ratio: float | None
+) -> EstimatorResult:
+    port = f"{component}.theta"
+    error_port = f"{component}.standard_error"
+    theta = _last(recording, port)
+    true = truth_of(recording).get(port)
+    if true is not None and truth_ports(true):
+        _, rows = stacked_rows_of(recording, truth_ports(true), like=port)
+        true = rows[-1] if len(rows) else np.nan
+    verdicts = recorded_identification(recording).get(component)
+    return EstimatorResult(
+        method=method,
+        recording=recording,
+        time_ratio=time_ratio,
+        theta=theta,
+        standard_error=_last(recording, error_port) if has_signal(recording, error_port) else None,
+        error=None if true is None else theta - np.array(true, np.float64),
+        verdicts=() if verdicts is None else verdicts.estimate,
+    )
+
+
+def _last(recording: Recording, port: str) -> Vector:
+    if not has_signal(recording, port):
+        return np.zeros(0)  # no term has a parameter
+    rows = rows_of(recording, port)
+    last: Vector = rows[-1].copy() if len(rows) else np.full(rows.shape[1], np.nan)
+    return last

@@ -11,7 +11,7 @@ from cosim.arguments import callable_argument, path_argument, truth_argument
 from cosim.errors import Interrupted, RunError, UsageError, option, quoted
 from cosim.files import file_type
 from cosim.log import Log
-from cosim.report.summary import Identification, Summary, summarize
+from cosim.report.summary import Summary, summarize
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import Progress, Target
@@ -123,36 +123,27 @@ def results_of(summary: Summary) -> dict[str, SweepValue]:
         results[outcome.estimate] = outcome.value
         results[f"{outcome.estimate}{ERROR}"] = outcome.error
     for identification in summary.identifications:
-        results |= _identified(identification, results)
+        name = identification.component
+        verdicts = dict.fromkeys(one.verdict for one in identification.parameters)
+        for parameter in identification.parameters:
+            results.setdefault(parameter.estimate, parameter.value)
+            results[f"{parameter.estimate}{HALF_WIDTH}"] = parameter.half_width
+        if verdicts:
+            results[f"{name} verdict"] = ", ".join(verdicts)
+        results |= _elements(f"{name} noise", identification.deviation)
     for signal in summary.signals:
         results[f"{signal.estimate} rms error"] = signal.rms
         results[f"{signal.estimate}{LARGEST_ERROR}"] = signal.largest
     for name, last in summary.last.items():
-        if isinstance(last, list):
-            results |= {f"{name}[{number}]": value for number, value in enumerate(last)}
-        else:
-            results[name] = last
+        results |= _elements(name, last if isinstance(last, list) else [last])
     return results
 
 
-def _identified(
-    identification: Identification, known: Mapping[str, SweepValue]
-) -> dict[str, SweepValue]:
-    """Return what is said of an identifier beside what is known already."""
-    results: dict[str, SweepValue] = {}
-    verdicts: dict[str, None] = {}
-    for parameter in identification.parameters:
-        if parameter.estimate not in known:
-            results[parameter.estimate] = parameter.value
-        results[f"{parameter.estimate}{HALF_WIDTH}"] = parameter.half_width
-        verdicts[parameter.verdict] = None
-    name = identification.component
-    if verdicts:
-        results[f"{name} verdict"] = ", ".join(verdicts)
-    single = len(identification.deviation) == 1
-    for number, deviation in enumerate(identification.deviation):
-        results[f"{name} noise" if single else f"{name} noise[{number}]"] = deviation
-    return results
+def _elements(name: str, values: Sequence[float]) -> dict[str, SweepValue]:
+    """Return values by name; of several each has its number."""
+    if len(values) == 1:
+        return {name: values[0]}
+    return {f"{name}[{number}]": value for number, value in enumerate(values)}
 
 
 def replay_sweep(
@@ -229,54 +220,34 @@ def sweep_of(
     """Replay with every combination of some values; parameters as of :func:`replay_sweep`."""
     rows = combinations(vary)
     check_varied(replays.changes, rows[0])
-    folder = None if out is None else _folder(out, len(rows))
+    folder = None if out is None else path_argument("out", out)
     paths = [None if folder is None else folder / f"{k + 1}.mcap" for k in range(len(rows))]
-    _check_targets(replays, paths, force=force)
+    if folder is not None and (
+        file_type(folder) is not None or (folder.exists() and not folder.is_dir())
+    ):
+        found = quoted(str(out))
+        raise UsageError(f"{option('out')}: expected a folder for {len(rows)} logs, got {found}")
+    if folder is None or folder.exists():
+        for path in paths:
+            replays.check_target(path, force=force)
     for values in rows:
         _check(replays, values)
     if folder is not None:
-        _make(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"{option('out')}: {folder}: {error.strerror}") from error
     done = []
     for number, (values, path) in enumerate(zip(rows, paths, strict=True)):
         part = _part(progress, number, len(rows))
-        done.append(_replayed(replays, values, Target(path, force), part))
+        try:
+            again = replays.record(values, Target(path, force), progress=part)
+            done.append(SweepRow(values, summarize(again), path=path))
+        except Interrupted:
+            raise
+        except RunError as error:  # what fails in the run is a row, too
+            done.append(SweepRow(values, None, str(error), path))
     return ReplaySweep(replays.label, tuple(rows[0]), tuple(done))
-
-
-def _folder(out: str | Path, count: int) -> Path:
-    """Return the folder of the logs, which need not be there.
-
-    Raises
-    ------
-    UsageError
-        If it is no path of a folder.
-    """
-    folder = path_argument("out", out)
-    if file_type(folder) is not None or (folder.exists() and not folder.is_dir()):
-        raise UsageError(
-            f"{option('out')}: expected a folder for {count} logs, got {quoted(str(out))}"
-        )
-    return folder
-
-
-def _check_targets(replays: Replays, paths: Sequence[Path | None], *, force: bool) -> None:
-    """Check that logs can be written, where their folder is there already.
-
-    Raises
-    ------
-    UsageError
-        If one of them is there and not to be replaced, or there is none to be.
-    """
-    for path in paths:
-        if path is None or path.parent.exists():
-            replays.check_target(path, force=force)
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{option('out')}: {folder}: {error.strerror}") from error
 
 
 def _check(replays: Replays, values: Mapping[str, Any]) -> None:
@@ -296,29 +267,8 @@ def _check(replays: Replays, values: Mapping[str, Any]) -> None:
         raise UsageError(f"{combination_text(values)}: {text}") from error
 
 
-def _replayed(
-    replays: Replays,
-    values: Mapping[str, Any],
-    target: Target,
-    progress: Progress | None,
-) -> SweepRow:
-    """Replay a combination; what fails in the run is a row, too."""
-    path = None if target.out is None else Path(target.out)
-    try:
-        again = replays.record(values, target, progress=progress)
-    except Interrupted:
-        raise
-    except RunError as error:
-        return SweepRow(values, None, str(error), path)
-    return SweepRow(values, summarize(again), path=path)
-
-
 def _part(progress: Progress | None, number: int, count: int) -> Progress | None:
     """Return what reports the progress of one replay as a part of that of all."""
     if progress is None:
         return None
-
-    def part(time: float, end: float) -> None:
-        progress(number * end + time, count * end)
-
-    return part
+    return lambda time, end: progress(number * end + time, count * end)

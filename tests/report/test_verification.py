@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.cli import main
 from cosim.errors import LogError, UsageError
 from cosim.log import open_log
 from cosim.log.comparison.difference import ElementDifference
 from cosim.log.editing.cutting import cut
 from cosim.report.verification import verify
 from tests.log.crafting import change_rows, put_together, take_apart
+from tests.report.forging import forged, with_own_hash
 
 COPIED = ("plant.y", "plant.x_a", "plant.x_b")
 
@@ -25,10 +25,21 @@ def valid(tmp_path_factory):
     return path
 
 
-def scaled(valid, path, columns, factor, *, forged=False):
+@pytest.fixture
+def verify_command(call):
+    """Verify a log on the command line, and return exit code, stdout and stderr."""
+    return lambda path, *options: call("replay", path, "--verify", *options)
+
+
+def verified(path, **options):
+    """Return the verification of a log by its replay."""
+    return verify(open_log(path), cosim.replay(path, **options))
+
+
+def scaled(valid, path, columns, factor, *, is_forged=False):
     """Multiply some columns of the recorded plant, all checksums right; return the path.
 
-    ``forged``: the recorded content hash and the last row are those of the changed rows, too.
+    ``is_forged``: the recorded content hash and the last row are those of the changed rows, too.
     """
     content = take_apart(valid)
 
@@ -37,18 +48,9 @@ def scaled(valid, path, columns, factor, *, forged=False):
 
     change_rows(content, "plant", scale)
     put_together(content, path)
-    if forged:
-        found = open_log(path).content_hash()
-        for name, items in content.metadata:
-            if name == "cosim.result":
-                items["content_hash"] = found
+    if is_forged:
         last = cosim.replay(path).results["last"]
-        results = {**open_log(path).results, "content_hash": found, "last": last}
-        content.attachments = [
-            (name, json.dumps(results).encode() if name == "result.json" else data)
-            for name, data in content.attachments
-        ]
-        put_together(content, path)
+        forged(with_own_hash(path), path, results=lambda results: results.update(last=last))
     return path
 
 
@@ -57,12 +59,10 @@ def test_changed_rows_that_nothing_follows_from_are_found(valid, tmp_path, colum
     """The replay copies x_a and x_b, so it equals the log; the content hash does not."""
     path = scaled(valid, tmp_path / "b.mcap", columns, factor)
     changed = cosim.diff(open_log(valid), open_log(path))
-    assert {row.signal for row in changed.rows if row.status != "equal"} <= {
-        "plant.x_a",
-        "plant.x_b",
-    }
-    assert not changed.equal
-    verification = verify(open_log(path), cosim.replay(path))
+    found = {row.signal for row in changed.rows if row.status != "equal"}
+    assert found
+    assert found <= {"plant.x_a", "plant.x_b"}
+    verification = verified(path)
     assert verification.difference.equal
     assert not verification.passed
     assert verification.found_hash != verification.recorded_hash
@@ -72,43 +72,35 @@ def test_changed_rows_that_nothing_follows_from_are_found(valid, tmp_path, colum
 @pytest.mark.slow
 def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     """What cannot be proven is listed as copied, and not claimed."""
-    path = scaled(valid, tmp_path / "b.mcap", slice(5, 6), -7.0, forged=True)
-    verification = verify(open_log(path), cosim.replay(path))
+    verification = verified(scaled(valid, tmp_path / "b.mcap", slice(5, 6), -7.0, is_forged=True))
     assert verification.passed
     assert verification.copied == COPIED
     assert not set(COPIED) & set(verification.computed)
-    assert "taken from the log, not recomputed: plant.y, plant.x_a" in verification.lines[-2]
+    assert ", ".join(COPIED) in verification.lines[-2]
     assert "logs are not signed" in verification.lines[-1]
     # y drives the observer: its rows do not follow from a changed y any more
-    path = scaled(valid, tmp_path / "c.mcap", slice(2, 3), 2.0, forged=True)
-    verification = verify(open_log(path), cosim.replay(path))
+    verification = verified(scaled(valid, tmp_path / "c.mcap", slice(2, 3), 2.0, is_forged=True))
     assert not verification.passed
     assert "first: observer.y" in verification.problems[0]
 
 
-def test_the_command_line_says_what_was_proven(valid, tmp_path, capsys):
+def test_the_command_line_says_what_was_proven(valid, tmp_path, verify_command):
     """Exit 0 with the signals computed and copied; exit 1 with both hashes."""
-    with pytest.raises(SystemExit) as left:
-        main(["replay", str(valid), "--verify", "--json"])
-    assert left.value.code in (0, None)
-    shown = json.loads(capsys.readouterr().out)
+    code, out, _ = verify_command(valid, "--json")
+    assert code == 0
+    shown = json.loads(out)
     log = open_log(valid)
-    assert shown["content_hash"] == {
-        "recorded": log.recorded_hash,
-        "found": log.recorded_hash,
-        "equal": True,
-    }
+    own = log.recorded_hash
+    assert shown["content_hash"] == {"recorded": own, "found": own, "equal": True}
     assert shown["copied"] == list(COPIED)
     assert sorted(shown["computed"] + shown["copied"]) == sorted(log.signals)
     path = scaled(valid, tmp_path / "b.mcap", slice(3, 5), 2.0)
-    with pytest.raises(SystemExit) as left:
-        main(["replay", str(path), "--verify"])
-    assert left.value.code == 1
-    message = f"content hash {open_log(path).content_hash()}, recorded {log.recorded_hash}"
-    assert message in capsys.readouterr().err
+    code, _, err = verify_command(path)
+    assert code == 1
+    assert f"content hash {open_log(path).content_hash()}, recorded {own}" in err
 
 
-def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, capsys):
+def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, verify_command):
     """One bit of one value: its signal, its time, both values to the last digit, and one bit."""
     content = take_apart(valid)
     observer = open_log(valid).channels["observer"]
@@ -119,25 +111,19 @@ def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, c
             values.view(np.uint64)[column] ^= np.uint64(1 << 17)
 
     change_rows(content, "observer", flip)
-    environment = next(items for name, items in content.metadata if name == "cosim.env")
-    environment["numpy"] = "0.1.2"
+    dict(content.metadata)["cosim.env"]["numpy"] = "0.1.2"
     path = put_together(content, tmp_path / "b.mcap")
     right = cosim.open_log(valid)["observer.x_a"][20, 1].item()
     wrong = cosim.open_log(path)["observer.x_a"][20, 1].item()
     assert wrong != right
-    with pytest.raises(SystemExit) as left:
-        main(["replay", str(path), "--verify"])
-    assert left.value.code == 1
-    shown = capsys.readouterr().err
-    assert (
-        f"first: observer.x_a[1] at t = 0.02 s: log {wrong!r}, replay {right!r}; "
-        "1 of the 64 bits differ\n"
-    ) in shown
-    assert f"note: numpy was 0.1.2, is {np.__version__}\n" in shown
+    code, _, shown = verify_command(path)
+    assert code == 1
+    values = f"log {wrong!r}, replay {right!r}; 1 of the 64 bits"
+    assert f"first: observer.x_a[1] at t = 0.02 s: {values}" in shown
+    assert f"numpy was 0.1.2, is {np.__version__}\n" in shown
     assert "then" not in shown
-    with pytest.raises(SystemExit):
-        main(["replay", str(path), "--verify", "--json"])
-    found = json.loads(capsys.readouterr().out)
+    _, out, _ = verify_command(path, "--json")
+    found = json.loads(out)
     first = found["first"]
     assert (first["signal"], first["time_ns"]) == ("observer.x_a[1]", 20_000_000)
     assert (first["a"], first["b"], first["differing_bits"]) == (wrong, right, 1)
@@ -153,8 +139,7 @@ def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, c
 
 def test_every_component_that_differs_is_shown_with_its_first_difference(valid):
     """The earliest comes first, the other components behind it."""
-    again = cosim.replay(valid, set={"observer.filter_rate": 500.0})
-    verification = verify(open_log(valid), again)
+    verification = verified(valid, set={"observer.filter_rate": 500.0})
     first, *others = verification.problems[:2]
     assert first.startswith("the replay differs from the log; first: observer.")
     assert others[0].startswith("then: regressor.")
@@ -193,20 +178,6 @@ def identified(tmp_path_factory):
     return path
 
 
-def forged_results(log, path, change):
-    """Write a log with another ``result.json``; return its path."""
-    content = take_apart(log)
-    attachments = []
-    for name, data in content.attachments:
-        if name == "result.json":
-            results = json.loads(data)
-            change(results)
-            data = json.dumps(results).encode()
-        attachments.append((name, data))
-    content.attachments = attachments
-    return put_together(content, path)
-
-
 def forge(results):
     """Give other verdicts, and another last row."""
     for parameter in results["identification"]["identifier"]["parameters"]:
@@ -218,9 +189,7 @@ def forge(results):
 
 def statements_line(verification):
     """Return what is said of the statements that were compared."""
-    (line,) = [
-        line for line in verification.lines if line.startswith("the records of the run agree")
-    ]
+    (line,) = [line for line in verification.lines if "records of the run agree" in line]
     return line
 
 
@@ -228,25 +197,32 @@ def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     """Between rows that were left out no observer is computed: its forged values are unseen."""
     settings = {"scenario.stop": 8.0, "scenario.step": 0.01, "record.every": 7}
     cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
-    path = forged_results(tmp_path / "a.mcap", tmp_path / "b.mcap", forge)
-    verification = verify(open_log(path), cosim.replay(path))
+    path = forged(tmp_path / "a.mcap", tmp_path / "b.mcap", results=forge)
+    verification = verified(path)
     assert verification.passed
     line = statements_line(verification)
     assert "verdicts" not in line
     assert "truth" not in line
-    assert line.endswith("as far as they concern u, delta")
+    assert line.endswith("u, delta")
 
 
 @pytest.mark.slow
 def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_path):
     """All components of a whole log are computed or copied."""
-    line = statements_line(verify(open_log(identified), cosim.replay(identified)))
-    assert line.endswith(
-        "truth, connections, schedule, times, component tables, overrides, "
-        "substeps, warnings, last row, verdicts"
-    )
-    path = forged_results(identified, tmp_path / "b.mcap", forge)
-    found = {entry.statement for entry in verify(open_log(path), cosim.replay(path)).contradictions}
+    assert verified(identified).statements.split(", ") == [
+        "truth",
+        "connections",
+        "schedule",
+        "times",
+        "component tables",
+        "overrides",
+        "substeps",
+        "warnings",
+        "last row",
+        "verdicts",
+    ]
+    path = forged(identified, tmp_path / "b.mcap", results=forge)
+    found = {entry.statement for entry in verified(path).contradictions}
     assert {"verdicts on 'identifier'", "last row in result.json: observer.u"} <= found
 
 
@@ -261,22 +237,20 @@ def test_a_part_is_not_said_to_have_the_last_row_of_the_replay(identified, tmp_p
 )
 def test_a_replay_that_records_less_than_its_log_verifies_nothing(valid, changes):
     """What it left out would pass unseen."""
-    again = cosim.replay(valid, set=changes)
-    with pytest.raises(UsageError, match=r"compares all signals of .* records only"):
-        verify(open_log(valid), again)
+    with pytest.raises(UsageError, match="records only"):
+        verified(valid, set=changes)
 
 
 def test_a_changed_scenario_is_not_called_that_of_the_log(valid):
     """What differs from a what-if replay does not contradict the log's own scenario."""
-    again = cosim.replay(valid, set={"observer.filter_rate": 500.0})
-    problems = "\n".join(verify(open_log(valid), again).problems)
+    verification = verified(valid, set={"observer.filter_rate": 500.0})
+    problems = "\n".join(verification.problems)
     assert "contradicts its scenario" not in problems
-    assert "differs from the replay with a changed scenario: table of 'observer'" in problems
+    assert "replay with a changed scenario: table of 'observer'" in problems
 
 
-def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, capsys):
+def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, verify_command):
     """As for ``--stop``: what is behind would not be compared."""
-    with pytest.raises(SystemExit) as left:
-        main(["replay", str(valid), "--verify", "--set", "scenario.stop=0.02"])
-    assert left.value.code == 2
-    assert "omit --set scenario.stop" in capsys.readouterr().err
+    code, _, err = verify_command(valid, "--set", "scenario.stop=0.02")
+    assert code == 2
+    assert "omit --set scenario.stop" in err

@@ -26,8 +26,7 @@ from cosim.scenario.record import truth_of
 from cosim.units import units_text, with_unit
 
 if TYPE_CHECKING:
-    from cosim.report.comparing import Comparison
-    from cosim.report.estimator_comparison import EstimatorComparison
+    from cosim.report.comparing import Comparison, EstimatorComparison
 
 _STANDARD = PictureOptions()
 FAR_BEYOND: Final = 10.0  # times how far most curves of a panel reach: it is not for these

@@ -1,14 +1,14 @@
-"""Comparisons: two logs, several plants or estimators, a swapped component and the replaced one."""
+"""Comparisons: two logs, several plants or estimators, replays, a component and its replacement."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.arrays import Vector
-from cosim.core.recorded.signals import warning_texts
+from cosim.core.recorded.signals import DistinctWarnings, warning_texts
+from cosim.errors import quoted
 from cosim.report.tables.console import (
     new_table,
     print_json,
@@ -18,15 +18,13 @@ from cosim.report.tables.console import (
 )
 
 if TYPE_CHECKING:
-    from cosim.log.comparison.difference import LogDifference, SignalDifference
+    from cosim.log.comparison.difference import LogDifference
     from cosim.log.comparison.event_difference import EventsDifference
-    from cosim.report.comparing import Comparison, EstimateDifference
-    from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult
-    from cosim.report.summary import Summary
+    from cosim.report.comparing import Comparison, EstimatorComparison, EstimatorResult
+    from cosim.report.sweep import ReplaySweep, SweepRow
     from cosim.scenario.swapping.swap_report import SwapReports
 
-PlantRow = tuple[str, str, str, str, str, str]  # estimate, truth, plant, value, error, difference
-LargestDifferences = Mapping[tuple[str, str], float]  # by estimate or element, and plant
+# --- logs ---
 
 
 def print_difference(difference: LogDifference, *, as_json: bool) -> None:
@@ -34,28 +32,27 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     if as_json:
         print_json(difference.to_dict())
         return
-    columns = ["signal", "", "max |a - b|", "max |a|", "ratio", "first outside"]
-    if difference.tol:
-        columns.insert(2, "tolerance")
+    has_own = bool(difference.tol)
+    tolerance = ["tolerance"] if has_own else []
+    columns = ["signal", "", *tolerance, "max |a - b|", "max |a|", "ratio", "first outside"]
     table = new_table("", columns)
     for row in difference.rows:
         outside = ""
         if row.first is not None:
             time = row.first.time_ns / 1e9
-            values = ", ".join(row.first.texts)
-            outside = f"{row.first.signal} at {time} s: {values}"
-        numbers = [f"{value:.3g}" for value in (row.largest, row.scale, row.ratio)]
-        if difference.tol:
-            numbers.insert(0, f"{row.tolerance:.3g}")
-        table.add_row(row.signal, row.status, *numbers, outside)
+            outside = f"{row.first.signal} at {time} s: {', '.join(row.first.texts)}"
+        numbers = [row.tolerance] if has_own else []
+        numbers += [row.largest, row.scale, row.ratio]
+        table.add_row(row.signal, row.status, *(f"{value:.3g}" for value in numbers), outside)
     print_table(table)
-    fewer = [row for row in difference.rows if _has_fewer_rows(row)]
-    if fewer:
-        rows_a, rows_b, both = fewer[0].rows
-        print_line(
-            f"note: compared only where both logs have rows: {fewer[0].signal} at {both} instants "
-            f"({rows_a} in a, {rows_b} in b)"
-        )
+    for row in difference.rows:
+        in_a, in_b, both = row.rows
+        if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
+            print_line(
+                f"note: compared only where both logs have rows: {row.signal} at {both} instants "
+                f"({in_a} in a, {in_b} in b)"
+            )
+            break
     if any(difference.events.events):
         print_line(_events_text(difference.events))
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
@@ -65,54 +62,52 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
         )
 
 
-def _has_fewer_rows(row: SignalDifference) -> bool:
-    """Return whether a signal, equal at common instants, has rows that the other log has not."""
-    return row.status in ("equal", "within", "other times") and row.rows[2] < max(row.rows[:2])
-
-
 def _events_text(difference: EventsDifference) -> str:
     """Return how the jumps compare, in words."""
-    count_a, count_b = difference.events
-    text = f"events: {count_a} in a, {count_b} in b: "
+    in_a, in_b = difference.events
+    text = f"events: {in_a} in a, {in_b} in b: "
     first = difference.first
-    if difference.equal:
-        return f"{text}equal"
     if first is None:
-        return f"{text}within the tolerance"
-    values = ", ".join(
-        "no jump" if jump is None else f"{jump.cause} {jump.value!r}" for jump in (first.a, first.b)
-    )
+        return f"{text}{'equal' if difference.equal else 'within the tolerance'}"
+    jumps = []
+    for jump in (first.a, first.b):
+        jumps.append("no jump" if jump is None else f"{jump.cause} {jump.value!r}")
     return (
         f"{text}{difference.outside} of {difference.jumps} jumps differ; first "
-        f"{first.signal} at {first.time_ns / 1e9} s: {values}"
+        f"{first.signal} at {first.time_ns / 1e9} s: {', '.join(jumps)}"
     )
+
+
+# --- components ---
 
 
 def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     """Print how swapped components compare with those that they replace."""
-    found_before = [*reports.of_run, *reports.warnings]
+    warnings = [*reports.of_run, *reports.warnings]
     if as_json:
-        swaps = {name: report.to_dict() for name, report in reports.reports.items()}
-        imported = dict(reports.imported)
-        warnings = [{"of": name, "text": text} for name, text in found_before]
-        problems = reports.refusals
         print_json(
-            {"swaps": swaps, "problems": problems, "imported": imported, "warnings": warnings}
+            {
+                "swaps": {name: report.to_dict() for name, report in reports.reports.items()},
+                "problems": reports.refusals,
+                "imported": dict(reports.imported),
+                "warnings": [{"of": name, "text": text} for name, text in warnings],
+            }
         )
         return
     for report in reports.reports.values():
         print_section(report.component, report.lines)
     for component, name in reports.imported.items():
         print_line(f"{component}: {name} was imported")
-    if not reports.refusals:
-        for component, text in found_before:
-            print_line(f"warning: {component}: {text}", error=True)
-        found = "no problems found"
-        if reports.different:
-            found = f"the scenario can run; rows that differ: {reports.different}"
-        elif found_before:
-            found = f"the scenario can run; warnings: {len(found_before)}"
-        print_line(f"dry run: {found}")
+    if reports.refusals:
+        return
+    for component, text in warnings:
+        print_line(f"warning: {component}: {text}", error=True)
+    found = "no problems found"
+    if reports.different:
+        found = f"the scenario can run; rows that differ: {reports.different}"
+    elif warnings:
+        found = f"the scenario can run; warnings: {len(warnings)}"
+    print_line(f"dry run: {found}")
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:
@@ -123,11 +118,11 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     first = next(iter(comparison.recordings), "")
     title = f"{comparison.scenario}: {comparison.component}"
     table = new_table(title, ("estimate", "truth", "plant", "value", "error", f"from {first}"))
-    failures = [outcome for outcome in comparison.outcomes if outcome.error]
-    for rows in _rows_by_estimate(comparison).values():
+    for rows in _plant_rows(comparison).values():
         for row in rows:
             table.add_row(*row)
         table.add_section()
+    failures = [outcome for outcome in comparison.outcomes if outcome.error]
     for outcome in failures:
         table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
     print_table(table)
@@ -144,6 +139,40 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
             print_line(f"{outcome.label}: failed: {line}", error=True)
 
 
+def _plant_rows(comparison: Comparison) -> dict[str, list[tuple[str, ...]]]:
+    """Return by estimate: it, truth, plant, value, error, and distance from the first plant's."""
+    from cosim.report.recorded_rows import element_names
+
+    apart: dict[tuple[str, str], float] = {}  # by estimate or its element, and plant
+    for one in comparison.differences:
+        names = element_names(one.estimate, len(one.largest))
+        for name, largest in zip(names, one.largest, strict=True):
+            if largest is not None:
+                apart[name, one.label] = largest
+                whole = one.estimate, one.label
+                apart[whole] = max(largest, apart.get(whole, 0.0))
+    rows: dict[str, list[tuple[str, ...]]] = {}
+    for label, summary in comparison.summaries.items():
+        for signal in summary.signals:
+            error = f"{signal.largest:.3g} for t >= {signal.since:g} s"
+            distance = _number(apart.get((signal.estimate, label)))
+            row = signal.estimate, signal.truth, label, "", error, distance
+            rows.setdefault(signal.estimate, []).append(row)
+        for own in summary.values:
+            value = "no value" if own.value is None else f"{own.value:+.6f}"
+            distance = _number(apart.get((own.estimate, label)))
+            row = own.estimate, f"{own.truth:+g}", label, value, _number(own.error), distance
+            rows.setdefault(own.estimate, []).append(row)
+    return rows
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+# --- estimators ---
+
+
 def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
     """Print what several methods estimate from the same data."""
     if as_json:
@@ -155,10 +184,10 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
         if result.failure:
             table.add_row(result.method, "failed", result.failure.partition("\n")[0], "", "")
             continue
-        error = "" if result.error is None else _listed(result.error, "+.2g")
+        errors = [] if result.error is None else [_value(value, "+.2g") for value in result.error]
         verdicts = ", ".join(record.verdict for record in result.verdicts)
         ratio = _number(result.time_ratio)
-        table.add_row(result.method, _estimate(result), error, ratio, verdicts)
+        table.add_row(result.method, _theta(result), ", ".join(errors), ratio, verdicts)
     print_table(table)
     print_line("±: half width of the 95 % interval, where there is one")
     print_line("time / rest: computing time of the identifier over that of all other components")
@@ -167,69 +196,60 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
             print_line(f"{result.method}: failed: {line}", error=True)
 
 
-def _estimate(result: EstimatorResult) -> str:
+def _theta(result: EstimatorResult) -> str:
     """Return theta, with half of its 95 % interval where there is one."""
     assert result.theta is not None
     texts = []
     for value, half_width in zip(result.theta, result.half_width, strict=True):
-        text = _value(value, "+.6f")
-        if not np.isnan(half_width):
-            text = f"{text} ± {half_width:.2g}"
-        texts.append(text)
+        width = "" if np.isnan(half_width) else f" ± {half_width:.2g}"
+        texts.append(f"{_value(value, '+.6f')}{width}")
     return ", ".join(texts)
-
-
-def _listed(values: Vector, form: str) -> str:
-    return ", ".join(_value(value, form) for value in values)
 
 
 def _value(value: float, form: str) -> str:
     return "no value" if np.isnan(value) else format(value, form)
 
 
-def _rows_by_estimate(comparison: Comparison) -> dict[str, list[PlantRow]]:
-    """Return the rows of all plants, those of the same estimate together."""
-    differences: dict[tuple[str, str], float] = {}
-    for difference in comparison.differences:
-        differences |= _largest_differences(difference)
-    rows: dict[str, list[PlantRow]] = {}
-    for label, summary in comparison.summaries.items():
-        for row in _plant_rows(label, summary, differences):
-            rows.setdefault(row[0], []).append(row)
-    return rows
+# --- replays ---
 
 
-def _largest_differences(difference: EstimateDifference) -> dict[tuple[str, str], float]:
-    """Return the differences of a plant's estimate by the names of its elements, and its largest.
+def print_sweep(sweep: ReplaySweep, *, as_json: bool, quiet: bool) -> None:
+    """Print what the results of a sweep say, and why some replays failed."""
+    from cosim.report.sweep import ERROR, HALF_WIDTH, LARGEST_ERROR
 
-    Elements without a value are left out.
-    """
-    from cosim.report.recorded_rows import element_names
-
-    elements: dict[tuple[str, str], float] = {}
-    names = element_names(difference.estimate, len(difference.largest))
-    for name, largest in zip(names, difference.largest, strict=True):
-        if largest is not None:
-            elements[name, difference.label] = largest
-    if not elements:
-        return {}
-    return elements | {(difference.estimate, difference.label): max(elements.values())}
-
-
-def _plant_rows(
-    label: str, summary: Summary, differences: LargestDifferences
-) -> Iterator[PlantRow]:
-    """Yield the rows of one plant."""
-    for signal in summary.signals:
-        error = f"{signal.largest:.3g} for t >= {signal.since:g} s"
-        apart = _number(differences.get((signal.estimate, label)))
-        yield signal.estimate, signal.truth, label, "", error, apart
-    for outcome in summary.values:
-        value = "no value" if outcome.value is None else f"{outcome.value:+.6f}"
-        error = _number(outcome.error)
-        apart = _number(differences.get((outcome.estimate, label)))
-        yield outcome.estimate, f"{outcome.truth:+g}", label, value, error, apart
+    suffixes = {HALF_WIDTH: " ± ", ERROR: ", error "}  # of a result, in its cell
+    if as_json:
+        print_json(sweep.to_dict())
+    elif not quiet:
+        # --json has the others, too
+        columns = [name for name in sweep.columns if not name.endswith(LARGEST_ERROR)]
+        for suffix in suffixes:
+            beside = {f"{name}{suffix}" for name in sweep.columns}
+            columns = [name for name in columns if name not in beside]
+        table = new_table(sweep.log, (*sweep.varied, *columns))
+        for row in sweep.rows:
+            table.add_row(*map(quoted, row.values.values()), *_cells(row, columns, suffixes))
+        print_table(table)
+        warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
+        for text in warning_texts(DistinctWarnings(warnings)):
+            print_line(f"warning: {text}", error=True)
+    for number, row in enumerate(sweep.rows, start=1):
+        for line in row.problem.splitlines():
+            print_line(f"row {number}: failed: {line}", error=True)
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
+def _cells(row: SweepRow, columns: Sequence[str], suffixes: Mapping[str, str]) -> list[str]:
+    if row.problem:
+        return ["failed", *[""] * (len(columns) - 1)] if columns else []
+    cells = []
+    for column in columns:
+        value = row.results.get(column, "")
+        text = "no value" if value is None else value
+        if isinstance(text, float):
+            text = f"{text:.6g}"
+        for suffix, words in suffixes.items():
+            beside = row.results.get(f"{column}{suffix}")
+            if isinstance(beside, float):
+                text += f"{words}{beside:.2g}"
+        cells.append(text)
+    return cells

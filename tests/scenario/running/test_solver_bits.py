@@ -12,8 +12,8 @@ import cosim
 from cosim.log.comparison.diff import diff
 from cosim.native.numerics.runge_kutta import EXPLICIT
 from cosim.report.inspection import describe_log
-from cosim.report.tables.verification import print_verification
-from cosim.report.verification_result import Verification
+from cosim.report.tables.logs import print_verification
+from cosim.report.verification import Verification
 from cosim.scenario.exporting import export_component
 from tests.scenario.online import COARSE, noisy
 

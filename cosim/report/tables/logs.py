@@ -1,0 +1,134 @@
+"""What is said of logs: how one is verified, what of it was recovered, in which files it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeGuard
+
+from cosim.core.recorded.signals import warning_texts
+from cosim.core.recording import Recording
+from cosim.instants import NANOSECONDS
+from cosim.log import Log
+from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
+from cosim.log.mcap_file.rotation import part_paths
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.scenario.record import component_record
+
+if TYPE_CHECKING:
+    from cosim.log.editing.recovering import RecoveredLog
+    from cosim.report.verification import Verification
+
+_MOST_INTERVALS: Final = 8  # of a component that are shown
+
+
+def print_verification(
+    verification: Verification, source: Recording, *, path: Path, as_json: bool, quiet: bool
+) -> None:
+    """Print what a replay proves of its log."""
+    if as_json:
+        print_json(verification.to_dict())
+    elif verification.passed and not quiet:
+        for line in verification.lines:
+            print_line(f"{path}: {line}")
+    if verification.passed or as_json:
+        return
+    for problem in verification.problems:
+        print_line(f"{path}: {problem}", error=True)
+    if verification.difference.same_rows and not verification.contradictions:
+        return
+    for key, (recorded, current) in verification.environment.items():
+        print_line(f"note: {key} was {recorded}, is {current}", error=True)
+    for name in source.channels:
+        bits = component_record(source, name).bits
+        if bits is not None:
+            print_line(f"note: {name}: {bits}", error=True)
+
+
+def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
+    """Print the rows of each component that are there, and the times of those that are lost."""
+    if as_json:
+        print_json(recovery.to_dict())
+        return
+    table = new_table("", ("component", "rows", "lost"))
+    for name, rows in recovery.rows.items():
+        shown = []
+        for interval in rows.lost[:_MOST_INTERVALS]:
+            first = interval.first_ns / NANOSECONDS
+            last = interval.last_ns / NANOSECONDS
+            shown.append(f"{interval.count} from {first} s to {last} s")
+        omitted = rows.lost[_MOST_INTERVALS:]
+        if omitted:
+            count = sum(interval.count for interval in omitted)
+            plural = "" if len(omitted) == 1 else "s"
+            shown.append(f"{count} in {len(omitted)} more interval{plural}")
+        table.add_row(name, str(rows.count), "; ".join(shown) or "0")
+    print_table(table)
+    if not recovery.end_is_known:
+        end = recovery.end_ns / NANOSECONDS
+        print_line(f"any rows after {end} s are lost, too: the file has no end")
+    if not recovery.has_all_messages:
+        print_line("messages, events or substeps are lost, too, or their number is unknown")
+    if not recovery.has_scenario:
+        print_line("the scenario is lost: the log can be read, but not replayed")
+    log = recovery.log
+    whole_ns = recovery.whole_until_ns
+    if log.status == PARTIAL_STATUS and whole_ns is not None and not log.begins_late:
+        whole = whole_ns / NANOSECONDS
+        print_line(
+            f"no row is lost up to {whole} s: with '--to {whole}', 'cosim cut' makes a log that "
+            "can be replayed"
+        )
+    print_line(f"{log.path}: {', '.join(filter(None, (log.status, log.reason)))}")
+
+
+def is_rotated(recording: object) -> TypeGuard[Log]:
+    """Return whether a recording is the last file of several."""
+    return (
+        isinstance(recording, Log)
+        and recording.status == PARTIAL_STATUS
+        and len(part_paths(recording.path)) > 1
+    )
+
+
+def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet: bool) -> None:
+    """Print how a run ended and which files it wrote; none of them is the whole.
+
+    Parameters
+    ----------
+    last : Log
+        The last of them.
+    wall : mapping of name to float
+        Wall times [s].
+    as_json, quiet : bool
+    """
+    whole = last.metadata.get(PARTIAL, {})
+    status, reason, content_hash = (
+        whole.get(key, "") for key in ("status", "reason", "content_hash")
+    )
+    logs = [str(path) for path in part_paths(last.path)]
+    end = last.end_ns / NANOSECONDS
+    if as_json:
+        content = {
+            "logs": logs,
+            "status": status,
+            "reason": reason,
+            "steps": last.steps,
+            "end": end,
+            "content_hash": content_hash,
+        }
+        print_json({**content, "results": dict(last.results), "wall": dict(wall)})
+    elif not quiet:
+        for text in warning_texts(last.warnings):
+            print_line(f"warning: {text}", error=True)
+        table = new_table("", ("", ""))
+        table.add_row("status", ", ".join(filter(None, (status, reason))))
+        table.add_row("steps", f"{last.steps}, up to {end} s")
+        table.add_row("content hash", content_hash)
+        for path in logs:
+            table.add_row("log", path)
+        print_table(table)
+        print_line(
+            "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
+            "last one replays the run"
+        )
