@@ -26,6 +26,7 @@ from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Design
 from cosim.core.recorded.partial import RecordSelection, declared_channels
 from cosim.core.recorders import Memory
+from cosim.documents import plain
 from cosim.errors import CosimError, LogError, UsageError, command, flag, listing
 from cosim.log import Log, open_log
 from cosim.log.comparison.diff import diff
@@ -75,11 +76,6 @@ class ComponentVerification:
     first: ElementDifference | None = None
     reason: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON values."""
-        first = None if self.first is None else self.first.to_dict()
-        return {**asdict(self), "first": first}
-
 
 @dataclass(frozen=True, slots=True)
 class CopiedSubsteps:
@@ -97,13 +93,12 @@ class CopiedSubsteps:
     copied: tuple[str, ...]
 
     def __str__(self) -> str:
-        text = (
+        others = "; its other outputs were compared" if len(self.copied) < len(self.loop) else ""
+        return (
             f"taken from the log, not recomputed: the substeps of the loop of "
             f"{listing(self.loop)} in /cosim/step (accepted, rejected, estimated errors, inputs, "
-            f"outputs of {listing(self.copied)})"
+            f"outputs of {listing(self.copied)}){others}"
         )
-        is_whole = len(self.copied) == len(self.loop)
-        return text if is_whole else f"{text}; its other outputs were compared"
 
 
 @dataclass(frozen=True)
@@ -287,11 +282,8 @@ class Verification:
                 "equal": self._has_recorded_hash if self.recorded_hash is not None else None,
             },
             "window": None if self.window is None else list(self.window),
-            "computed": list(self.computed),
-            "copied": list(self.copied),
-            "code": list(self.code),
-            "left_out": list(self.left_out),
-            "components": [entry.to_dict() for entry in self.components],
+            **{key: list(getattr(self, key)) for key in ("computed", "copied", "code", "left_out")},
+            "components": [plain(entry) for entry in self.components],
             "environment": {
                 name: {"recorded": recorded, "present": present}
                 for name, (recorded, present) in self.environment.items()
@@ -399,8 +391,14 @@ def _status(
     """Return what is proven of a component that does not differ, and why it is not all."""
     if name in origin.absent:
         return "absent", origin.absent[name]
+    if name in origin.left_out:
+        return "copied", "not chosen"
     if name in origin.copied:
-        return "copied", _why_copied(again, name, origin)
+        code = component_record(again, name).code
+        why = "a replay takes plants, FMUs and files from the log"
+        if code is not None:
+            why = f"{flag('allow_code')} runs {code.class_name}"
+        return "copied", origin.uncomputed.get(name, why)
     recorded = source.partial
     if recorded is None or recorded.is_whole(name, source.channels):
         return "equal", ""
@@ -410,17 +408,6 @@ def _status(
     if missing:
         return "partial", f"without {listing(missing)}"
     return "partial", f"one row in {source.channels[name].period} steps"
-
-
-def _why_copied(again: Log | Memory, name: str, origin: ReplayOrigin) -> str:
-    if name in origin.left_out:
-        return "not chosen"
-    if name in origin.uncomputed:
-        return origin.uncomputed[name]
-    code = component_record(again, name).code
-    if code is not None:
-        return f"{flag('allow_code')} runs {code.class_name}"
-    return "a replay takes plants, FMUs and files from the log"
 
 
 def _compared(source: Log, again: Log | Memory) -> list[str]:

@@ -1,6 +1,7 @@
 """Sweeps: what-if replays of one log."""
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
@@ -47,13 +48,9 @@ def test_each_row_is_a_replay_of_its_own(log):
     common = {"observer.filter_rate": 500.0}
     vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
     sweep = cosim.replay_sweep(log, vary=vary, set=common)
-    assert sweep.varied == ("identifier.P0", "identifier.start")
-    assert [tuple(row.values.values()) for row in sweep.rows] == [
-        (1e3, 7.0),
-        (1e3, 7.5),
-        (1e9, 7.0),
-        (1e9, 7.5),
-    ]
+    assert sweep.varied == tuple(vary)
+    values = [tuple(row.values.values()) for row in sweep.rows]
+    assert values == list(product(*vary.values()))
     for row in sweep.rows:
         again = cosim.replay(log, set={**common, **row.values})
         assert row.summary == summarize(again)
@@ -122,26 +119,23 @@ def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
 @pytest.mark.slow
 def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
     """The message names the one that is wrong, and nothing was written."""
-    folder = tmp_path / "out"
-    message = r"identifier\.P0 = -1\.0: .*P0: .*-1\.0"
-    with pytest.raises(UsageError, match=message):
-        cosim.replay_sweep(log, vary={"identifier.P0": [1e3, -1.0]}, out=folder)
-    with pytest.raises(UsageError, match=r"plant.solver = 'RK45': .*'plant' is taken from the rec"):
-        cosim.replay_sweep(log, vary={"plant.solver": ["RK45"]}, out=folder)
-    with pytest.raises(UsageError, match=r"identifer.P0 = 1.0: .*component 'identifer"):
-        cosim.replay_sweep(log, vary={"identifer.P0": [1.0]}, out=folder)
-    with pytest.raises(UsageError, match=r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"):
-        cosim.replay_sweep(log, vary={"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, out=folder)
-    assert not folder.exists()
+    for vary, message in (
+        ({"identifier.P0": [1e3, -1.0]}, r"identifier\.P0 = -1\.0: .*P0: .*-1\.0"),
+        ({"plant.solver": ["RK45"]}, r"plant.solver = 'RK45': .*'plant'"),
+        ({"identifer.P0": [1.0]}, r"identifer.P0 = 1.0: .*component 'identifer"),
+        ({"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            cosim.replay_sweep(log, vary=vary, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_varied_key_cannot_be_set_too(log):
     """In whichever spelling."""
     message = r"set\['identifier.P0'\] or vary\['identifier.P0'\], got both"
+    vary = {"components.identifier.P0": [1.0]}
     with pytest.raises(UsageError, match=message):
-        cosim.replay_sweep(
-            log, vary={"components.identifier.P0": [1.0]}, set={"identifier.P0": 2.0}
-        )
+        cosim.replay_sweep(log, vary=vary, set={"identifier.P0": 2.0})
 
 
 def test_a_replay_that_fails_is_a_row(failing, call):
@@ -161,17 +155,19 @@ def test_a_replay_that_fails_is_a_row(failing, call):
 def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
     """In the order of the rows; those that are there are not replaced."""
     vary = {"u.amplitude": [1.0, 3.0]}
-    sweep = cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs")
+    folder = tmp_path / "new" / "logs"
+    sweep = cosim.replay_sweep(failing, vary=vary, out=folder)
     paths = [row.path for row in sweep.rows]
-    assert [path.name for path in paths] == ["1.mcap", "2.mcap"]
+    assert paths == [folder / "1.mcap", folder / "2.mcap"]
     assert cosim.open_log(paths[1])["u.y"][-1] == sweep["u.y"][1]
-    with pytest.raises(UsageError, match="exists"):
-        cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs")
-    assert cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs", force=True).passed
-    with pytest.raises(UsageError, match=r"out: .* a folder for 2 logs, got '.*x\.mcap'"):
-        cosim.replay_sweep(failing, vary=vary, out=tmp_path / "x.mcap")
-    with pytest.raises(UsageError, match="force=True"):
-        cosim.replay_sweep(failing, vary=vary, force=True)
+    assert cosim.replay_sweep(failing, vary=vary, out=folder, force=True).passed
+    for options, message in (
+        ({"out": folder}, "exists"),
+        ({"out": tmp_path / "x.mcap"}, r"out: .*x\.mcap'"),
+        ({"force": True}, "force=True"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            cosim.replay_sweep(failing, vary=vary, **options)
 
 
 def test_progress_is_that_of_all_replays(failing):
@@ -193,12 +189,12 @@ def test_the_command_line_shows_a_table(log, call):
     assert (code, err) == (0, "")
     title, header, *rows = out.splitlines()
     assert title == str(log.path)
-    names = header.split("\t")
+    names, first, second = (line.split("\t") for line in (header, *rows))
     assert names[:3] == ["identifier.P0", "identifier.theta[0]", "identifier.theta[1]"]
     assert "identifier.theta[0] error" not in names
-    assert ", error " in rows[0].split("\t")[1]
-    assert [row.split("\t")[0] for row in rows] == ["1000.0", "1000000000.0"]
-    assert all(len(row.split("\t")) == len(names) for row in rows)
+    assert ", error " in first[1]
+    assert [first[0], second[0]] == ["1000.0", "1000000000.0"]
+    assert len(first) == len(second) == len(names)
     code, out, _ = call(*command, "--json")
     found = json.loads(out)
     assert found["varied"] == ["identifier.P0"]
@@ -209,7 +205,7 @@ def test_the_command_line_shows_a_table(log, call):
     for option, value in (("--verify", ()), ("--plot", ("x.png",))):
         code, _, err = call(*command, option, *value)
         assert code == 2
-        assert err == f"cosim: {option} is for one replay; omit it or --vary\n"
+        assert {option, "--vary"} <= set(err.split())
 
 
 def test_a_scenario_problem_keeps_its_place(failing):
@@ -231,13 +227,12 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         again = cosim.replay(path, scenario=scenario, map=BOTH, set=row.values)
         assert repr(row.summary) == repr(summarize(again))  # NaN is not equal to itself
     assert len(set(sweep["model.y"])) == 2
+    wrong = {"model.time_constant": [0.1, -1.0]}
     with pytest.raises(UsageError, match=r"model.time_constant = -1.0: .*components.model"):
-        cosim.replay_sweep(
-            path, vary={"model.time_constant": [0.1, -1.0]}, scenario=scenario, map=BOTH
-        )
+        cosim.replay_sweep(path, vary=wrong, scenario=scenario, map=BOTH)
     with pytest.raises(UsageError, match="scenario"):
         cosim.replay_sweep(path, vary=vary, map=BOTH)
-    with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
+    with pytest.raises(UsageError, match="omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)
     maps = [f"--map={port}={name}" for port, name in BOTH.items()]
     command = ("replay", path, "--scenario", scenario, *maps)
