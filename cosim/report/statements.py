@@ -187,9 +187,6 @@ class Statements:
             yield "end of the run [ns]", source.end_ns, int(Decimal(stop).scaleb(9))
         step = source.metadata.get("cosim.schedule", {}).get("step_ns")
         yield "step of the schedule [ns]", step, str(source.step_ns)
-        for name in self._known:
-            kind = json.loads(component_metadata(self._again, name)["table"])["kind"]
-            yield f"kind of {name!r}", source.kinds.get(name), kind
         if self._has_own_words and source.status == "complete":
             noted = {warning[1:] for warning in source.warnings}
             warned = {one[1:] for one in DistinctWarnings(source.messages())}
@@ -285,7 +282,12 @@ class Statements:
 
     def _of_components(self, run: Log | Memory) -> Iterator[tuple[str, Any]]:
         for name in self._known:
-            yield f"table of {name!r}", component_metadata(run, name).get("table")
+            own = component_metadata(run, name)
+            yield f"table of {name!r}", own.get("table")
+            # the log has it with the channels, too; a replay in memory has none
+            of_log = run is self._source
+            kind = self._source.kinds.get(name) if of_log else json.loads(own["table"])["kind"]
+            yield f"kind of {name!r}", kind
         declared = declared_channels(run.channels)
         for name in self._computed:
             own = component_metadata(run, name)
