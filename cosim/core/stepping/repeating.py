@@ -138,14 +138,9 @@ def _apply(
     settings: Mapping[tuple[int, str], Action],
 ) -> None:
     """Set parameters, override inputs, inject faults, release, and let the rest follow."""
-    given: dict[str, list[tuple[slice, Vector]]] = {}
     values: dict[tuple[int, str], dict[str, tuple[float, ...]]] = {}  # that were set
+    given = _followed(graph, jumps, recorded)
     try:
-        for jump in jumps:
-            port = Port.parse(jump.signal)
-            if jump.cause == "follow" and port.component in recorded:
-                columns = _output_columns(graph, jump, port)
-                given.setdefault(port.component, []).append((columns, np.array(jump.values)))
         for jump in jumps:
             port = Port.parse(jump.signal)
             if jump.cause == "set":
@@ -164,8 +159,7 @@ def _apply(
         for jump in jumps:
             _change_input(simulation, jump)
     except UsageError as error:
-        where = f"'{jump.signal}' at t = {simulation.t} s"
-        raise LogError(f"the event of {where} does not fit: {error}") from error
+        raise _misfit(jump, error) from error
     simulation.complete_jumps(given)
 
 
@@ -181,12 +175,28 @@ def _change_input(simulation: Simulation, jump: SignalEvent) -> None:
             simulation.inject(jump.signal, kind, jump.parameters)
 
 
-def _output_columns(graph: Graph, jump: SignalEvent, port: Port) -> slice:
-    """Return the columns of a signal that followed."""
-    interface = graph.layout[port.component].interface
-    if port.name in interface.input_names:
-        return slice(0, 0)  # follows its source here
-    end = graph.ports.output(port)
-    if end.size != len(jump.values):
-        raise UsageError(f"expected {end.size} values, got {len(jump.values)}")
-    return end.columns
+def _followed(
+    graph: Graph, jumps: Sequence[SignalEvent], recorded: Collection[str]
+) -> dict[str, list[tuple[slice, Vector]]]:
+    """Return the outputs of recorded components that followed; an input follows its source here."""
+    followed: dict[str, list[tuple[slice, Vector]]] = {}
+    for jump in jumps:
+        port = Port.parse(jump.signal)
+        if jump.cause != "follow" or port.component not in recorded:
+            continue
+        outputs = followed.setdefault(port.component, [])
+        if port.name in graph.layout[port.component].interface.input_names:
+            continue
+        try:
+            end = graph.ports.output(port)
+        except UsageError as error:
+            raise _misfit(jump, error) from error
+        if end.size != len(jump.values):
+            raise _misfit(jump, f"expected {end.size} values, got {len(jump.values)}")
+        outputs.append((end.columns, np.array(jump.values)))
+    return followed
+
+
+def _misfit(jump: SignalEvent, problem: object) -> LogError:
+    where = f"'{jump.signal}' at t = {jump.time_ns / 1e9} s"
+    return LogError(f"the event of {where} does not fit: {problem}")

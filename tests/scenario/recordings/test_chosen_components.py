@@ -73,13 +73,16 @@ def test_a_log_that_ends_between_the_rows_of_a_component_is_replayed(tmp_path):
     check_each(log)
 
 
-@pytest.mark.slow
-def test_overrides_reach_a_component_whichever_are_chosen(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "signal"),
+    [("academic", "observer.u"), ("closed-loop", "plant.u")],  # which feedback.u[0:2] follows
+)
+def test_overrides_reach_a_component_whichever_are_chosen(name, signal, tmp_path):
     """Of a component from the log its rows know; one that is computed gets them again."""
-    scenario = cosim.load("academic").set({"scenario.stop": 0.2})
+    scenario = cosim.load(name).set({"scenario.stop": 0.2})
     with scenario.start(out=tmp_path / "a.mcap") as session:
         session.step(50)
-        session["observer.u"] = 1.0
+        session[signal] = 1.0
         session.step(150)
     check_each(cosim.open_log(tmp_path / "a.mcap"))
 
