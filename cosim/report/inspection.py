@@ -22,7 +22,6 @@ from cosim.instants import step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
-from cosim.report.tables.certificate import notes, search_rows, share_text
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.building.coupling_check import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
@@ -159,10 +158,10 @@ def _certificate(log: Log) -> Section:
         "others": ", ".join(f"{step:g} s" for step in certificate.finer_steps),
         "problem": certificate.problem or None,
     }
-    about |= dict(search_rows(certificate))
+    about |= dict(certificate.search())
     for share in certificate.shares:
-        about[share.estimate] = share_text(share)
-    for number, note in enumerate(notes(certificate), start=1):
+        about[share.estimate] = str(share)
+    for number, note in enumerate(certificate.notes(), start=1):
         about[f"note {number}"] = note
     rows: list[Section] = []
     for signal in certificate.signals:

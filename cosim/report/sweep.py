@@ -11,7 +11,8 @@ from cosim.arguments import callable_argument, path_argument, truth_argument
 from cosim.errors import Interrupted, RunError, UsageError, option, quoted
 from cosim.files import file_type
 from cosim.log import Log
-from cosim.report.summary import Identification, Summary, summarize
+from cosim.report.estimators import Identification
+from cosim.report.summary import Summary, summarize
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import Progress, Target

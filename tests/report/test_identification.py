@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.report.identification import report_identification
 from cosim.report.plots import identification as plots
 from cosim.report.plots.intervals import band_curves
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.summary import summarize
 from cosim.report.tables.estimates import IF_WRONG, estimate_notes
+from cosim.report.tables.identification import report_identification
 from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import IDENTIFICATION
 
@@ -176,13 +176,13 @@ def test_options_reach_the_fit(logs, call):
 def test_an_irregular_part_has_guaranteed_intervals(logs):
     """They contain the truth; the cost is said, and where the first order does not hold."""
     found = identify_records([identifier_record(logs["first"])])
-    timed = report_identification(found, irregular=2e-3).irregular
-    part = timed.part
+    report = report_identification(found, irregular=2e-3)
+    part = report.irregular
     for effect, true in zip(part.effects, (-0.1, -0.3), strict=True):
         assert effect.lower <= true <= effect.upper
         assert effect.holds
         assert effect.upper - effect.lower < 3.0 * effect.first_order
-    assert timed.seconds > 0.0
+    assert report.seconds > 0.0
     assert part.confidence == 0.999
 
 

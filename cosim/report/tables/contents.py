@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from cosim.arguments import path_argument
@@ -20,7 +19,9 @@ def print_contents(source: str, *, as_json: bool) -> None:
     UsageError
         If it is a folder.
     """
+    from cosim.log.foreign.topics import is_foreign
     from cosim.report import inspection
+    from cosim.report.field_recording import describe_recording
     from cosim.report.tables.fmu import print_fmu
 
     path = path_argument("source", source)
@@ -31,8 +32,10 @@ def print_contents(source: str, *, as_json: bool) -> None:
         )
     source_type = file_type(path)
     match source_type:
+        case "log" if is_foreign(path):
+            content = describe_recording(source)
         case "log":
-            content = _describe_mcap(source)
+            content = inspection.describe_log(source)
         case "FMU":
             content = inspection.describe_fmu(source)
         case "table":
@@ -45,19 +48,6 @@ def print_contents(source: str, *, as_json: bool) -> None:
         print_fmu(content)
     else:
         print_sections(_sections(content))
-
-
-def _describe_mcap(source: str) -> dict[str, Any]:
-    """Describe a log of a run, or a recording of another tool."""
-    from cosim.log.foreign.topics import is_foreign
-
-    if is_foreign(Path(source)):
-        from cosim.report.field_recording import describe_recording
-
-        return describe_recording(source)
-    from cosim.report.inspection import describe_log
-
-    return describe_log(source)
 
 
 def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
