@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cosim.arguments import path_argument
-from cosim.errors import UsageError
+from cosim.errors import LogError, UsageError
 from cosim.files import file_type
 from cosim.report.tables.console import print_json, print_sections
 
@@ -17,7 +17,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
     Raises
     ------
     UsageError
-        If it is a folder.
+        If it is a folder; LogError: if not all of a log can be understood.
     """
     from cosim.log.foreign.topics import is_foreign
     from cosim.report import inspection
@@ -42,12 +42,15 @@ def print_contents(source: str, *, as_json: bool) -> None:
             content = inspection.describe_samples(source)
         case _:
             content = inspection.describe_scenario(source)
+    problems = content.get("problems", [])
     if as_json:
         print_json(content)
     elif source_type == "FMU":
         print_fmu(content)
     else:
         print_sections(_sections(content))
+    if problems:
+        raise LogError("\n".join(problems))
 
 
 def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -55,6 +58,8 @@ def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     from cosim.scenario.swapping.swap_report import row_texts
 
     for title, section in content.items():
+        if title == "problems":  # printed as an error
+            continue
         if title != "differences":
             yield title, section
             continue
