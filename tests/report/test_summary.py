@@ -30,6 +30,7 @@ late = { kind = "gain", K = 0.5 }
 """
 GAIN = plain(LoopGain(("a",), "jacobi", h=0.1, steps=1))
 WINDOW = {"half_width_steps": 1, "order": 2, "noise": [], "amplitude": 1.0, "bandwidth": 1.0}
+STEPS = {"step": 0.1, "finer_steps": [0.05]}
 LATE = {"factor": 1.0, "blocks": 1, "late": 0, "largest": 0.0, "time": 0.0}
 DEEP = '{"x":' * 500 + "1" + "}" * 500
 
@@ -83,6 +84,9 @@ def valid(tmp_path_factory):
         ("results", "substeps", {}, ["substeps", "got {}"]),
         ("results", "substeps", json.loads(DEEP), ["substeps", "recursion"]),
         ("results", "certificate", {"step": 0.1}, ["certificate", "finer_steps", "got none"]),
+        ("results", "certificate", [], ["certificate", "got []"]),
+        ("results", "certificate", {"step": "small"}, ["certificate", "step", "got 'small'"]),
+        ("results", "certificate", {**STEPS, "signals": {"a.y": 3}}, ["signals.a.y", "got 3"]),
         ("results", "identification", {"identifier": {"noise_model": 3}}, ["noise_model", "got 3"]),
         (
             "results",
