@@ -24,6 +24,7 @@ from cosim.scenario.record import (
     Reconstruction,
     WindowChoice,
     component_record,
+    record_label,
     recorded_identification,
     recorded_start,
 )
@@ -147,14 +148,14 @@ class CompensationSummary:
     """
 
     component: str
-    active_since: float | None
-    reason: str
-    theta: tuple[float, ...]
-    last_theta: tuple[float, ...]
-    before: tuple[float, ...]
-    after: tuple[float, ...]
-    since: float
-    interval: tuple[tuple[float, ...], ...]
+    active_since: float | None = None
+    reason: str = ""
+    theta: tuple[float, ...] = ()
+    last_theta: tuple[float, ...] = ()
+    before: tuple[float, ...] = ()
+    after: tuple[float, ...] = ()
+    since: float = 0.0
+    interval: tuple[tuple[float, ...], ...] = ()
 
 
 def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
@@ -297,7 +298,10 @@ def summarize_reconstruction(
     interpolated = np.array(record.noise_gain)
     zero_order = np.array(record.noise_gain_held)
     if interpolated.size != zero_order.size or interpolated.size % max(len(held), 1):
-        raise LogError(f"metadata of {name!r}: the noise gains do not fit to its y")
+        what = record_label(recording, f"metadata of {name!r}")
+        raise LogError(
+            f"{what}: expected as many noise gains as fit to its y, got {interpolated.size}"
+        )
     gains = np.where(held, zero_order.reshape(shape), interpolated.reshape(shape))
     parameters = {key: getattr(design, key) for key in ("filter_rate", "order", "half_width")}
     return DeltaReconstruction(
@@ -321,55 +325,53 @@ def summarize_compensation(
     LogError
         If these are not those of a compensator.
     """
-    error = _regulated_error(recording, name, record)
-    is_active = as_columns(recording[f"{name}.active"])[:, 0] > 0.0
-    if not is_active.any():
-        reason = _reason(recording, name, record)
-        start = recorded_start(recording)
+    label = record_label(recording, f"metadata of {name!r}")
+    y = as_columns(recording[f"{name}.y"])
+    r = as_columns(recording[f"{name}.r"])
+    regulated = list(record.regulated)
+    fits = all(0 <= element < y.shape[1] for element in regulated)
+    if not fits or r.shape[1] != len(regulated):
+        raise LogError(f"{label}: expected regulated outputs of its y as in r, got {regulated}")
+    error: Matrix = y[:, regulated] - r
+    active = np.flatnonzero(as_columns(recording[f"{name}.active"])[:, 0] > 0.0)
+    if not len(active):
         return CompensationSummary(
-            name, None, reason, (), (), _rms(error), (), start, record.interval
+            name,
+            reason=_reason(recording, name, record, label),
+            before=_rms(error),
+            since=recorded_start(recording),
+            interval=record.interval,
         )
     time = recording.time_ns(name) / 1e9
-    first = int(is_active.argmax())
-    begin = float(time[first])
+    begin = float(time[active[0]])
     end = float(time[-1])
     since = end - LAST_PART * (end - begin)
     theta: Matrix = np.zeros((len(time), 0))
     if record.interval:
         theta = as_columns(recording[f"{name}.model_theta"])
     return CompensationSummary(
-        component=name,
+        name,
         active_since=begin,
-        reason="",
-        theta=tuple(theta[first].tolist()),
+        theta=tuple(theta[active[0]].tolist()),
         last_theta=tuple(theta[-1].tolist()),
-        before=_rms(error[:first]),
+        before=_rms(error[: active[0]]),
         after=_rms(error[time >= since]),
         since=since,
         interval=record.interval,
     )
 
 
-def _regulated_error(recording: Recording, name: str, record: Compensation) -> Matrix:
-    y = as_columns(recording[f"{name}.y"])
-    r = as_columns(recording[f"{name}.r"])
-    regulated = list(record.regulated)
-    fits = all(0 <= element < y.shape[1] for element in regulated)
-    if not fits or r.shape[1] != len(regulated):
-        raise LogError(f"metadata of {name!r}: the regulated outputs do not fit to its y and r")
-    error: Matrix = y[:, regulated] - r
-    return error
-
-
-def _reason(recording: Recording, name: str, record: Compensation) -> str:
+def _reason(recording: Recording, name: str, record: Compensation, label: str) -> str:
     """Return why the internal model stayed out, by the last estimate."""
     if not record.internal_model:
         return "internal_model = false"
     ends: Matrix = np.array(record.interval, np.float64).reshape(-1, 2)
-    theta: Vector = as_columns(recording[f"{name}.theta"])[-1]
-    standard_error: Vector = as_columns(recording[f"{name}.standard_error"])[-1]
-    if len(ends) != len(theta) or len(ends) != len(standard_error):
-        raise LogError(f"metadata of {name!r}: the interval does not fit to its theta")
+    estimates = [as_columns(recording[f"{name}.{key}"]) for key in ("theta", "standard_error")]
+    if any(rows.shape[1] != len(ends) for rows in estimates):
+        raise LogError(f"{label}: expected an interval for each theta, got {len(ends)}")
+    if not len(estimates[0]):
+        return "it has no rows"
+    theta, standard_error = [rows[-1] for rows in estimates]
     activation = Activation(ends[:, 0], ends[:, 1], record.largest_error)
     return activation.reason(theta, standard_error) or "the run ended at the first good estimate"
 

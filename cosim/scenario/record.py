@@ -7,7 +7,7 @@ A component may record more keys than these, which are kept as they are: see
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
@@ -16,10 +16,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
-from cosim.core.recorded.partial import partial_of
-from cosim.core.recorded.signals import find_signal
+from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import INNER_STEP, Recording
-from cosim.core.signals import Channel
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
@@ -28,7 +27,7 @@ from cosim.scenario.document.schema import truth_ports
 from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError
 from cosim.theory.reconstruction.filters import Bias
 from cosim.theory.richardson import StepError
-from cosim.units import Unit, conversions_between
+from cosim.units import Unit, conversions_between, units_text
 from cosim.version import __version__
 
 MEANS: Final = "means"  # of a component: its inputs that get the mean of both ends of a step
@@ -429,6 +428,13 @@ class Lateness:
 # --- read ---
 
 
+def record_label(recording: Recording, record: str) -> str:
+    """Return where a record is, for messages; with its version where that is not this one."""
+    written_by = recording.metadata.get("cosim.env", {}).get("cosim", __version__)
+    version = "" if written_by == __version__ else f" (written by cosim {written_by})"
+    return f"{recording.label}{version}: {record}"
+
+
 def run_metadata(recording: Recording) -> dict[str, str]:
     """Return the metadata of the run as it was recorded: texts, of which some are JSON."""
     return dict(recording.metadata.get("cosim.run", {}))
@@ -456,7 +462,7 @@ def component_table(recording: Recording, component: str) -> dict[str, Any]:
 
 def component_record(recording: Recording, component: str) -> ComponentRecord:
     """Return what a component recorded about itself."""
-    what = _what(recording, f"metadata of {component!r}")
+    what = record_label(recording, f"metadata of {component!r}")
     text = component_metadata(recording, component).get("metadata", "{}")
     record = understood(ComponentRecord, text, what)
     if record.unknowns is not None and not {"start_time", "P0"} <= record.model_fields_set:
@@ -492,11 +498,12 @@ def recorded_models(recording: Recording) -> dict[str, ModelRecord]:
 def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     """Return the gains of the loops of a run, as they were before it."""
     gains = _of_run(recording, "loop_gains", tuple[LoopGain, ...]) or ()
+    label = record_label(recording, "loop_gains")
     for number, gain in enumerate(gains):
         if (gain.rho or 0.0) < 0.0 or not 0 <= gain.steps < 2**63:
             raise LogError(
-                f"{_what(recording, 'loop_gains')} cannot be understood: {number}: expected a rho "
-                f"and steps that are not negative, got {quoted(gain.rho)} and {quoted(gain.steps)}"
+                f"{label} cannot be understood: {number}: expected a rho and steps that are not "
+                f"negative, got {quoted(gain.rho)} and {quoted(gain.steps)}"
             )
     return gains
 
@@ -550,7 +557,7 @@ def connected_sources(recording: Recording) -> dict[str, tuple[str, ...]]:
     """Return the outputs that drive each input of a run, by the input."""
     sources = {}
     for to, text in recording.metadata.get("cosim.connections", {}).items():
-        what = _what(recording, f"connection to {to!r}")
+        what = record_label(recording, f"connection to {to!r}")
         source = understood(dict[str, Any], text, what).get("from")
         if not isinstance(source, str):
             raise LogError(
@@ -582,45 +589,38 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     What was not recorded, or is to be compared with what was not, is left out.
     """
     kind = dict[str, str | list[str] | float | list[float]]
-    partial = partial_of(recording.channels)
+    channels = recording.channels
+    declared = declared_channels(channels)
+    label = record_label(recording, "truth")
     kept = {}
     for estimate, truth in (_of_run(recording, "truth", kind) or {}).items():
-        ports = truth_ports(truth)
-        if partial is None or _are_recorded(recording, [estimate, *ports], partial.declared):
-            _check_truth(recording, estimate, truth, ports)
+        named = truth_ports(truth)
+        estimated, *true = [
+            find_signal(declared, name, source=label) for name in (estimate, *named)
+        ]
+        _check_truth(f"{label}: {estimate!r}", estimated.measures, truth, true)
+        if all(
+            port.channel.name in channels
+            and port.signal.name in channels[port.channel.name].by_name
+            for port in (estimated, *true)
+        ):
             kept[estimate] = truth
     return kept
 
 
-def _are_recorded(
-    recording: Recording, names: Iterable[str], declared: Mapping[str, Channel]
-) -> bool:
-    """Return whether all of some signals of a run are recorded; LogError: one is none of it."""
-    ports = [find_signal(declared, name, source="truth") for name in names]
-    recorded = recording.channels
-    return all(
-        port.channel.name in recorded and port.signal.name in recorded[port.channel.name].by_name
-        for port in ports
-    )
-
-
-def _check_truth(recording: Recording, estimate: str, truth: Any, ports: Sequence[str]) -> None:
-    estimated = find_signal(recording.channels, estimate, source="truth")
+def _check_truth(
+    label: str, units: Sequence[Unit], truth: Any, ports: Sequence[RecordedPort]
+) -> None:
     true_units: list[Unit] = []
     for port in ports:
-        true_units += find_signal(recording.channels, port, source="truth").measures
+        true_units += port.measures
     size = len(truth) if isinstance(truth, list) else 1
-    if (len(true_units) if ports else size) != estimated.size:
-        raise LogError(f"truth: {estimate!r} has another size than {truth!r}")
-    if ports and None in conversions_between(true_units, estimated.measures):
-        raise LogError(f"truth: {estimate!r} has another kind of unit than {truth!r}")
-
-
-def _what(recording: Recording, record: str) -> str:
-    """Return where a record is, for messages; with its version where that is not this one."""
-    written_by = recording.metadata.get("cosim.env", {}).get("cosim", __version__)
-    version = "" if written_by == __version__ else f" (written by cosim {written_by})"
-    return f"{recording.label}{version}: {record}"
+    if (len(true_units) if ports else size) != len(units):
+        raise LogError(f"{label}: expected {len(units)} values, got {quoted(truth)}")
+    if ports and None in conversions_between(true_units, units):
+        raise LogError(
+            f"{label}: expected the unit {units_text(units)!r}, got {units_text(true_units)!r}"
+        )
 
 
 def _is_row(value: object) -> bool:
@@ -630,7 +630,7 @@ def _is_row(value: object) -> bool:
 def _of_run(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
     """Return an entry of the run's metadata, which is JSON; None: there is none."""
     text = run_metadata(recording).get(key)
-    return None if text is None else understood(kind, text, _what(recording, key))
+    return None if text is None else understood(kind, text, record_label(recording, key))
 
 
 def _result(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
@@ -638,7 +638,7 @@ def _result(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
     value = recording.results.get(key)
     if value is None:
         return None
-    what = _what(recording, key)
+    what = record_label(recording, key)
     try:
         text = json.dumps(value)
     except RecursionError as error:
