@@ -60,25 +60,20 @@ class IdentificationReport:
             validation.verdict is ValidationVerdict.FAILS for _, validation in self.validations
         )
 
-    @property
-    def noise(self) -> str:
-        """What is known of the noise of y."""
-        return noise_text(verdicts_of(self.identification.assessment))
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         found = self.identification
         fit = found.assessment.fit
-        logs = []
-        for i, record in enumerate(found.records):
-            about = {
+        logs = [
+            {
                 "log": record.log.label,
                 "samples": record.data.samples,
                 "amplitudes": list(map(plain, found.amplitudes[i])),
                 "x0": fit.x0[i].tolist(),
                 "offset": fit.offset[i].tolist(),
             }
-            logs.append(about)
+            for i, record in enumerate(found.records)
+        ]
         content: dict[str, Any] = {
             "identifier": found.records[0].identifier,
             "offset": found.assessment.problem.offset,
@@ -176,6 +171,7 @@ def _facts(
     """Yield what verdicts rest on, the noise, and the logs."""
     found = report.identification
     assessment = found.assessment
+    noise = verdicts_of(assessment)
     yield from reason_notes((label, one.verdict, one.reason) for label, one in verdicts)
     yield from term_notes(one for _, one in verdicts)
     for error in found.undetected:
@@ -183,7 +179,7 @@ def _facts(
     for i, j in itertools.combinations(range(len(assessment.parameters)), 2):
         if assessment.fit.estimated[[i, j]].all():
             yield "correlation", f"theta[{i}], theta[{j}]: {assessment.correlation[i, j]:+.3f}"
-    yield "noise of y", noise_of_y(assessment.deviations.tolist(), report.noise)
+    yield "noise of y", noise_of_y(noise.deviation, noise_text(noise))
     for text in found.contradictions:
         yield "contradiction", text
     for index, record in enumerate(found.records):

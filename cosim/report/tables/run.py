@@ -357,9 +357,8 @@ def _certificate_tables(certificate: StepCertificate) -> list[Table]:
     rows = []
     for signal in certificate.signals:
         if signal.is_bounded or (signal.largest is not None and signal.order is not None):
-            largest = f"{signal.largest:.3g}"
-            if signal.is_bounded:
-                largest = f"at most {signal.bound:.3g}"
+            is_bounded = signal.is_bounded
+            largest = f"at most {signal.bound:.3g}" if is_bounded else f"{signal.largest:.3g}"
             row = (
                 signal.signal,
                 largest if signal.unit is None else f"{largest} {signal.unit}",
