@@ -21,7 +21,6 @@ def print_contents(source: str, *, as_json: bool) -> None:
     """
     from cosim.log.foreign.topics import is_foreign
     from cosim.report import inspection
-    from cosim.report.field_recording import describe_recording
     from cosim.report.tables.fmu import print_fmu
 
     path = path_argument("source", source)
@@ -33,6 +32,8 @@ def print_contents(source: str, *, as_json: bool) -> None:
     source_type = file_type(path)
     match source_type:
         case "log" if is_foreign(path):
+            from cosim.report.field_recording import describe_recording  # rarely needed
+
             content = describe_recording(source)
         case "log":
             content = inspection.describe_log(source)
