@@ -12,18 +12,13 @@ from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, TypeVar, dataclass_transform
 
-from cosim.errors import LogError
+from cosim.errors import LogError, quoted, shortened
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
+    from pydantic import ConfigDict, TypeAdapter
 
 _Class = TypeVar("_Class")
-STRICT: Final = {"strict": True, "allow_inf_nan": False, "extra": "forbid"}
-_IN_WORDS: Final = {
-    "unexpected_keyword_argument": "a key that this version of cosim does not know",
-    "missing_argument": "it is missing",
-    "missing": "it is missing",
-}
+STRICT: Final[ConfigDict] = {"strict": True, "allow_inf_nan": False, "extra": "forbid"}
 
 
 @dataclass_transform(frozen_default=True)
@@ -60,7 +55,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def understood(kind: Any, text: str, what: str) -> Any:
+def understood(kind: type[_Class], text: str, what: str) -> _Class:
     """Return the document, or the container of documents, that a text of a log is.
 
     Parameters
@@ -74,21 +69,38 @@ def understood(kind: Any, text: str, what: str) -> Any:
     Raises
     ------
     LogError
-        If it is something else; names the place in it.
+        If it is something else; names the place in it, what was expected there, and what is there.
     """
     from pydantic import ValidationError
 
     try:
-        return _reader(kind).validate_json(text)
+        document: _Class = _reader(kind).validate_json(text)  # type: ignore[arg-type]
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
-        problem = _IN_WORDS.get(first["type"], first["msg"])
-        raise LogError(f"{what} cannot be understood: {place}: {problem}") from error
+        got = quoted(first["input"])
+        match first["type"]:
+            case "unexpected_keyword_argument" | "extra_forbidden":
+                expected = "only keys that this version of cosim knows"
+                got = quoted(first["loc"][-1])
+            case "missing_argument" | "missing":
+                expected = "a value"
+                got = "none"
+            case "json_invalid":
+                expected = "JSON"
+                got += first["msg"].removeprefix("Invalid JSON")
+            case _:
+                expected = first["msg"].removeprefix("Input should be ")
+        where = f"{shortened(place)}: " if place else ""
+        raise LogError(
+            f"{what} cannot be understood: {where}expected {expected}, got {got}"
+        ) from error
+    return document
 
 
 @cache
 def _reader(kind: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
-    return TypeAdapter(kind)
+    has_own = hasattr(kind, "__pydantic_config__") or hasattr(kind, "model_config")
+    return TypeAdapter(kind, config=None if has_own else STRICT)

@@ -85,9 +85,8 @@ def identify(
     verdict on every parameter and tests of the residual.
     """
     from cosim.log import open_log
-    from cosim.report.identification import report_identification
     from cosim.report.tables.console import print_line
-    from cosim.report.tables.identification import print_identification
+    from cosim.report.tables.identification import print_identification, report_identification
     from cosim.scenario.identifying import identifier_record, identify_records
 
     if irregular is not None and not 0.0 < irregular < float("inf"):

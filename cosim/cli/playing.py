@@ -90,7 +90,6 @@ def play(
     """
     from cosim.live.playback import Playback
     from cosim.log import open_log
-    from cosim.report.tables.lateness import lateness_text
     from cosim.scenario.recordings.interrupting import interruptible
 
     source = open_log(log)
@@ -104,7 +103,7 @@ def play(
                 server.wait_for_viewer(check)
             playback.run(loop=loop)
         finally:
-            typer.echo(lateness_text(playback.lateness))
+            typer.echo(str(playback.lateness))
 
 
 @contextmanager

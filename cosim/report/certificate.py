@@ -9,31 +9,22 @@ from typing import Any
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import Recording
-from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
-from cosim.report.summary import Summary, ValueOutcome, summarize
-from cosim.scenario.record import RecordedCertificate, StepSearch, StepTrial, recorded_certificate
+from cosim.report.summary import Summary, summarize
+from cosim.scenario.record import StepSearch, StepTrial, recorded_certificate
 from cosim.theory.richardson import StepError
 
 
 @dataclass(frozen=True)
-class SignalCertificate:
-    """The error of the step in one element of an output, as :class:`StepError` has it.
+class SignalCertificate(StepError):
+    """The error of the step in one element of an output, ``signal``, in ``unit``.
 
     ``largest`` is an estimate. Where it is None the error is within ``bound``; if that is None,
     too, nothing is known.
     """
 
-    signal: str
-    unit: str | None
-    largest: float | None
-    time: float | None
-    last: float | None
-    order: float | None
-    reason: str
-    grows: bool
-    is_rounding: bool
-    bound: float | None
+    signal: str = ""
+    unit: str | None = None
 
     @property
     def is_bounded(self) -> bool:
@@ -57,6 +48,15 @@ class CouplingShare:
     estimate: str
     error: float
     coupling: float | None
+
+    def __str__(self) -> str:
+        if not self.error:
+            return "no error at the end"
+        text = f"error {self.error:+.3g} at the end"
+        if self.coupling is None:
+            return f"{text}; the share of the coupling is not known"
+        part = 100.0 * self.coupling / self.error
+        return f"{text}, of which {self.coupling:+.3g} ({part:.2g} %) is coupling error"
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,35 @@ class StepCertificate(Mapping[str, SignalCertificate]):
     def __len__(self) -> int:
         return len(self.signals)
 
+    def search(self) -> Iterator[tuple[str, str]]:
+        """Yield the steps that were tried, and what was found."""
+        wanted = ", ".join(f"{signal} {value:g}" for signal, value in self.tolerances.items())
+        for trial in sorted(self.trials, key=lambda trial: -trial.step):
+            text = trial.failure or f"within {wanted}"
+            if trial.step == self.step and not trial.failure:
+                text += ": the largest such step that divides all given times"
+            yield f"step {trial.step:g} s", text
+
+    def notes(self) -> Iterator[str]:
+        """Yield what is to be known of the figures."""
+        if self.solvers:
+            yield f"includes the solver errors of {', '.join(self.solvers)}"
+        if len(set(self.ends)) > 1:
+            ends = ", ".join(f"{end:g} s" for end in self.ends)
+            yield f"the three runs ended at {ends}; compared up to {min(self.ends):g} s"
+        if self.every > 1:
+            yield f"compared at every {self.every}th communication point"
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        trials = [{"step": trial.step, "failure": trial.failure} for trial in self.trials]
-        return {**asdict(self), "trials": trials}
+        content = asdict(self)
+        content["signals"] = [
+            {"signal": one.pop("signal"), "unit": one.pop("unit"), **one}
+            for one in content["signals"]
+        ]
+        for trial in content["trials"]:
+            del trial["largest"]
+        return content
 
 
 def certificate(recording: RecordedRun) -> StepCertificate:
@@ -155,10 +180,19 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
     record = recorded_certificate(recording)
     if record is None:
         return None
-    signals: list[SignalCertificate] = []
+    signals = []
     for channel in declared_channels(recording.channels).values():
-        signals += _outputs(channel, record.signals)
-    shares = () if record.problem else tuple(_shares(summary.values, record))
+        for signal in channel.interface.outputs:
+            for element, unit in zip(signal.elements, signal.measures, strict=True):
+                label = f"{channel.name}.{element}"
+                if label in record.signals:
+                    error = asdict(record.signals[label])
+                    signals.append(SignalCertificate(**error, signal=label, unit=unit.name))
+    shares = []
+    for value in summary.values:
+        if value.value is not None and value.estimate in record.signals and not record.problem:
+            coupling = record.signals[value.estimate].last
+            shares.append(CouplingShare(value.estimate, value.value - value.truth, coupling))
     search = record.search or StepSearch()
     return StepCertificate(
         record.step,
@@ -168,25 +202,7 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
         record.problem,
         record.solvers,
         tuple(signals),
-        shares,
+        tuple(shares),
         search.tolerances,
         search.trials,
     )
-
-
-def _outputs(channel: Channel, records: Mapping[str, StepError]) -> Iterator[SignalCertificate]:
-    for signal in channel.interface.outputs:
-        for element, unit in zip(signal.elements, signal.measures, strict=True):
-            label = f"{channel.name}.{element}"
-            if label in records:
-                yield SignalCertificate(label, unit.name, **asdict(records[label]))
-
-
-def _shares(
-    values: tuple[ValueOutcome, ...], record: RecordedCertificate
-) -> Iterator[CouplingShare]:
-    for outcome in values:
-        if outcome.value is None or outcome.estimate not in record.signals:
-            continue
-        error = outcome.value - outcome.truth
-        yield CouplingShare(outcome.estimate, error, record.signals[outcome.estimate].last)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -18,11 +19,11 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Channel, Signal
+from cosim.errors import LogError
 from cosim.instants import step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
-from cosim.report.tables.certificate import notes, search_rows, share_text
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.building.coupling_check import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
@@ -55,15 +56,21 @@ MOST_TEXT = 2**22  # characters of them
 
 
 def describe_log(path: str) -> Section:
-    """Describe a log: the run, its components and their signals, metadata and messages."""
+    """Describe a log: the run, its components and their signals, metadata and messages.
+
+    What cannot be understood of its documents is left out; ``problems`` says why.
+    """
     from cosim.log import open_log
 
     log = open_log(path)
     end = log.end_ns / 1e9
     step = step_value(log.step_ns)
     run = run_metadata(log)
-    window = recorded_window(log)
-    start = recorded_start(log) if window is None else window[0]
+    problems: dict[str, None] = {}
+    start = 0.0
+    with _noted(problems):
+        window = recorded_window(log)
+        start = recorded_start(log) if window is None else window[0]
     since = f"{start} s to " if start else ""
     about: Section = {
         "scenario": run.get("scenario", ""),
@@ -81,36 +88,48 @@ def describe_log(path: str) -> Section:
     if events:
         about["events"] = _event_counts(events)
     if "replay" in run:
-        about["replay of"] = asdict(replay_origin(log))
+        with _noted(problems):
+            about["replay of"] = asdict(replay_origin(log))
     signals: list[Section] = []
     for name, channel in log.channels.items():
         signals += _signal_rows(channel, log.kinds.get(name, ""))
     metadata = {}
     differences = {}
     for name in declared_channels(log.channels):
-        entry = component_table(log, name)
+        entry: Section = {}
+        with _noted(problems):
+            entry = component_table(log, name)
         report = entry.pop("swap_report", {})
         if report:
             differences[name] = _differences(report)
         if entry:
             metadata[name] = entry
-    content = {
-        "run": about,
-        **_partial(log),
-        "loops": [gain_values(gain) for gain in recorded_loop_gains(log)],
-        **_substeps(log),
-        "signals": signals,
-        "metadata": metadata,
-        "differences": differences,
-    }
+    content = {"run": about, **_partial(log), "loops": []}
+    with _noted(problems):
+        content["loops"] = [gain_values(gain) for gain in recorded_loop_gains(log)]
+    with _noted(problems):
+        content |= _substeps(log)
+    content |= {"signals": signals, "metadata": metadata, "differences": differences}
     content |= _overrides(events)
-    content |= _certificate(log)
+    with _noted(problems):
+        content |= _certificate(log)
     messages, more = _messages(log)
     if messages:
         content["messages"] = messages
     if more:
         content["more messages"] = {"not shown": more}
+    if problems:
+        content["problems"] = list(problems)
     return content
+
+
+@contextmanager
+def _noted(problems: dict[str, None]) -> Iterator[None]:
+    """Note what cannot be understood of a log; the rest of it is described all the same."""
+    try:
+        yield
+    except LogError as error:
+        problems[str(error)] = None
 
 
 def _environment(recorded: Mapping[str, str]) -> Section:
@@ -159,10 +178,10 @@ def _certificate(log: Log) -> Section:
         "others": ", ".join(f"{step:g} s" for step in certificate.finer_steps),
         "problem": certificate.problem or None,
     }
-    about |= dict(search_rows(certificate))
+    about |= dict(certificate.search())
     for share in certificate.shares:
-        about[share.estimate] = share_text(share)
-    for number, note in enumerate(notes(certificate), start=1):
+        about[share.estimate] = str(share)
+    for number, note in enumerate(certificate.notes(), start=1):
         about[f"note {number}"] = note
     rows: list[Section] = []
     for signal in certificate.signals:

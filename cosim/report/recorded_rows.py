@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from math import ceil
 from typing import Final
 
@@ -94,14 +95,8 @@ def rows_of(recording: Recording, port: str, *, like: Sequence[Unit] | None = No
 
 def stacked_units(recording: Recording, ports: Sequence[str], like: str) -> list[tuple[Unit, ...]]:
     """Return for each of several ports side by side the units of what another has there."""
-    units = units_of(recording, like)
-    parts = []
-    first = 0
-    for port in ports:
-        size = len(units_of(recording, port))
-        parts.append(units[first : first + size])
-        first += size
-    return parts
+    units = iter(units_of(recording, like))
+    return [tuple(islice(units, len(units_of(recording, port)))) for port in ports]
 
 
 def stacked_rows_of(
@@ -118,8 +113,8 @@ def stacked_rows_of(
     times = time_ns_of(recording, ports[0])
     rows = rows_of(recording, ports[0], like=units[0])
     for port, port_units in zip(ports[1:], units[1:], strict=True):
-        port_times = time_ns_of(recording, port)
         port_rows = rows_of(recording, port, like=port_units)
+        port_times = time_ns_of(recording, port)
         times, shared, port_shared = np.intersect1d(times, port_times, return_indices=True)
         rows = np.hstack([rows[shared], port_rows[port_shared]])
     return times, rows
@@ -190,15 +185,13 @@ def parts_beside_truth(
 
 def last_row(recording: Recording, component: str) -> Vector | None:
     """Return the last row of a component: inputs, then outputs; None: it has none."""
-    channel = recording.channels[component]
+    period_ns = ceil(recording.channels[component].period * recording.step_ns)
     last: Vector | None = None
-    if isinstance(recording, RecordedRun):
-        first_ns = recording.end_ns - ceil(channel.period * recording.step_ns)
+    for first_ns in (recording.end_ns - period_ns, None):  # of a long run not all is read
         for _, rows in recording.blocks(component, first_ns=first_ns):
             last = rows[-1].copy() if len(rows) else last
-    if last is None:
-        for _, rows in recording.blocks(component):
-            last = rows[-1].copy() if len(rows) else last
+        if last is not None:
+            break
     return last
 
 

@@ -7,28 +7,28 @@ A component may record more keys than these, which are kept as they are: see
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
-from cosim.core.recorded.partial import partial_of
-from cosim.core.recorded.signals import find_signal
+from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import INNER_STEP, Recording
-from cosim.core.signals import Channel
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
-from cosim.errors import LogError
-from cosim.scenario.document.schema import Number, NumberRow, Whole, truth_ports
+from cosim.errors import LogError, quoted
+from cosim.scenario.document.schema import truth_ports
 from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError
 from cosim.theory.reconstruction.filters import Bias
 from cosim.theory.richardson import StepError
-from cosim.units import Unit, conversions_between
+from cosim.units import Unit, conversions_between, units_text
+from cosim.version import __version__
 
 MEANS: Final = "means"  # of a component: its inputs that get the mean of both ends of a step
 # keys among the results of a run
@@ -39,29 +39,22 @@ REAL_TIME: Final = "real_time"
 UNTIL: Final = "until"
 # of components, from eigenvalues: their last digits depend on the processor
 EIGENVALUE_FIGURES: Final = frozenset(
-    [
-        "eigenvalues",
-        "fixed_modes",
-        "lambda_obs",
-        "noise_gain",
-        "noise_gain_held",
-        "T_obs",
-        "T_id",
-        "start_time",
-    ]
+    {"eigenvalues", "fixed_modes", "lambda_obs", "noise_gain", "noise_gain_held"}
+    | {"T_obs", "T_id", "start_time"}
 )
 _TIMES: Final = ("T_obs", "T_f", "D_max", "T_id")
 
-Text = Annotated[str, Field(strict=True)]
+_Numbers: TypeAlias = tuple[float, ...]
 # older logs have the number, or the row, of their one output
 _OneAnOutput = Annotated[
-    NumberRow, Field(strict=False), BeforeValidator(lambda v: [v] if _is_number(v) else v)
+    _Numbers, Field(strict=False), BeforeValidator(lambda v: v if isinstance(v, list) else [v])
 ]
 _RowAnOutput = Annotated[
-    tuple[Annotated[NumberRow, Field(strict=False)], ...],
+    tuple[Annotated[_Numbers, Field(strict=False)], ...],
     Field(strict=False),
-    BeforeValidator(lambda v: [v] if v and _is_number(v[0]) else v),
+    BeforeValidator(lambda v: [v] if _is_row(v) else v),
 ]
+_Kind = TypeVar("_Kind")
 
 
 # --- of components ---
@@ -115,15 +108,17 @@ class Compensation:
 class _Table(BaseModel):
     """A table of a component, whose further keys are kept."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
+    model_config = ConfigDict(
+        strict=True, allow_inf_nan=False, extra="allow", frozen=True, defer_build=True
+    )
 
 
 class CodeRecord(_Table):
     """The class of a user that a component was made of, and its source: SHA-256 by file name."""
 
-    class_name: Text = Field(alias="class")
-    sources: dict[Text, Text]
-    distribution: Text | None = None
+    class_name: str = Field(alias="class")
+    sources: dict[str, str]
+    distribution: str | None = None
 
     def difference(self, recorded: CodeRecord | None) -> str:
         """Return in words what differs from the code of a recorded run."""
@@ -147,13 +142,13 @@ class LinearizationRecord(_Table):
 
 
 class _SwapRow(_Table):
-    port: Text
-    aspect: Text
+    port: str
+    aspect: str
     before: Any
     after: Any
-    verdict: Text
+    verdict: str
     connected: Any
-    source: Text | None = None
+    source: str | None = None
 
 
 class _SwapReport(_Table):
@@ -163,28 +158,28 @@ class _SwapReport(_Table):
 class ComponentRecord(_Table):
     """Metadata of a component; of an identifier with its unknowns, of an FMU with its file."""
 
-    start_time: Number = 0.0
-    method: Text = ""
-    unknowns: Whole | None = None
-    P0: Annotated[Number, Field(gt=0.0)] | None = None
-    T_obs: Number | None = None
-    T_f: Number | None = None
-    D_max: Number | None = None
-    T_id: Number | None = None
-    notes: tuple[Text, ...] = ()
-    bits: Text | None = None
+    start_time: float = 0.0
+    method: str = ""
+    unknowns: int | None = None
+    P0: Annotated[float, Field(gt=0.0)] | None = None
+    T_obs: float | None = None
+    T_f: float | None = None
+    D_max: float | None = None
+    T_id: float | None = None
+    notes: tuple[str, ...] = ()
+    bits: str | None = None
     swap_report: _SwapReport = _SwapReport()
     linearization: LinearizationRecord | None = None
     choice: RecordedChoice | None = None
     code: CodeRecord | None = None
-    lags: dict[Text, Number] = {}
+    lags: dict[str, float] = {}
     reconstruction: Reconstruction | None = None
     compensation: Compensation | None = None
     interface_type: Literal["me", "cs"] | None = None
-    path: Text | None = None
-    sha256: Text | None = None
-    noise_gain: NumberRow = ()
-    noise_gain_held: NumberRow = ()
+    path: str | None = None
+    sha256: str | None = None
+    noise_gain: _Numbers = ()
+    noise_gain_held: _Numbers = ()
 
     @property
     def is_identifier(self) -> bool:
@@ -398,6 +393,8 @@ class StateChange:
 class Lateness:
     """How late a run was that should keep the pace of the wall clock.
 
+    As text it says how late.
+
     Parameters
     ----------
     factor : float
@@ -418,8 +415,24 @@ class Lateness:
     largest: float
     time: float
 
+    def __str__(self) -> str:
+        pace = f"{self.factor:g} x the wall clock"
+        if not self.late:
+            return f"{pace}; never late in {self.blocks} blocks"
+        return (
+            f"{pace}; late in {self.late} of {self.blocks} blocks, at most by "
+            f"{self.largest:.3g} s, at t = {self.time:g} s"
+        )
+
 
 # --- read ---
+
+
+def record_label(recording: Recording, record: str) -> str:
+    """Return where a record is, for messages; with its version where that is not this one."""
+    written_by = recording.metadata.get("cosim.env", {}).get("cosim", __version__)
+    version = "" if written_by == __version__ else f" (written by cosim {written_by})"
+    return f"{recording.label}{version}: {record}"
 
 
 def run_metadata(recording: Recording) -> dict[str, str]:
@@ -449,9 +462,9 @@ def component_table(recording: Recording, component: str) -> dict[str, Any]:
 
 def component_record(recording: Recording, component: str) -> ComponentRecord:
     """Return what a component recorded about itself."""
-    what = f"{recording.label}: metadata of {component!r}"
+    what = record_label(recording, f"metadata of {component!r}")
     text = component_metadata(recording, component).get("metadata", "{}")
-    record: ComponentRecord = understood(ComponentRecord, text, what)
+    record = understood(ComponentRecord, text, what)
     if record.unknowns is not None and not {"start_time", "P0"} <= record.model_fields_set:
         raise LogError(f"{what}: expected start_time and P0 of an identifier")
     if len(record.times) not in (0, len(_TIMES)):
@@ -461,32 +474,37 @@ def component_record(recording: Recording, component: str) -> ComponentRecord:
 
 def recorded_start(recording: Recording) -> float:
     """Return the start time of a run [s]."""
-    start: float = _of_run(recording, "start_time", Number, "0.0")
-    return start
+    return _of_run(recording, "start_time", float) or 0.0
 
 
 def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:
     """Return the warnings of a run, as (component, text)."""
-    warnings: list[tuple[str, str]] = _of_run(recording, "warnings", list[tuple[str, str]])
-    return warnings
+    return _of_run(recording, "warnings", list[tuple[str, str]]) or []
 
 
 def recorded_models(recording: Recording) -> dict[str, ModelRecord]:
     """Return the models that were read from files, by name."""
-    models: dict[str, ModelRecord] = _of_run(recording, "models", dict[str, ModelRecord], "{}")
+    models = _of_run(recording, "models", dict[str, ModelRecord]) or {}
     for name, record in models.items():
         for letter, rows in record.matrices.items():
-            if len({len(row) for row in rows}) != 1:
+            if len(set(map(len, rows))) != 1:
                 raise LogError(
-                    f"{recording.label}: models: {name}.{letter} has rows of different lengths, or "
-                    "none"
+                    f"{recording.label}: models: {name}.{letter}: expected rows of one length, got "
+                    f"{quoted(rows)}"
                 )
     return models
 
 
 def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     """Return the gains of the loops of a run, as they were before it."""
-    gains: tuple[LoopGain, ...] = _of_run(recording, "loop_gains", tuple[LoopGain, ...])
+    gains = _of_run(recording, "loop_gains", tuple[LoopGain, ...]) or ()
+    label = record_label(recording, "loop_gains")
+    for number, gain in enumerate(gains):
+        if (gain.rho or 0.0) < 0.0 or not 0 <= gain.steps < 2**63:
+            raise LogError(
+                f"{label} cannot be understood: {number}: expected a rho and steps that are not "
+                f"negative, got {quoted(gain.rho)} and {quoted(gain.steps)}"
+            )
     return gains
 
 
@@ -495,7 +513,7 @@ def first_order_loops(recording: Recording) -> list[str]:
 
     Where a component keeps an inner step, whatever the communication step is, there is no order.
     """
-    loops: list[str] = _of_run(recording, "first_order_loops", list[str])
+    loops = _of_run(recording, "first_order_loops", list[str]) or []
     keeping = _result(recording, INNER_STEP, list[str]) or []
     return [loop for loop in loops if not set(keeping).intersection(loop.split())]
 
@@ -507,8 +525,7 @@ def recorded_identification(recording: Recording) -> dict[str, IdentifierVerdict
 
 def recorded_certificate(recording: Recording) -> RecordedCertificate | None:
     """Return the certificate of a run; None: it has none."""
-    certificate: RecordedCertificate | None = _result(recording, CERTIFICATE, RecordedCertificate)
-    return certificate
+    return _result(recording, CERTIFICATE, RecordedCertificate)
 
 
 def recorded_state_changes(recording: Recording) -> dict[str, tuple[StateChange, ...]]:
@@ -518,8 +535,7 @@ def recorded_state_changes(recording: Recording) -> dict[str, tuple[StateChange,
 
 def recorded_lateness(recording: Recording) -> Lateness | None:
     """Return how late a run was that kept the pace of the wall clock; None: it did not."""
-    lateness: Lateness | None = _result(recording, REAL_TIME, Lateness)
-    return lateness
+    return _result(recording, REAL_TIME, Lateness)
 
 
 def recorded_substep_counts(recording: Recording) -> tuple[SubstepCounts, ...]:
@@ -529,8 +545,7 @@ def recorded_substep_counts(recording: Recording) -> tuple[SubstepCounts, ...]:
 
 def until_came_true(recording: Recording) -> bool | None:
     """Return whether the condition came true that ends a run; None: the run looked for none."""
-    came_true: bool | None = _result(recording, UNTIL, bool)
-    return came_true
+    return _result(recording, UNTIL, bool)
 
 
 def never_came_true(recording: Recording) -> tuple[str, ...]:
@@ -542,28 +557,30 @@ def connected_sources(recording: Recording) -> dict[str, tuple[str, ...]]:
     """Return the outputs that drive each input of a run, by the input."""
     sources = {}
     for to, text in recording.metadata.get("cosim.connections", {}).items():
-        what = f"{recording.label}: connection to {to!r}"
+        what = record_label(recording, f"connection to {to!r}")
         source = understood(dict[str, Any], text, what).get("from")
         if not isinstance(source, str):
-            raise LogError(f"{what} cannot be understood: from: expected ports, got {source!r}")
+            raise LogError(
+                f"{what} cannot be understood: from: expected ports, got {quoted(source)}"
+            )
         sources[to] = tuple(source.split(", "))
     return sources
 
 
 def replay_origin(recording: Recording) -> ReplayOrigin:
     """Return what a replay was made from."""
-    if "replay" not in run_metadata(recording):
+    origin = _of_run(recording, "replay", ReplayOrigin)
+    if origin is None:
         raise LogError("this is not a replay; expected what cosim.replay() returned")
-    origin: ReplayOrigin = _of_run(recording, "replay", ReplayOrigin)
     return origin
 
 
 def recorded_window(recording: Recording) -> tuple[float, float] | None:
     """Return the window of a replay [s] without the rows before it; None: there is none."""
-    if "replay" not in run_metadata(recording):
+    origin = _of_run(recording, "replay", ReplayOrigin)
+    if origin is None or origin.window is None:
         return None
-    window = replay_origin(recording).window
-    return None if window is None or window[0] == recorded_start(recording) else window
+    return None if origin.window[0] == recorded_start(recording) else origin.window
 
 
 def truth_of(recording: Recording) -> dict[str, Any]:
@@ -571,58 +588,59 @@ def truth_of(recording: Recording) -> dict[str, Any]:
 
     What was not recorded, or is to be compared with what was not, is left out.
     """
-    kind = dict[str, Text | list[Text] | Number | list[Number]]
-    table: dict[str, Any] = _of_run(recording, "truth", kind, "{}")
-    partial = partial_of(recording.channels)
+    kind = dict[str, str | list[str] | float | list[float]]
+    channels = recording.channels
+    declared = declared_channels(channels)
+    label = record_label(recording, "truth")
     kept = {}
-    for estimate, truth in table.items():
-        names = [estimate, *truth_ports(truth)]
-        if partial is not None and not _are_recorded(names, recording.channels, partial.declared):
-            continue
-        _check_truth(recording, estimate, truth)
-        kept[estimate] = truth
+    for estimate, truth in (_of_run(recording, "truth", kind) or {}).items():
+        named = truth_ports(truth)
+        estimated, *true = [
+            find_signal(declared, name, source=label) for name in (estimate, *named)
+        ]
+        _check_truth(f"{label}: {estimate!r}", estimated.measures, truth, true)
+        if all(
+            port.channel.name in channels
+            and port.signal.name in channels[port.channel.name].by_name
+            for port in (estimated, *true)
+        ):
+            kept[estimate] = truth
     return kept
 
 
-def _are_recorded(
-    names: Iterable[str], channels: Mapping[str, Channel], declared: Mapping[str, Channel]
-) -> bool:
-    """Return whether all of some signals of a run are recorded; LogError: one is none of it."""
-    found = []
-    for name in names:
-        port = find_signal(declared, name, source="truth")
-        component = port.channel.name
-        is_there = component in channels and port.signal.name in channels[component].by_name
-        found.append(is_there)
-    return all(found)
-
-
-def _check_truth(recording: Recording, estimate: str, truth: Any) -> None:
-    estimated = find_signal(recording.channels, estimate, source="truth")
-    ports = truth_ports(truth)
-    size = len(truth) if isinstance(truth, list) else 1
+def _check_truth(
+    label: str, units: Sequence[Unit], truth: Any, ports: Sequence[RecordedPort]
+) -> None:
     true_units: list[Unit] = []
     for port in ports:
-        true_units += find_signal(recording.channels, port, source="truth").measures
-    if (len(true_units) if ports else size) != estimated.size:
-        raise LogError(f"truth: {estimate!r} has another size than {truth!r}")
-    if ports and None in conversions_between(true_units, estimated.measures):
-        raise LogError(f"truth: {estimate!r} has another kind of unit than {truth!r}")
+        true_units += port.measures
+    size = len(truth) if isinstance(truth, list) else 1
+    if (len(true_units) if ports else size) != len(units):
+        raise LogError(f"{label}: expected {len(units)} values, got {quoted(truth)}")
+    if ports and None in conversions_between(true_units, units):
+        raise LogError(
+            f"{label}: expected the unit {units_text(units)!r}, got {units_text(true_units)!r}"
+        )
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float)
+def _is_row(value: object) -> bool:
+    return isinstance(value, list) and value != [] and not isinstance(value[0], list)
 
 
-def _of_run(recording: Recording, key: str, kind: Any, default: str = "[]") -> Any:
-    """Return an entry of the run's metadata, which is JSON; ``default`` where there is none."""
-    text = run_metadata(recording).get(key, default)
-    return understood(kind, text, f"{recording.label}: {key}")
+def _of_run(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
+    """Return an entry of the run's metadata, which is JSON; None: there is none."""
+    text = run_metadata(recording).get(key)
+    return None if text is None else understood(kind, text, record_label(recording, key))
 
 
-def _result(recording: Recording, key: str, kind: Any) -> Any:
+def _result(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
     """Return an entry of the results of a run; None: there is none."""
     value = recording.results.get(key)
     if value is None:
         return None
-    return understood(kind, json.dumps(value), f"{recording.label}: {key}")
+    what = record_label(recording, key)
+    try:
+        text = json.dumps(value)
+    except RecursionError as error:
+        raise LogError(f"{what} cannot be understood: expected less nesting") from error
+    return understood(kind, text, what)

@@ -6,31 +6,23 @@ import re
 import pytest
 
 import cosim
-from cosim.cli import main
-from cosim.errors import LogError
+from cosim.report.tables.run import print_summary
 from tests.scenario import certified
 from tests.scenario.certified import write
 
 
-def run(capsys, *arguments):
-    """Run a command; return what it prints."""
-    with pytest.raises(SystemExit) as left:
-        main([*map(str, arguments)])
-    assert not left.value.code
-    return capsys.readouterr().out
-
-
 @pytest.fixture
-def log(tmp_path, capsys):
+def log(tmp_path, call):
     """Run a command that certifies an oscillator behind a jump; return the log and the output."""
     jump = '    jump = { kind = "python", class = "parts:Jump", instant = 1.003 }\n'
-    text = certified.SPRING.replace("[components]\n", f"[components]\n{jump}", 1)
-    text = text.replace('"mass.u" = "speed.y"', '"mass.u" = "speed.y"\n    "late.u" = "jump.y"')
     lag = '    late = { kind = "lag", time_constant = 1.0 }\n'
-    text = text.replace(jump, jump + lag)
+    text = certified.SPRING.replace("[components]\n", f"[components]\n{jump}{lag}", 1)
+    text = text.replace('"mass.u" = "speed.y"', '"mass.u" = "speed.y"\n    "late.u" = "jump.y"')
     text += '\n    [truth]\n    "mass.y" = -0.1455\n'
     path = tmp_path / "a.mcap"
-    return path, run(capsys, "run", write(tmp_path, text), "--certify", "--out", path)
+    code, output, _ = call("run", write(tmp_path, text), "--certify", "--out", path)
+    assert code == 0
+    return path, output
 
 
 def test_table_has_estimates_and_reasons(log):
@@ -51,71 +43,76 @@ def test_table_has_estimates_and_reasons(log):
     assert re.match(r"mass\.y\terror \S+ at the end, of which \S+ \([89]\d %\)", share)
 
 
-def test_log_shows_it(log, capsys):
+def test_log_shows_it(log, call):
     path, _ = log
-    shown = run(capsys, "info", path)
+    shown = call("info", path)[1]
     assert "step\t0.01 s" in shown
     assert "mass.y\t0.0337\t3.3\t" in shown
-    content = json.loads(run(capsys, "info", path, "--json"))
+    content = json.loads(call("info", path, "--json")[1])
     signals = {row["signal"]: row for row in content["error of the step"]}
     assert signals["mass.y"]["largest"] == 0.0337
-    assert signals["late.y"]["largest"] is None
-    assert signals["late.y"]["at most"] is None
-    assert "jump.y jumps between" in signals["late.y"]["no estimate"]
+    late = signals["late.y"]
+    assert (late["largest"], late["at most"]) == (None, None)
+    assert "jump.y jumps between" in late["no estimate"]
 
 
-def test_ends_that_differ_are_named(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("error", "row"),
+    [
+        ({"bound": 0.5, "order": 1.5, "reason": "not steady"}, ["at most 0.5", "", "", "1.50"]),
+        (
+            {"largest": 0.5, "time": 0.1, "last": -0.2, "order": 1.0},
+            ["0.5", "0.1 s", "-0.2", "1.00"],
+        ),
+        ({"bound": 0.5, "is_rounding": True, "reason": "rounding"}, None),
+        ({"largest": 0.0, "time": 0.0, "last": 0.0}, None),
+        ({"reason": "it has no value"}, None),
+    ],
+)
+def test_a_row_has_an_estimate_or_an_upper_bound(capsys, error, row):
+    """All other signals are below, with the reason."""
+    run = cosim.run(certified.parsed(certified.EXACT))
+    name = next(iter(run))
+    signals = {name: error}
+    run.result({"certificate": {"step": 0.1, "finer_steps": [0.05, 0.025], "signals": signals}})
+    print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
+    _, _, table = capsys.readouterr().out.partition("error of the communication step")
+    cells = {line.split("\t")[0]: line.split("\t")[1:] for line in table.splitlines()[1:]}
+    assert cells.get(name) == row
+    assert row or any(name in values[0] for values in cells.values())
+
+
+def test_ends_that_differ_are_named_and_json_has_it(tmp_path, call):
     scenario = write(tmp_path, certified.SPRING)
-    setting = ("--set", "scenario.until=mass.y < 0")
-    output = run(capsys, "run", scenario, "--certify", *setting, "--out", tmp_path / "a.mcap")
+    certify = ("run", scenario, "--certify", "--force", "--out", tmp_path / "a.mcap")
+    _, output, _ = call(*certify, "--set", "scenario.until=mass.y < 0")
     assert re.search(r"note\t.*0\.79 s, 0\.79 s, 0\.7875 s.* up to 0\.7875 s\n", output)
-
-
-def test_json_has_it(tmp_path, capsys):
-    path = write(tmp_path, certified.SPRING)
-    output = run(capsys, "run", path, "--certify", "--json", "--out", tmp_path / "a.mcap")
-    found = json.loads(output)["certificate"]
+    found = json.loads(call(*certify, "--json")[1])["certificate"]
     assert found["finer_steps"] == [0.005, 0.0025]
     (mass,) = [row for row in found["signals"] if row["signal"] == "mass.y"]
     assert mass["order"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_table_and_log_have_the_steps_that_were_tried(tmp_path, capsys):
+def test_table_and_log_have_the_steps_that_were_tried(tmp_path, call):
     path = tmp_path / "a.mcap"
     scenario = write(tmp_path, certified.SPRING)
-    output = run(capsys, "run", scenario, "--find-step", "mass.y=0.02", "--out", path)
+    _, output, _ = call("run", scenario, "--find-step", "mass.y=0.02", "--out", path)
     fine = "step 0.005 s\twithin mass.y 0.02"
     assert any(line.startswith(fine) for line in output.splitlines())
     assert re.search(r"step 0\.00625 s\t.*mass\.y.*0\.02", output)
-    assert fine in run(capsys, "info", path)
-
-
-def test_a_tolerance_that_is_no_number_is_refused(tmp_path, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["run", str(write(tmp_path, certified.SPRING)), "--find-step", "mass.y=small"])
-    assert left.value.code == 2
-    assert re.search(r"--find-step mass\.y: .*'small'", capsys.readouterr().err)
-
-
-@pytest.mark.parametrize("option", [["--certify"], ["--find-step", "mass.y=0.1"]])
-def test_a_dry_run_certifies_nothing(tmp_path, capsys, option):
-    with pytest.raises(SystemExit) as left:
-        main(["run", str(write(tmp_path, certified.SPRING)), "--dry-run", *option])
-    assert left.value.code == 2
-    assert re.search(f"--dry-run .*{option[0]}", capsys.readouterr().err)
+    assert fine in call("info", path)[1]
 
 
 @pytest.mark.parametrize(
-    ("content", "place"),
+    ("options", "message"),
     [
-        ({"step": "small", "finer_steps": [], "every": 1}, "step"),
-        ({"step": 0.1, "finer_steps": [0.05], "every": 1, "signals": {"a.y": 3}}, "signals.a.y"),
-        ([], ""),
+        (("--find-step", "mass.y=small"), r"--find-step mass\.y: .*'small'"),
+        (("--dry-run", "--certify"), "--dry-run .*--certify"),
+        (("--dry-run", "--find-step", "mass.y=0.1"), "--dry-run .*--find-step"),
     ],
 )
-def test_a_certificate_that_cannot_be_understood_is_an_error_of_the_log(content, place):
-    """A log may come from anywhere."""
-    memory = cosim.run(certified.parsed(certified.EXACT))
-    memory.result({"certificate": content})
-    with pytest.raises(LogError, match=f"certificate cannot be understood: {place}"):
-        cosim.certificate(memory)
+def test_wrong_use_is_refused(tmp_path, call, options, message):
+    """A tolerance is a number, and a dry run certifies nothing."""
+    code, _, errors = call("run", write(tmp_path, certified.SPRING), *options)
+    assert code == 2
+    assert re.search(message, errors)

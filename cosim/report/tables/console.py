@@ -24,11 +24,13 @@ _GAP: Final = 2  # blanks between columns
 _FOLDED: Final = 40  # characters of a word in the last column, such as a path, that may be broken
 
 
-def new_table(title: str, columns: Sequence[str]) -> Table:
-    """Return an empty table without lines."""
+def new_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]] = ()) -> Table:
+    """Return a table without lines, with some rows."""
     table = Table(title=title, header_style="", box=None, padding=(0, _GAP, 0, 0))
     for column in columns:
         table.add_column(column)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

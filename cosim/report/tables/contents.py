@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from cosim.arguments import path_argument
-from cosim.errors import UsageError
+from cosim.errors import LogError, UsageError
 from cosim.files import file_type
 from cosim.report.tables.console import print_json, print_sections
 
@@ -18,8 +17,9 @@ def print_contents(source: str, *, as_json: bool) -> None:
     Raises
     ------
     UsageError
-        If it is a folder.
+        If it is a folder; LogError: if not all of a log can be understood.
     """
+    from cosim.log.foreign.topics import is_foreign
     from cosim.report import inspection
     from cosim.report.tables.fmu import print_fmu
 
@@ -31,33 +31,27 @@ def print_contents(source: str, *, as_json: bool) -> None:
         )
     source_type = file_type(path)
     match source_type:
+        case "log" if is_foreign(path):
+            from cosim.report.field_recording import describe_recording  # rarely needed
+
+            content = describe_recording(source)
         case "log":
-            content = _describe_mcap(source)
+            content = inspection.describe_log(source)
         case "FMU":
             content = inspection.describe_fmu(source)
         case "table":
             content = inspection.describe_samples(source)
         case _:
             content = inspection.describe_scenario(source)
+    problems = content.get("problems", [])
     if as_json:
         print_json(content)
     elif source_type == "FMU":
         print_fmu(content)
     else:
         print_sections(_sections(content))
-
-
-def _describe_mcap(source: str) -> dict[str, Any]:
-    """Describe a log of a run, or a recording of another tool."""
-    from cosim.log.foreign.topics import is_foreign
-
-    if is_foreign(Path(source)):
-        from cosim.report.field_recording import describe_recording
-
-        return describe_recording(source)
-    from cosim.report.inspection import describe_log
-
-    return describe_log(source)
+    if problems:
+        raise LogError("\n".join(problems))
 
 
 def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -65,6 +59,8 @@ def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     from cosim.scenario.swapping.swap_report import row_texts
 
     for title, section in content.items():
+        if title == "problems":  # printed as an error
+            continue
         if title != "differences":
             yield title, section
             continue

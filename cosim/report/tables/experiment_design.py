@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, Final
 
-from cosim.report.summary import numbers_text
+from cosim.report.estimators import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.experiment_design.designs import ExperimentDesign, OmittedDesigns
 

@@ -4,42 +4,39 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rich.table import Table
 
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import warning_texts
 from cosim.core.recording import Recording
-from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import flag, listing, option, quoted
 from cosim.log import Log
-from cosim.report.certificate import certificate_of
-from cosim.report.guaranteed import interval_text, reach_text
-from cosim.report.recorded_rows import signal_of
-from cosim.report.summary import (
+from cosim.report.certificate import StepCertificate, certificate_of
+from cosim.report.estimators import (
+    CompensationSummary,
     DeltaReconstruction,
     Identification,
-    SignalError,
-    Summary,
     bad_verdicts,
     numbers_text,
-    span,
-    summarize,
 )
-from cosim.report.tables.certificate import certificate_tables
+from cosim.report.recorded_rows import signal_of
+from cosim.report.summary import SignalError, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_tables
-from cosim.report.tables.estimates import estimate_notes, estimate_rows, estimate_table
-from cosim.report.tables.lateness import lateness_text
+from cosim.report.tables.estimates import (
+    chance_text,
+    estimate_notes,
+    estimate_rows,
+    estimate_table,
+    guaranteed_texts,
+    noise_of_y,
+)
 from cosim.scenario.building.coupling_check import gain_text
-from cosim.scenario.record import IrregularPart, recorded_start, recorded_window
+from cosim.scenario.record import recorded_start, recorded_window
 from cosim.theory.assessment.documents import Verdict
-from cosim.theory.reconstruction.filters import Bias
-
-if TYPE_CHECKING:
-    from cosim.report.compensation import CompensationSummary
 
 ORDINALS: Final = {1: "first", 2: "second", 3: "third"}
 
@@ -88,11 +85,13 @@ def print_summary(
         return
     for text in warning_texts(summary.warnings):
         print_line(f"warning: {text}", error=True)
-    facts = _facts_table(summary, recording, see="--certify" if certificate is None else "below")
-    _add_wall_time(facts, wall, simulated=summary.end - summary.start)
+    see = "--certify" if certificate is None else "below"
+    facts = [*_facts(summary, recording, see), _wall_time(wall, summary)]
     if path is not None:
-        facts.add_row("log", str(path))
-    tables = [*_value_tables(summary, recording), facts, *certificate_tables(certificate)]
+        facts.append(("log", str(path)))
+    tables = [*_value_tables(summary, recording), new_table("", ("", ""), facts)]
+    if certificate is not None:
+        tables += _certificate_tables(certificate)
     if profile is not None:
         tables.append(_profile_table(profile))
     simulated = span(summary.start, summary.end)
@@ -142,47 +141,38 @@ def _path_of(recording: Recording) -> Path | None:
     return None
 
 
-def _value_tables(summary: Summary, recording: Recording) -> list[Table]:
-    """Return the tables of numbers: signals, then constants and parameters; none that is empty."""
-    tables = []
+def _value_tables(summary: Summary, recording: Recording) -> Iterator[Table]:
+    """Yield the tables of numbers: signals, then constants and parameters; none that is empty."""
     if summary.signals:
-        tables.append(_signal_table(summary.signals))
-    elif summary.last:
-        tables.append(_final_value_table(summary, recording))
-    rows = estimate_rows(summary)
-    if rows:
-        tables.append(estimate_table(rows))
-    return tables
+        yield _signal_table(summary.signals)
+    elif summary.last:  # there is no truth to compare with
+        rows = []
+        for name, last in summary.last.items():
+            values = last if isinstance(last, list) else [last]
+            text = " ".join(f"{value:.6g}" for value in values)
+            rows.append((name, text, signal_of(recording, name).unit_text))
+        unit = "unit" if any(row[-1] for row in rows) else ""
+        yield new_table("", ("signal", "final value", unit), rows)
+    estimates = estimate_rows(summary)
+    if estimates:
+        yield estimate_table(estimates)
 
 
 def _signal_table(signals: Sequence[SignalError]) -> Table:
     """Return the table of estimated signals beside the true ones."""
-    begins = {signal.since for signal in signals}
-    since = f" for t >= {begins.pop():g} s" if len(begins) == 1 else ""
-    table = new_table("", ("signal", "truth", f"largest error{since}", "error at the end"))
-    for signal in signals:
+    begins = [f" for t >= {signal.since:g} s" for signal in signals]
+    is_same = len(set(begins)) == 1
+    rows = []
+    for signal, begin in zip(signals, begins, strict=True):
         largest = "no value" if math.isnan(signal.largest) else f"{signal.largest:.3g}"
-        if not since:
-            largest += f" for t >= {signal.since:g} s"
         last = "" if math.isnan(signal.last) else f"{signal.last:.3g}"
-        table.add_row(signal.estimate, signal.truth, largest, last)
-    return table
+        rows.append((signal.estimate, signal.truth, largest + ("" if is_same else begin), last))
+    title = f"largest error{begins[0] if is_same else ''}"
+    return new_table("", ("signal", "truth", title, "error at the end"), rows)
 
 
-def _final_value_table(summary: Summary, recording: Recording) -> Table:
-    """Return the final values of the outputs, for a run without a truth to compare with."""
-    units = {name: signal_of(recording, name).unit_text for name in summary.last}
-    has_units = any(units.values())
-    table = new_table("", ("signal", "final value", "unit" if has_units else ""))
-    for name, last in summary.last.items():
-        values = last if isinstance(last, list) else [last]
-        text = " ".join(f"{value:.6g}" for value in values)
-        table.add_row(name, text, units[name])
-    return table
-
-
-def _facts_table(summary: Summary, recording: Recording, *, see: str) -> Table:
-    """Return the table of all that is said of a run in words, each with its subject.
+def _facts(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[str, str]]:
+    """Yield what is said of a run in words, each with its subject.
 
     Parameters
     ----------
@@ -191,180 +181,145 @@ def _facts_table(summary: Summary, recording: Recording, *, see: str) -> Table:
     see : str
         What shows how large a coupling error is.
     """
-    table = new_table("", ("", ""))
+    start = recorded_start(recording)
+    yield from _of_times(summary)
+    yield from estimate_notes(summary)
+    for own in summary.identifications:
+        yield from _of_identification(own, summary, start)
+    for design in summary.reconstructions:
+        yield from _of_reconstruction(design, single=len(summary.reconstructions) == 1)
+    for compensation in summary.compensations:
+        yield from _of_compensation(compensation, single=len(summary.compensations) == 1)
+    yield from _of_loops(summary, see)
+    if summary.lateness is not None:
+        yield "real time", str(summary.lateness)
+    for component, class_name in summary.copied_code.items():
+        text = f"replayed from the log; {flag('allow_code')} runs {class_name} instead"
+        yield component, text
+    if recorded_window(recording) is not None:
+        yield "window", f"rows from {summary.start:.12g} s on; computed from {start:g} s"
+
+
+def _of_times(summary: Summary) -> Iterator[tuple[str, str]]:
+    """Yield what ended the run, what it waited for in vain, how it began, and what lags."""
     if summary.reason:
-        table.add_row("stop reason", summary.reason)
-    _add_conditions(table, summary)
+        yield "stop reason", summary.reason
+    if summary.until_came_true is False:
+        yield "until", f"{quoted(summary.until)} was never met"
+    for text in summary.never_came_true:
+        yield "when", f"{quoted(text)} was never met; its actions were not performed"
     for change in summary.changed_states:
-        label = f"{change.component}.{change.entry}"
-        text = (
+        yield (
+            f"{change.component}.{change.entry}",
             f"initial value {change.after:.6g} instead of {change.before:.6g} (x0): consistent "
-            "with u and delta at the start"
+            "with u and delta at the start",
         )
-        table.add_row(label, text)
     for signal in summary.signals:
         if signal.lag:
             compared = f"compared with {signal.truth} {signal.lag:g} s earlier"
             if math.isnan(signal.largest):
                 compared = "no value in the run"
-            table.add_row(signal.estimate, f"lags by {signal.lag:g} s; {compared}")
-    _add_estimation(table, summary, recorded_start(recording))
-    _add_loops(table, summary, see)
-    if summary.lateness is not None:
-        table.add_row("real time", lateness_text(summary.lateness))
-    for component, class_name in summary.copied_code.items():
-        text = f"replayed from the log; {flag('allow_code')} runs {class_name} instead"
-        table.add_row(component, text)
-    if recorded_window(recording) is not None:
-        text = f"rows from {summary.start:.12g} s on; computed from {recorded_start(recording):g} s"
-        table.add_row("window", text)
-    return table
+            yield signal.estimate, f"lags by {signal.lag:g} s; {compared}"
 
 
-def _add_estimation(table: Table, summary: Summary, start: float) -> None:
-    """Add what identifications, reconstructions and compensations rest on."""
-    for label, text in estimate_notes(summary):
-        table.add_row(label, text)
-    for identification in summary.identifications:
-        single = len(summary.identifications) == 1
-        _add_identification(table, identification, start, summary.end, single=single)
-    for reconstruction in summary.reconstructions:
-        single = len(summary.reconstructions) == 1
-        _add_reconstruction(table, reconstruction, single=single)
-    for compensation in summary.compensations:
-        single = len(summary.compensations) == 1
-        _add_compensation(table, compensation, single=single)
-
-
-def _add_loops(table: Table, summary: Summary, see: str) -> None:
+def _of_loops(summary: Summary, see: str) -> Iterator[tuple[str, str]]:
+    """Yield the coupling errors of loops, their substeps, and what becomes of an error."""
+    how = "in substeps" if summary.substeps else f"(see {see})"
+    separator = ", " if summary.substeps else " "
     for loop in summary.loops:
-        text = f"coupling error: first order (see {see})"
-        if summary.substeps:
-            text = "coupling error: first order, in substeps"
-        table.add_row("loop", f"{loop}: {text}")
+        yield "loop", f"{loop}: coupling error: first order{separator}{how}"
     for counts, interpolated in zip(summary.substeps, summary.interpolated, strict=True):
-        table.add_row("substeps", _substeps_text(counts, interpolated))
+        text = (
+            f"{', '.join(counts.components)}: {counts.accepted} substeps, shortest "
+            f"{counts.shortest:g} s; {counts.rejected} rejected"
+        )
+        if counts.events:
+            text += f"; {counts.events} end at an event"
+        if counts.missed:
+            worst = f"{counts.worst_error:.3g} times"
+            text += f"; {counts.missed} exceed the tolerance, at worst {worst}"
+        if interpolated:
+            text += f"; interpolated over a step, error not estimated: {listing(interpolated)}"
+        yield "substeps", text
     after_actions = [gain for gain in summary.gains if gain.action]
     for gain in [gain for gain in summary.gains if not gain.action] + after_actions[:MOST_GAINS]:
-        where = ", ".join(gain.components)
-        if gain.action:
-            where += f" {gain.action}"
-        table.add_row("error growth", f"{where}: {gain_text(gain)}")
+        where = f"{', '.join(gain.components)} {gain.action}".rstrip()
+        yield "error growth", f"{where}: {gain_text(gain)}"
     if len(after_actions) > MOST_GAINS:
         text = f"{len(after_actions) - MOST_GAINS} more after actions; see --json"
-        table.add_row("error growth", text)
+        yield "error growth", text
 
 
-def _substeps_text(counts: SubstepCounts, interpolated: Sequence[str]) -> str:
-    """Return how many substeps a loop took, and which errors their control does not see."""
-    text = (
-        f"{', '.join(counts.components)}: {counts.accepted} substeps, shortest "
-        f"{counts.shortest:g} s; {counts.rejected} rejected"
-    )
-    if counts.events:
-        text += f"; {counts.events} end at an event"
-    if counts.missed:
-        text += f"; {counts.missed} exceed the tolerance, at worst {counts.worst_error:.3g} times"
-    if interpolated:
-        text += f"; interpolated over a step, error not estimated: {listing(interpolated)}"
-    return text
-
-
-def _add_conditions(table: Table, summary: Summary) -> None:
-    """Add the conditions of the run that were never met."""
-    if summary.until_came_true is False:
-        table.add_row("until", f"{quoted(summary.until)} was never met")
-    for text in summary.never_came_true:
-        table.add_row("when", f"{quoted(text)} was never met; its actions were not performed")
-
-
-def _add_identification(
-    table: Table, identification: Identification, start: float, end: float, *, single: bool
-) -> None:
-    """Add when an identification starts and why, what its data determine, and their noise."""
-    of_component = "" if single else f" of {identification.component}"
-    times = identification.times
+def _of_identification(
+    own: Identification, summary: Summary, start: float
+) -> Iterator[tuple[str, str]]:
+    """Yield when an identification starts and why, what its data determine, and their noise."""
+    of_component = f" of {own.component}" if len(summary.identifications) > 1 else ""
     origin = "given"
-    if "T_id" in times:
-        since = f"start {start:g} s + " if start else ""
-        origin = (
-            f"{since}observer {times['T_obs']:.4f} s + filter {times['T_f']:.4f} s + longest delay "
-            f"{times['D_max']:g} s"
+    if "T_id" in own.times:
+        origin = f"start {start:g} s + " if start else ""
+        origin += (
+            f"observer {own.times['T_obs']:.4f} s + filter {own.times['T_f']:.4f} s + longest "
+            f"delay {own.times['D_max']:g} s"
         )
-    late = ", after the end of the run" if identification.start_time > end else ""
-    text = f"from {identification.start_time:g} s{late} ({origin})"
-    table.add_row(f"identification{of_component}", text)
-    if identification.eigenvalues:
-        eigenvalues = ", ".join(f"{value:.3g}" for value in identification.eigenvalues)
-        table.add_row("information matrix", f"eigenvalues {eigenvalues}")
-    for text in (identification.verdict, *identification.notes):
-        if text:
-            table.add_row("", text)
-    if identification.noise:
-        deviation = numbers_text(identification.deviation)
-        text = f"{deviation}: {identification.noise}" if deviation else identification.noise
-        table.add_row("noise of y", text.replace(": of y,", ",", 1))
-    if identification.guaranteed is not None:
-        _add_guaranteed(table, identification.guaranteed)
-
-
-def _add_guaranteed(table: Table, guaranteed: IrregularPart) -> None:
-    """Add the intervals that hold for an irregular part within a bound."""
-    label = f"|delta_0| <= {guaranteed.bound:g}"
-    if guaranteed.problem:
-        table.add_row(label, guaranteed.problem)
+    late = ", after the end of the run" if own.start_time > summary.end else ""
+    yield f"identification{of_component}", f"from {own.start_time:g} s{late} ({origin})"
+    if own.eigenvalues:
+        yield "information matrix", f"eigenvalues {numbers_text(own.eigenvalues)}"
+    for text in filter(None, (own.verdict, *own.notes)):
+        yield "", text
+    if own.noise:
+        yield "noise of y", noise_of_y(own.deviation, own.noise)
+    part = own.guaranteed
+    if part is None:
         return
-    chance = ""
-    if guaranteed.confidence < 1.0:
-        chance = f", noise within its bounds with probability {guaranteed.confidence:g}"
-    table.add_row(label, f"guaranteed intervals by output error{chance}:")
-    for effect in guaranteed.effects:
-        interval = interval_text(effect.lower, effect.upper, is_explained=effect.is_explained)
-        reach = reach_text(effect.first_order, holds=effect.holds)
-        table.add_row(effect.name, f"{interval}; {reach}")
+    label = f"|delta_0| <= {part.bound:g}"
+    if part.problem:
+        yield label, part.problem
+        return
+    yield label, f"guaranteed intervals by output error{chance_text(part)}:"
+    for effect in part.effects:
+        yield effect.name, "; ".join(guaranteed_texts(effect))
 
 
-def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, single: bool) -> None:
-    """Add what delta costs: noise, bias and lag."""
-    label = "reconstruction" if single else f"reconstruction by {reconstruction.component}"
-    parameters = [f"{name} {value:g}" for name, value in reconstruction.parameters.items()]
-    if reconstruction.filter == "first-order":
-        parameters = []  # the scenario has it
-    kind = ", ".join([f"{reconstruction.filter} filter", *parameters])
-    gains = ", ".join(f"{gain:.3g}" for gain in reconstruction.noise_gain)
-    text = f"{kind}: noise gain {gains} 1/s; bias {_bias(reconstruction.bias)}"
-    if not reconstruction.bias.coefficient:
-        text = f"{kind}: noise gain {gains}; y is not differentiated, no bias"
+def _of_reconstruction(
+    reconstruction: DeltaReconstruction, *, single: bool
+) -> Iterator[tuple[str, str]]:
+    """Yield what delta costs: noise, bias and lag, and what its window was chosen for."""
+    kind = f"{reconstruction.filter} filter"
+    if reconstruction.filter != "first-order":  # the scenario has it
+        parameters = reconstruction.parameters.items()
+        kind = ", ".join([kind, *(f"{name} {value:g}" for name, value in parameters)])
+    bias = reconstruction.bias
+    error = "y is not differentiated, no bias"
+    if bias.coefficient:
+        ordinal = ORDINALS.get(bias.derivative, f"{bias.derivative}th")
+        signal = "the measurement" if bias.of == "G w" else bias.of
+        error = f"bias {bias.coefficient:.3g} x {ordinal} derivative of {signal}"
+    text = f"{kind}: noise gain {numbers_text(reconstruction.noise_gain)} 1/s; {error}"
     if reconstruction.lag:
         text += f"; lag {reconstruction.lag:g} s"
-    table.add_row(label, text)
+    yield "reconstruction" if single else f"reconstruction by {reconstruction.component}", text
     choice = reconstruction.choice
     if choice is not None:
-        noise = ", ".join(f"{deviation:.3g}" for deviation in choice.noise)
-        text = (
-            f"chosen for noise of {noise} in y and delta of {choice.amplitude:.3g} up to "
-            f"{choice.bandwidth:.3g} rad/s; expected error {choice.error_by_noise:.2g} from "
-            f"noise, {choice.error_by_bias:.2g} from bias; {choice.assumption}"
+        yield (
+            "",
+            f"chosen for noise of {numbers_text(choice.noise)} in y and delta of "
+            f"{choice.amplitude:.3g} up to {choice.bandwidth:.3g} rad/s; expected error "
+            f"{choice.error_by_noise:.2g} from noise, {choice.error_by_bias:.2g} from bias; "
+            f"{choice.assumption}",
         )
-        table.add_row("", text)
 
 
-def _bias(bias: Bias) -> str:
-    """Return the leading error as text."""
-    order = bias.derivative
-    ordinal = ORDINALS.get(order, f"{order}th")
-    signal = "the measurement" if bias.of == "G w" else bias.of
-    return f"{bias.coefficient:.3g} x {ordinal} derivative of {signal}"
-
-
-def _add_compensation(table: Table, compensation: CompensationSummary, *, single: bool) -> None:
-    """Add when the internal model became active, and what is left of the regulated error."""
+def _of_compensation(
+    compensation: CompensationSummary, *, single: bool
+) -> Iterator[tuple[str, str]]:
+    """Yield when the internal model became active, and what is left of the regulated error."""
     label = "internal model" if single else f"internal model of {compensation.component}"
     before = numbers_text(compensation.before)
     if compensation.active_since is None:
-        text = f"not active: {compensation.reason}"
-        table.add_row(label, text)
-        table.add_row("regulated error", f"{before} rms, as measured")
+        yield label, f"not active: {compensation.reason}"
+        yield "regulated error", f"{before} rms, as measured"
         return
     text = f"active from {compensation.active_since:g} s"
     if compensation.theta:
@@ -372,24 +327,73 @@ def _add_compensation(table: Table, compensation: CompensationSummary, *, single
         last = ", ".join(f"{value:.6g}" for value in compensation.last_theta)
         text += f" with theta = {first}, at the end {last}; loop proven stable for theta in "
         text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in compensation.interval)
-    table.add_row(label, text)
+    yield label, text
     after = numbers_text(compensation.after)
     text = f"{before} rms before, {after} rms for t >= {compensation.since:.4g} s, as measured"
-    table.add_row("regulated error", text)
+    yield "regulated error", text
 
 
-def _add_wall_time(table: Table, wall: Mapping[str, float], *, simulated: float) -> None:
+def _wall_time(wall: Mapping[str, float], summary: Summary) -> tuple[str, str]:
     total = sum(wall.values())
     parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
+    simulated = summary.end - summary.start
     speed = f"{simulated / (total - wall.get('imports', 0.0)):.3g} x real time"
-    table.add_row("wall time", f"{total:.2f} s ({parts}), {speed}")
+    return "wall time", f"{total:.2f} s ({parts}), {speed}"
 
 
 def _profile_table(profile: Mapping[str, float]) -> Table:
-    table = new_table("wall time by component", ("", "s", "%"))
     total = sum(profile.values())
-    largest_first = sorted(profile.items(), key=lambda item: -item[1])
-    for name, seconds in largest_first:
+    rows = []
+    for name, seconds in sorted(profile.items(), key=lambda item: -item[1]):
         percent = f"{100 * seconds / total:.1f}" if total else ""
-        table.add_row(name, f"{seconds:.4f}", percent)
-    return table
+        rows.append((name, f"{seconds:.4f}", percent))
+    return new_table("wall time by component", ("", "s", "%"), rows)
+
+
+def _certificate_tables(certificate: StepCertificate) -> list[Table]:
+    """Return the tables: the search for the step where there was one, the errors, and notes."""
+    finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
+    title = f"error of the communication step {certificate.step:g} s, from runs with {finer}"
+    rows = []
+    for signal in certificate.signals:
+        if signal.is_bounded or (signal.largest is not None and signal.order is not None):
+            is_bounded = signal.is_bounded
+            largest = f"at most {signal.bound:.3g}" if is_bounded else f"{signal.largest:.3g}"
+            row = (
+                signal.signal,
+                largest if signal.unit is None else f"{largest} {signal.unit}",
+                "" if signal.time is None else f"{signal.time:g} s",
+                "" if signal.last is None else f"{signal.last:+.3g}",
+                "" if signal.order is None else f"{signal.order:.2f}",
+            )
+            rows.append(row)
+    columns = ("signal", "largest", "at t", "at the end", "order")
+    tables = [
+        new_table("search for the communication step", ("", ""), certificate.search()),
+        new_table(title, columns, rows),
+        new_table("" if rows else title, ("", ""), _below(certificate)),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def _below(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
+    """Yield signals without an estimate by the reason, shares of errors, then notes."""
+    if certificate.problem:
+        yield "no estimate", certificate.problem
+        return
+    equal: list[str] = []
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for signal in certificate.signals:
+        if signal.largest is None:
+            label = "upper bound" if signal.is_bounded else "no estimate"
+            reasons.setdefault((label, signal.reason), []).append(signal.signal)
+        elif signal.order is None:
+            equal.append(signal.signal)
+    if equal:
+        yield "no error", f"{', '.join(equal)}: identical in all three runs"
+    for (label, reason), signals in reasons.items():
+        yield label, f"{', '.join(signals)}: {reason}"
+    for share in certificate.shares:
+        yield share.estimate, str(share)
+    for note in certificate.notes():
+        yield "note", note

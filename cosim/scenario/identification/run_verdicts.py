@@ -14,10 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
-from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
@@ -43,13 +42,7 @@ class Assessor:
     """
 
     def __init__(self, graph: Graph, identified: Mapping[str, IdentifiedPlant]) -> None:
-        self._identifiers = []
-        for name, plant in identified.items():
-            sources = (name, plant.observer, plant.regressor)
-            channels = tuple(graph.layout[source] for source in sources)
-            held = graph.held[plant.observer]
-            in_feedback = inputs_in_feedback(graph, plant.observer)
-            self._identifiers.append(_IdentifierData(name, plant, channels, held, in_feedback))
+        self._identifiers = [_IdentifierData(graph, name, one) for name, one in identified.items()]
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Keep the rows of a block."""
@@ -64,55 +57,35 @@ class Assessor:
 class _IdentifierData:
     """The data of one identifier: y and u of its observer, the alphas, its last estimate."""
 
-    def __init__(
-        self,
-        name: str,
-        identified: IdentifiedPlant,
-        channels: tuple[Channel, ...],
-        held: Mask,
-        in_feedback: Mask,
-    ) -> None:
-        own, observer, regressor = channels
+    def __init__(self, graph: Graph, name: str, identified: IdentifiedPlant) -> None:
+        own = graph.layout[name]
+        observer = graph.layout[identified.observer]
+        alphas = graph.layout[identified.regressor].signal_columns
+        none = slice(0, 0)
         self.name = name
         self._identified = identified
-        outputs = own.interface.output_columns()
-        of_theta = outputs.get("theta", slice(0, 0))  # there is none without parameters
-        self._theta = _shifted(of_theta, own.outputs.start)
-        self._error: slice | None = None
-        if "standard_error" in outputs:
-            self._error = _shifted(outputs["standard_error"], own.outputs.start)
-        inputs = observer.interface.input_columns()
-        self._y = _shifted(inputs["y"], observer.inputs.start)
-        u = inputs.get("u", slice(0, 0))
-        self._u = _shifted(u, observer.inputs.start)
-        known = regressor.interface.input_columns().get("alpha", slice(0, 0))
-        self._alpha = _shifted(known, regressor.inputs.start)
-        self._held = held[u]
-        self._in_feedback = in_feedback
-        self._sample_columns: tuple[slice, slice] | None = None
-        taken = own.interface.input_columns()
-        if "samples" in taken:
-            times = _shifted(taken["sample_times"], own.inputs.start)
-            self._sample_columns = times, _shifted(taken["samples"], own.inputs.start)
-        self._sample_times: list[Matrix] = []
-        self._samples: list[Matrix] = []
+        self._theta = own.signal_columns.get("theta", none)  # there is none without parameters
+        self._error = own.signal_columns.get("standard_error")
+        self._kept = {
+            "y": observer.signal_columns["y"],
+            "u": observer.signal_columns.get("u", none),
+            "alpha": alphas.get("alpha", none),
+        }
+        if "samples" in own.signal_columns:
+            self._kept |= {key: own.signal_columns[key] for key in ("sample_times", "samples")}
+        u = observer.interface.input_columns().get("u", none)
+        self._held = graph.held[identified.observer][u]
+        self._in_feedback = inputs_in_feedback(graph, identified.observer)
         self._times: list[Vector] = []
-        self._outputs: list[Matrix] = []
-        self._inputs: list[Matrix] = []
-        self._alphas: list[Matrix] = []
+        self._rows: dict[str, list[Matrix]] = {key: [] for key in self._kept}
         self._last = np.zeros(0)
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Keep the rows of a block."""
         first = 1 if self._times else 0
         self._times.append(block.time[first:].copy())
-        self._outputs.append(signals[first:, self._y].copy())
-        self._inputs.append(signals[first:, self._u].copy())
-        self._alphas.append(signals[first:, self._alpha].copy())
-        if self._sample_columns is not None:
-            times, samples = self._sample_columns
-            self._sample_times.append(signals[first:, times].copy())
-            self._samples.append(signals[first:, samples].copy())
+        for key, columns in self._kept.items():
+            self._rows[key].append(signals[first:, columns].copy())
         self._last = signals[-1].copy()
 
     def result(self) -> IdentifierVerdicts:
@@ -121,40 +94,40 @@ class _IdentifierData:
             return IdentifierVerdicts(problem="the run ended before there were data")
         if self._identified.problem:
             return IdentifierVerdicts(problem=self._identified.problem)
-        theta = self._last[self._theta]
         try:
-            return self._assessed(theta)
+            return self._assessed()
         except (AssumptionError, np.linalg.LinAlgError) as error:
             return IdentifierVerdicts(problem=str(error))
 
-    def _assessed(self, theta: Vector) -> IdentifierVerdicts:
+    def _assessed(self) -> IdentifierVerdicts:
         identified = self._identified
-        problem = identified.problem_of([self._data()])
-        assessment = advised(assess(problem, theta), [identified.alpha])
-        error = None if self._error is None else self._last[self._error]
+        theta = self._last[self._theta]
+        assessment = advised(
+            assess(identified.problem_of([self._data()]), theta), [identified.alpha]
+        )
         amplitudes = amplitude_verdicts(assessment)
         with_offset = "`offset = true`" if identified.has_offset_key else IDENTIFY_WITH_OFFSET
-        irregular = None
-        if identified.irregular is not None:
-            irregular = _irregular(assessment, identified.irregular)
+        bound = identified.irregular
         return replace(
             verdicts_of(assessment),
             extent=identified.extent,
             amplitudes=amplitudes,
             undetected=undetected_errors(assessment, amplitudes, with_offset=with_offset),
-            estimate=judge(assessment, theta, error),
-            irregular=irregular,
+            estimate=judge(
+                assessment, theta, None if self._error is None else self._last[self._error]
+            ),
+            irregular=None if bound is None else _irregular(assessment, bound),
         )
 
     def _data(self) -> DataSet:
         t = np.concatenate(self._times)
-        y = np.concatenate(self._outputs)
-        u = np.concatenate(self._inputs)
+        rows = {key: np.concatenate(parts) for key, parts in self._rows.items()}
         samples = None
-        if self._sample_columns is not None:
-            samples = SampleRows(t, *map(np.concatenate, (self._sample_times, self._samples)))
-        alphas = np.concatenate(self._alphas)
-        whole = self._identified.data_set(t, y, u, self._held, self._in_feedback, alphas, samples)
+        if "samples" in rows:
+            samples = SampleRows(t, rows["sample_times"], rows["samples"])
+        whole = self._identified.data_set(
+            t, rows["y"], rows["u"], self._held, self._in_feedback, rows["alpha"], samples
+        )
         return whole.last(self._identified.window)
 
 
@@ -174,7 +147,3 @@ def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
     except (AssumptionError, RunError) as error:
         return IrregularPart(bound, problem=str(error))
     return irregular_part(bound, interval)
-
-
-def _shifted(columns: slice, offset: int) -> slice:
-    return slice(columns.start + offset, columns.stop + offset)

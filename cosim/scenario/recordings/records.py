@@ -14,7 +14,6 @@ from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recorded.partial import partial_layout
 from cosim.core.recorded.run import SCENARIO_FILE
-from cosim.core.signals import Channel
 from cosim.documents import plain
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
@@ -57,7 +56,13 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         run["replay"] = json.dumps(plain(experiment.origin))
     connections = {}
     for to, connection in experiment.graph.connections.items():
-        values = _plain_connection(scenario.connections.get(to, connection))
+        written = scenario.connections.get(to, connection)
+        values: dict[str, Any] = {
+            "from": written.label,
+            "gain": written.matrix.tolist(),
+            "offset": written.offset,
+            "unit": written.unit,
+        }
         if to in experiment.graph.conversions:
             values["conversions"] = _plain_conversions(experiment.graph, to, connection)
         connections[str(to)] = json.dumps(values)
@@ -84,15 +89,6 @@ def _record_of(experiment: Experiment, name: str) -> dict[str, str]:
     return record
 
 
-def _plain_connection(connection: Connection) -> dict[str, Any]:
-    return {
-        "from": connection.label,
-        "gain": connection.matrix.tolist(),
-        "offset": connection.offset,
-        "unit": connection.unit,
-    }
-
-
 def _plain_conversions(graph: Graph, to: Port, connection: Connection) -> list[dict[str, float]]:
     """Return one conversion for each source; where its elements differ, one for each element."""
     conversions = graph.conversions[to]
@@ -104,16 +100,6 @@ def _plain_conversions(graph: Graph, to: Port, connection: Connection) -> list[d
     if all(len(set(part)) == 1 for part in parts):
         conversions = tuple(part[0] for part in parts)
     return [asdict(conversion) for conversion in conversions]
-
-
-def recorded_channels(experiment: Experiment) -> dict[str, Channel]:
-    """Return what a run records of its components."""
-    layout = experiment.graph.layout
-    selection = experiment.scenario.file.record.selection
-    channels = {channel.name: channel for channel in layout.channels}
-    signals = chosen_signals(channels, selection, beside=experiment.declared)
-    chosen, _ = partial_layout(layout, signals, selection.every)
-    return {channel.name: channel for channel in chosen.channels}
 
 
 def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attachment]:
@@ -129,11 +115,17 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
     """
     text = experiment.scenario.document.text
     attachments = [Attachment(SCENARIO_FILE, "application/toml", text.encode())]
-    for name, xml in experiment.attachments.items():
-        attachments.append(Attachment(name, "application/xml", xml.encode()))
+    attachments += [
+        Attachment(name, "application/xml", xml.encode())
+        for name, xml in experiment.attachments.items()
+    ]
     graph = experiment.graph
-    channels = recorded_channels(experiment)
-    panels = viewer_panels(channels, graph.connections, experiment.truth)
+    selection = experiment.scenario.file.record.selection
+    channels = {channel.name: channel for channel in graph.layout.channels}
+    signals = chosen_signals(channels, selection, beside=experiment.declared)
+    chosen, _ = partial_layout(graph.layout, signals, selection.every)
+    recorded = {channel.name: channel for channel in chosen.channels}
+    panels = viewer_panels(recorded, graph.connections, experiment.truth)
     attachments.append(Attachment(LAYOUT_FILE, "application/json", layout_json(panels)))
     if embed:
         from cosim.scenario.recordings.embedding import embedded_fmus  # rarely needed

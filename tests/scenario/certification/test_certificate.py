@@ -10,7 +10,6 @@ from scipy.linalg import block_diag, expm
 
 import cosim
 from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalError, UsageError
-from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
 from cosim.scenario.exporting import export_component
 from tests.fmi import lag
@@ -249,7 +248,7 @@ def test_memory_is_bounded_and_the_estimate_nearly_the_same(monkeypatch):
     assert thinned.every == 5
     assert thinned["mass.y"].largest == pytest.approx(whole["mass.y"].largest, rel=0.01)
     assert thinned["mass.y"].last == pytest.approx(whole["mass.y"].last, rel=0.01)
-    assert any("every 5th" in note for note in notes(thinned))
+    assert any("every 5th" in note for note in thinned.notes())
 
 
 # --- where the confident sentence would be false ---
