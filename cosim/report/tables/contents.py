@@ -21,7 +21,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
         If it is a folder.
     """
     from cosim.report import inspection
-    from cosim.report.tables.fmu import print_fmu
+    from cosim.report.fmu import describe_fmu, print_fmu
 
     path = path_argument("source", source)
     if path.is_dir():
@@ -34,7 +34,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
         case "log":
             content = _describe_mcap(source)
         case "FMU":
-            content = inspection.describe_fmu(source)
+            content = describe_fmu(source)
         case "table":
             content = inspection.describe_samples(source)
         case _:
@@ -50,14 +50,11 @@ def print_contents(source: str, *, as_json: bool) -> None:
 def _describe_mcap(source: str) -> dict[str, Any]:
     """Describe a log of a run, or a recording of another tool."""
     from cosim.log.foreign.topics import is_foreign
+    from cosim.report import inspection
 
     if is_foreign(Path(source)):
-        from cosim.report.field_recording import describe_recording
-
-        return describe_recording(source)
-    from cosim.report.inspection import describe_log
-
-    return describe_log(source)
+        return inspection.describe_recording(source)
+    return inspection.describe_log(source)
 
 
 def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
