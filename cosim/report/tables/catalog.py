@@ -38,16 +38,15 @@ def print_catalog(*, as_json: bool) -> None:
         "actions": ("keys of an action in [[actions]]", parameters_of(ActionTable)),
         "record": ("keys of [record]", parameters_of(RecordTable)),
     }
-    installed = [entry for entries in installed_classes().values() for entry in entries]
-    refusals = [refusal(entry, KINDS) for entry in installed]
+    installed = []
+    for entries in installed_classes().values():
+        for entry in entries:
+            installed.append({**asdict(entry), "refused": refusal(entry, KINDS) or None})
     if as_json:
         content: dict[str, Any] = {"scenarios": scenarios}
         content |= {key: _plain_parameters(parameters) for key, (_, parameters) in tables.items()}
         content["kinds"] = {name: _plain(kind) for name, kind in KINDS.items()}
-        content["installed"] = [
-            {**asdict(entry), "refused": reason or None}
-            for entry, reason in zip(installed, refusals, strict=True)
-        ]
+        content["installed"] = installed
         print_json(content)
         return
     described = [(name, description or name) for name, description in scenarios.items()]
@@ -59,9 +58,7 @@ def print_catalog(*, as_json: bool) -> None:
         kinds.append((name, kind.ports, _names(parameters_of(kind)), _description(kind)))
     print_table(new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"), kinds))
     if installed:
-        rows = []
-        for entry, reason in zip(installed, refusals, strict=True):
-            rows.append((entry.kind, entry.class_name, entry.distribution, reason))
+        rows = [[value or "" for value in entry.values()] for entry in installed]
         print_table(new_table(INSTALLED_TITLE, ("kind", "class", "package", ""), rows))
 
 
