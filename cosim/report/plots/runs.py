@@ -65,8 +65,6 @@ def plot_signals(
     signals: Sequence[str],
     out: Path,
     options: PictureOptions = _STANDARD,
-    *,
-    title: str = "",
 ) -> None:
     """Draw signals over time, one panel for each entry of ``signals``.
 
@@ -79,8 +77,6 @@ def plot_signals(
         with commas between, share a panel.
     out : Path
     options : PictureOptions
-    title : str, optional
-        The standard one of the picture.
 
     Raises
     ------
@@ -109,7 +105,7 @@ def plot_signals(
             styles += [line] * (len(curves) - len(styles))
         colored = zip(color_styles(len(curves)), styles, strict=True)
         draw_curves(panel, curves, [{**color, **line} for color, line in colored])
-    picture.save(out, title=title)
+    picture.save(out)
 
 
 def plot_run(recording: Recording, out: Path, options: PictureOptions = _STANDARD) -> None:
@@ -158,7 +154,10 @@ def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, titl
         raise UsageError("the run has no outputs to show; name signals: cosim plot LOG SIGNAL...")
     if len(names) > MOST_OUTPUTS:
         title = f"{title}: the first {MOST_OUTPUTS} of {len(names)} outputs"
-    plot_signals(recording, names[:MOST_OUTPUTS], out, options, title=title)
+    picture = Picture(min(len(names), MOST_OUTPUTS), options)
+    for panel, name in zip(picture.panels, names, strict=False):
+        draw_curves(panel, curves_of(recording, name, options))
+    picture.save(out, title=title)
 
 
 def plot_difference(
@@ -327,6 +326,8 @@ def estimate_curves(recording: Recording, estimate: str, options: PictureOptions
         return curves
     quantile = normal_two_sided(CONFIDENCE)
     errors = curves_of(recording, error, options)
+    if len(errors) != len(curves):  # of a component of a user
+        return curves
     pairs = zip(curves, errors, strict=True)
     return [replace(curve, band=quantile * one.values) for curve, one in pairs]
 

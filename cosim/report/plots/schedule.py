@@ -35,6 +35,18 @@ STYLES: Final[Mapping[InputCourse, tuple[str, str]]] = {  # color, line
     "solved": ("#2e7d32", "-"),
 }
 MOST_LETTERS: Final = 24  # in a line of a box
+_OF_COMPONENT: Final = {
+    "boxstyle": "round,pad=0,rounding_size=0.03",
+    "facecolor": "white",
+    "edgecolor": "#333333",
+    "zorder": 3,
+}
+_OF_LOOP: Final = {
+    "boxstyle": "round,pad=0,rounding_size=0.05",
+    "facecolor": "#f3f1e7",
+    "edgecolor": "#b8b08d",
+    "zorder": 0,
+}
 _SWEEPS: Final = 4
 _LANE: Final = 0.3  # height of the place of a connection, of that of a component
 _LOOP: Final = 0.35  # more height of a loop, for its frame and its title
@@ -202,26 +214,16 @@ def _stack(column: Sequence[_Block], whole: float) -> None:
 # --- what stands there ---
 
 
-def _draw_box(panel: Any, x: float, y: float, width: float, height: float, **style: Any) -> None:
-    """Draw a box with round corners from its left upper corner on."""
+def _draw_box(panel: Any, x: float, top: float, size: tuple[float, float], style: Any) -> None:
+    """Draw a box with round corners, ``x`` in its middle."""
     from matplotlib.patches import FancyBboxPatch
 
-    panel.add_patch(FancyBboxPatch((x, y), width, height, **style))
+    panel.add_patch(FancyBboxPatch((x - 0.5 * size[0], top), *size, **style))
 
 
 def _draw_frame(panel: Any, stage: ScheduledStage, frame: tuple[int, float, float]) -> None:
     layer, top, bottom = frame
-    _draw_box(
-        panel,
-        layer - 0.47,
-        top + 0.06,
-        0.94,
-        bottom - top - 0.12,
-        boxstyle="round,pad=0,rounding_size=0.05",
-        facecolor="#f3f1e7",
-        edgecolor="#b8b08d",
-        zorder=0,
-    )
+    _draw_box(panel, layer, top + 0.06, (0.94, bottom - top - 0.12), _OF_LOOP)
     order = "first order" if stage.is_first_order else "second order"
     title = f"loop: {stage.coupling}, {order}"
     panel.text(layer, top + 0.22, title, ha="center", va="center", fontsize=8, color="#6b6440")
@@ -231,18 +233,7 @@ def _draw_component(
     panel: Any, component: ScheduledComponent, place: tuple[int, float], order: str
 ) -> None:
     layer, middle = place
-    width, height = BOX
-    _draw_box(
-        panel,
-        layer - 0.5 * width,
-        middle - 0.5 * height,
-        width,
-        height,
-        boxstyle="round,pad=0,rounding_size=0.03",
-        facecolor="white",
-        edgecolor="#333333",
-        zorder=3,
-    )
+    _draw_box(panel, layer, middle - 0.5 * BOX[1], BOX, _OF_COMPONENT)
     style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 4}
     name = _cut(f"{order}{component.name}")
     panel.text(layer, middle - 0.19, name, fontsize=9, weight="bold", **style)
