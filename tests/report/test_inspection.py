@@ -132,14 +132,13 @@ plant = { kind = "constant", value = 1.0 }
 
 def describing_cost(folder, size):
     """Return the processor time for each component to describe a chain of gains."""
-    lines = ["[scenario]", 'name = "gains"', "stop = 0.01", "step = 1e-3"]
-    connections = ["[connections]"]
-    lines += ["[components.g0]", 'kind = "constant"', "value = 1.0"]
-    for i in range(1, size):
-        lines += [f"[components.g{i}]", 'kind = "gain"', "K = 2.0"]
-        connections.append(f'"g{i}.u" = "g{i - 1}.y"')
+    gains = [f'g{i} = {{ kind = "gain", K = 2.0 }}' for i in range(1, size)]
+    connections = [f'"g{i}.u" = "g{i - 1}.y"' for i in range(1, size)]
+    head = 'scenario = { name = "gains", stop = 0.01, step = 1e-3 }'
+    first = 'g0 = { kind = "constant", value = 1.0 }'
+    lines = [head, "[components]", first, *gains, "[connections]", *connections]
     path = folder / f"{size}.toml"
-    path.write_text("\n".join(lines + connections), encoding="utf-8")
+    path.write_text("\n".join(lines), encoding="utf-8")
     began = process_time()
     assert len(describe_scenario(str(path))["connections"]) == size - 1
     return (process_time() - began) / size
@@ -199,12 +198,15 @@ def test_fields_are_those_of_the_schemas(tmp_path):
     with path.open("wb") as stream, ProtobufWriter(stream) as writer:
         writer.write_message("/state", state_class()(), EPOCH, EPOCH)
     fields = fields_of(describe_recording(str(path)))
-    assert fields["/state.position"] == "double"
-    assert fields["/state.effort[]"] == "double"
-    assert fields["/state.mode"] == "enum"
-    assert fields["/state.inner.points[].y"] == "float"
-    assert fields["/state.stamp"] == "time"
-    assert fields["/state.stamp.seconds"] == "int64"
+    expected = {
+        "/state.position": "double",
+        "/state.effort[]": "double",
+        "/state.mode": "enum",
+        "/state.inner.points[].y": "float",
+        "/state.stamp": "time",
+        "/state.stamp.seconds": "int64",
+    }
+    assert expected.items() <= fields.items()
     assert not {"/state.name", "/state.raw", "/state.inner"} & fields.keys()
     definition = (
         "builtin_interfaces/Time stamp\nfloat64[3] x\nint8[] n\nP[2] p\nstring s\nbool on\n"

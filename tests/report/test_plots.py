@@ -31,6 +31,9 @@ a = { kind = "ramp", slope = 1.0, unit = "m" }
 b = { kind = "constant", value = 500.0, unit = "mm" }
 c = { kind = "constant", value = [1.0, 2.0], unit = "V" }
 d = { kind = "constant", value = [1.0, 2.0], unit = { y = ["mm", "m/s"] } }
+e = { kind = "lag", time_constant = 1.0 }
+[connections]
+"e.u" = "a.y"
 """
 
 
@@ -212,9 +215,12 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(out):
 
 @pytest.mark.slow
 def test_a_run_without_truth_has_a_picture_of_its_outputs(logs, tmp_path, out):
-    """A panel for each; where there are many, the title says how many are shown."""
+    """A panel for each; where there are many, the title says how many are shown.
+
+    The lag's output is its state, and shown, as it has no other.
+    """
     plot_run(logs[0], out)
-    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "lengths"} <= set(texts(out))
+    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "e.y", "lengths"} <= set(texts(out))
     many = tmp_path / "many.toml"
     lines = [f'c{i} = {{ kind = "constant", value = 1.0 }}' for i in range(60)]
     many.write_text(SCENARIO.partition("a =")[0] + "\n".join(lines))
@@ -224,19 +230,6 @@ def test_a_run_without_truth_has_a_picture_of_its_outputs(logs, tmp_path, out):
     plot_signals(run, [",".join(f"c{i}.y" for i in range(60))], out)  # whose legend would not fit
     assert {"the first 24 of 60", "c23.y"} <= set(texts(out))
     assert "c24.y" not in texts(out)
-
-
-def test_states_are_shown_of_components_that_have_no_other_outputs(tmp_path, out):
-    """A lag's y is its state; an observer's state beside its outputs would be too much."""
-    text = (
-        '[scenario]\nname = "lags"\nstop = 1.0\nstep = 0.1\n[components]\n'
-        's = { kind = "step", time = 0.5, before = 0.0, after = 1.0 }\n'
-        'a = { kind = "lag", time_constant = 1.0 }\n'
-        '[connections]\n"a.u" = "s.y"\n'
-    )
-    (tmp_path / "lags.toml").write_text(text)
-    plot_run(cosim.run(tmp_path / "lags.toml"), out)
-    assert {"s.y", "a.y"} <= set(texts(out))
 
 
 def test_a_method_far_beyond_most_does_not_hide_the_others():
