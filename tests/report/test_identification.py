@@ -325,6 +325,10 @@ def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     assert "gray: truth" not in text
     assert "its error" not in text
     assert text.count("half width of its 95 % band") == 2
+    found = identify_records([identifier_record(logs["first"])], bounds={1: (-0.5, -0.5)})
+    plots.plot_identification(found, tmp_path / "b.svg")  # nothing stands beside the disturbance
+    text = (tmp_path / "b.svg").read_text("utf-8")
+    assert text.count("no 95 % band: theta[0] is INCONSISTENT") == 2
 
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):
