@@ -21,7 +21,7 @@ _Class = TypeVar("_Class")
 STRICT: Final[ConfigDict] = {"strict": True, "allow_inf_nan": False, "extra": "forbid"}
 
 
-@dataclass_transform(frozen_default=True)
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def document(cls: type[_Class]) -> type[_Class]:
     """Make a class a document; where it is read its fields are checked, and no others are taken."""
     cls.__pydantic_config__ = STRICT  # type: ignore[attr-defined]

@@ -55,7 +55,7 @@ def check(
         _check_scenario(str(subject), values, as_json=as_json)
         return
     from cosim.fmi.checking.check import check as check_fmu
-    from cosim.report.tables.fmu import print_check
+    from cosim.report.fmu import print_check
 
     findings = check_fmu(fmu_argument(subject), start=read_edits(values))
     print_check(str(subject), findings, as_json=as_json)

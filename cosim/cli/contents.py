@@ -69,8 +69,7 @@ def _show_graph(source: str, out: Path | None, *, as_json: bool) -> None:
     UsageError
         If it is no scenario, or there can be no picture.
     """
-    from cosim.report.schedule import schedule_of
-    from cosim.report.tables.schedule import print_schedule
+    from cosim.report.schedule import print_schedule, schedule_of
 
     type_name = file_type(source)
     if type_name in ("log", "FMU", "table"):

@@ -24,7 +24,7 @@ def cache(
     The cache is in the user's cache folder, or in the folder named by the environment variable
     COSIM_CACHE (empty: no cache).
     """
-    from cosim.report.tables.fmu import print_cache
+    from cosim.report.fmu import print_cache
 
     print_cache(clear=clear, as_json=as_json)
 
@@ -172,7 +172,7 @@ def linearize(
     """
     from cosim.fmi.linearizing.linearize import linearize_file
     from cosim.fmi.linearizing.request import LinearizationRequest
-    from cosim.report.tables.fmu import print_linearization
+    from cosim.report.fmu import print_linearization
     from cosim.scenario.kinds.linearizing import model_toml
 
     if as_toml and as_json:

@@ -1,14 +1,14 @@
-"""What a log, an FMU, a table of samples or a scenario contains, as plain values."""
+"""What a log, a recording of another tool, a table of samples or a scenario contains."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import SignalEvent
-from cosim.core.signals import Channel, Signal
+from cosim.core.signals import Interface
 from cosim.errors import LogError
-from cosim.instants import step_value
+from cosim.instants import NANOSECONDS, step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
@@ -43,56 +43,50 @@ from cosim.scenario.record import (
 from cosim.units import units_text
 
 if TYPE_CHECKING:
-    from cosim.fmi.description import Description
-    from cosim.fmi.variable import Variable
+    from cosim.core.stages.substep_control import SubstepCounts
     from cosim.log import Log
+    from cosim.log.foreign.survey import TopicSurvey
 
 Section = dict[str, Any]
 
-VERSIONS = ("cosim", "python", "numpy", "scipy", "mcap")
+VERSIONS: Final = ("cosim", "python", "numpy", "scipy", "mcap")
 MOST_MESSAGES = 10_000  # that are shown of a log
-MOST_OVERRIDES = 10  # and releases
 MOST_TEXT = 2**22  # characters of them
+MOST_OVERRIDES = 10  # and releases
+MOST_FIELDS = 1000  # of a recording of another tool
+
+
+def _limited(title: str, rows: Sequence[Section], most: int, more: int = 0) -> Section:
+    """Return the first rows as a section, and how many more there are, where there are any."""
+    more += max(len(rows) - most, 0)
+    content: Section = {title: rows[:most]} if rows else {}
+    return {**content, f"more {title}": {"not shown": more}} if more else content
+
+
+# --- logs ---
 
 
 def describe_log(path: str) -> Section:
-    """Describe a log: the run, its components and their signals, metadata and messages.
-
-    What cannot be understood of its documents is left out; ``problems`` says why.
-    """
+    """Describe a log: the run, its components and their signals, metadata and messages."""
     from cosim.log import open_log
 
     log = open_log(path)
-    end = log.end_ns / 1e9
-    step = step_value(log.step_ns)
-    run = run_metadata(log)
-    problems: dict[str, None] = {}
-    start = 0.0
-    with _noted(problems):
-        window = recorded_window(log)
-        start = recorded_start(log) if window is None else window[0]
-    since = f"{start} s to " if start else ""
-    about: Section = {
-        "scenario": run.get("scenario", ""),
-        "status": log.status,
-        "until": run.get("until"),
-        "stop reason": log.reason or None,
-        "end": f"{since}{end} s in {log.steps} steps of {step} s",
-        "content hash": log.recorded_hash,
-        "schedule": ", ".join(log.schedule),
-        "attachments": ", ".join(log.attachments),
-        "written": log.metadata.get(WRITTEN, {}).get("time"),
-        **_environment(log.metadata.get("cosim.env", {})),
-    }
     events = log.events()
-    if events:
-        about["events"] = _event_counts(events)
-    if "replay" in run:
-        with _noted(problems):
-            about["replay of"] = asdict(replay_origin(log))
+    problems: dict[str, None] = {}
+    content: Section = {"run": _about_run(log, events, problems)}
+    if log.partial is not None:
+        missing = log.partial.missing(log.channels)
+        content["partial"] = {**log.partial.overview(log.channels), "not recorded": missing}
+    content["loops"] = []
+    with _noted(problems):
+        content["loops"] = [gain_values(gain) for gain in recorded_loop_gains(log)]
+    with _noted(problems):
+        substeps = [_substep_row(counts) for counts in recorded_substep_counts(log)]
+        if substeps:
+            content["substeps"] = substeps
     signals: list[Section] = []
     for name, channel in log.channels.items():
-        signals += _signal_rows(channel, log.kinds.get(name, ""))
+        signals += _signal_rows(name, log.kinds.get(name, ""), channel.interface)
     metadata = {}
     differences = {}
     for name in declared_channels(log.channels):
@@ -101,23 +95,17 @@ def describe_log(path: str) -> Section:
             entry = component_table(log, name)
         report = entry.pop("swap_report", {})
         if report:
-            differences[name] = _differences(report)
+            ports = report.get("ports", [])
+            differing = [row for row in ports if row["verdict"] not in ("ok", "unknown")]
+            differences[name] = differing
         if entry:
             metadata[name] = entry
-    content = {"run": about, **_partial(log), "loops": []}
-    with _noted(problems):
-        content["loops"] = [gain_values(gain) for gain in recorded_loop_gains(log)]
-    with _noted(problems):
-        content |= _substeps(log)
     content |= {"signals": signals, "metadata": metadata, "differences": differences}
-    content |= _overrides(events)
+    overrides = [event for event in events if event.cause not in ("follow", "jump")]
+    content |= _limited("overrides", [_event_row(event) for event in overrides], MOST_OVERRIDES)
     with _noted(problems):
         content |= _certificate(log)
-    messages, more = _messages(log)
-    if messages:
-        content["messages"] = messages
-    if more:
-        content["more messages"] = {"not shown": more}
+    content |= _messages(log)
     if problems:
         content["problems"] = list(problems)
     return content
@@ -132,39 +120,76 @@ def _noted(problems: dict[str, None]) -> Iterator[None]:
         problems[str(error)] = None
 
 
-def _environment(recorded: Mapping[str, str]) -> Section:
-    """Return by what and on which machine a log was written, as far as it says so."""
+def _about_run(log: Log, events: Sequence[SignalEvent], problems: dict[str, None]) -> Section:
+    """Return how a run went, and by what and on which machine it was recorded."""
+    run = run_metadata(log)
+    start = 0.0
+    with _noted(problems):
+        window = recorded_window(log)
+        start = recorded_start(log) if window is None else window[0]
+    since = f"{start} s to " if start else ""
+    recorded = log.metadata.get("cosim.env", {})
     versions = [f"{name} {recorded[name]}" for name in VERSIONS if name in recorded]
     machine = [recorded[name] for name in ("processor", "platform") if name in recorded]
-    return {"written by": ", ".join(versions) or None, "machine": ", ".join(machine) or None}
+    about: Section = {
+        "scenario": run.get("scenario", ""),
+        "status": log.status,
+        "until": run.get("until"),
+        "stop reason": log.reason or None,
+        "end": f"{since}{log.end_ns / 1e9} s in {log.steps} steps of {step_value(log.step_ns)} s",
+        "content hash": log.recorded_hash,
+        "schedule": ", ".join(log.schedule),
+        "attachments": ", ".join(log.attachments),
+        "written": log.metadata.get(WRITTEN, {}).get("time"),
+        "written by": ", ".join(versions) or None,
+        "machine": ", ".join(machine) or None,
+    }
+    if events:
+        about["events"] = _event_counts(events)
+    if "replay" in run:
+        with _noted(problems):
+            about["replay of"] = asdict(replay_origin(log))
+    return about
 
 
-def _partial(log: Log) -> Section:
-    """Return what is recorded of what, where that is not all."""
-    partial = log.partial
-    if partial is None:
-        return {}
-    overview = partial.overview(log.channels)
-    overview["not recorded"] = partial.missing(log.channels)
-    return {"partial": overview}
+def _event_counts(events: Sequence[SignalEvent]) -> str:
+    """Return how many events there are of each cause."""
+    counts = Counter(event.cause for event in events)
+    jumps = counts.pop("jump", 0)
+    texts = []
+    if counts:
+        causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
+        texts.append(f"{counts.total()} by overrides: {causes}")
+    if jumps:
+        texts.append(f"{jumps} jumps of continuous outputs")
+    return "; ".join(texts)
 
 
-def _substeps(log: Log) -> Section:
-    """Return how many substeps loops took, where they took any."""
-    rows: list[Section] = []
-    for counts in recorded_substep_counts(log):
-        row = {
-            "loop": ", ".join(counts.components),
-            "taken": counts.accepted,
-            "refused": counts.rejected,
-            "up to an event": counts.events,
-            "shortest": counts.shortest,
-            "beyond the tolerance": counts.missed,
-            "largest error": _digits(counts.worst_error),
-            "t": counts.worst_time,
-        }
-        rows.append(row)
-    return {"substeps": rows} if rows else {}
+def _event_row(event: SignalEvent) -> Section:
+    """Return an override, a fault or a release; of a swap its component, by what has a path."""
+    cause = f"{event.cause} {_numbers(event.parameters)}".rstrip()
+    signal = event.signal
+    values = _numbers(event.values)
+    if event.cause == "swap":
+        signal, _, values = signal.partition(".")
+    return {"t": event.time_ns / 1e9, "signal": signal, "cause": cause, "values": values}
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
+
+
+def _substep_row(counts: SubstepCounts) -> Section:
+    return {
+        "loop": ", ".join(counts.components),
+        "taken": counts.accepted,
+        "refused": counts.rejected,
+        "up to an event": counts.events,
+        "shortest": counts.shortest,
+        "beyond the tolerance": counts.missed,
+        "largest error": _digits(counts.worst_error),
+        "t": counts.worst_time,
+    }
 
 
 def _certificate(log: Log) -> Section:
@@ -177,8 +202,8 @@ def _certificate(log: Log) -> Section:
         "step": f"{certificate.step:g} s",
         "others": ", ".join(f"{step:g} s" for step in certificate.finer_steps),
         "problem": certificate.problem or None,
+        **dict(certificate.search()),
     }
-    about |= dict(certificate.search())
     for share in certificate.shares:
         about[share.estimate] = str(share)
     for number, note in enumerate(certificate.notes(), start=1):
@@ -202,44 +227,7 @@ def _digits(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.3g}")
 
 
-def _event_counts(events: Sequence[SignalEvent]) -> str:
-    """Return how many events there are of each cause."""
-    counts = Counter(event.cause for event in events)
-    jumps = counts.pop("jump", 0)
-    texts = []
-    if counts:
-        causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
-        texts.append(f"{counts.total()} by overrides: {causes}")
-    if jumps:
-        texts.append(f"{jumps} jumps of continuous outputs")
-    return "; ".join(texts)
-
-
-def _overrides(events: Sequence[SignalEvent]) -> Section:
-    """Return the first overrides, faults and releases, and how many more there are."""
-    overrides = [event for event in events if event.cause not in ("follow", "jump")]
-    rows: list[Section] = []
-    for event in overrides[:MOST_OVERRIDES]:
-        t = event.time_ns / 1e9
-        cause = f"{event.cause} {_numbers(event.parameters)}".rstrip()
-        signal = event.signal
-        values = _numbers(event.values)
-        if event.cause == "swap":  # of a component, by what has a path
-            signal, _, values = signal.partition(".")
-        rows.append({"t": t, "signal": signal, "cause": cause, "values": values})
-    content: Section = {}
-    if rows:
-        content["overrides"] = rows
-    if len(overrides) > len(rows):
-        content["more overrides"] = {"not shown": len(overrides) - len(rows)}
-    return content
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
-
-
-def _messages(log: Log) -> tuple[list[Section], int]:
+def _messages(log: Log) -> Section:
     """Return the messages in the order of time, and how many there are beyond those shown."""
     kept: list[RunMessage] = []
     size = 0
@@ -251,21 +239,77 @@ def _messages(log: Log) -> tuple[list[Section], int]:
         else:
             more += 1
     rows = []
-    for message in sorted(kept, key=lambda message: message.time_ns):
-        row = {
-            "t": message.time_ns / 1e9,
-            "level": message.level,
-            "from": message.source,
-            "text": message.text,
+    for time_ns, level, source, text in sorted(kept, key=lambda message: message.time_ns):
+        rows.append({"t": time_ns / 1e9, "level": level, "from": source, "text": text})
+    return _limited("messages", rows, MOST_MESSAGES, more)
+
+
+# --- recordings of other tools, tables of samples ---
+
+
+def describe_recording(path: str) -> Section:
+    """Describe a recording of another tool: topics, times, order, numeric fields.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read, or is damaged.
+    """
+    from cosim.log.foreign.survey import survey
+
+    topics = survey(Path(path))
+    spacings = [topic.spacing for topic in topics if topic.spacing is not None]
+    about: Section = {
+        "topics": len({topic.topic for topic in topics}),
+        "messages": sum(spacing.count for spacing in spacings),
+    }
+    if spacings:
+        first = min(spacing.first_ns for spacing in spacings)
+        last = max(spacing.last_ns for spacing in spacings)
+        about["log times"] = f"{_seconds(first)} s to {_seconds(last)} s"
+        about["duration"] = f"{_seconds(last - first)} s"
+    fields: list[Section] = []
+    for topic in topics:
+        for name, type_name in topic.fields.items():
+            fields.append({"field": name, "type": type_name})
+    content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": fields}
+    content |= _limited("fields", fields, MOST_FIELDS)
+    problems = [{"topic": topic.topic, "problem": topic.problem} for topic in topics]
+    unread = [row for row in problems if row["problem"]]
+    return {**content, "not read": unread} if unread else content
+
+
+def _topic_row(topic: TopicSurvey) -> Section:
+    encoding = f" ({topic.schema_encoding})" if topic.schema_encoding else ""
+    spacing = topic.spacing
+    row: Section = {
+        "topic": topic.topic,
+        "encoding": topic.encoding,
+        "schema": f"{topic.schema}{encoding}" or None,
+        "messages": 0,
+        "rate": None,
+        "out of order": None,
+        "same instant": None,
+        "largest gap": None,
+        "at": None,
+    }
+    if spacing is not None:
+        row |= {
+            "messages": spacing.count,
+            "rate": None if spacing.rate is None else f"{spacing.rate:.6g} Hz",
+            "out of order": spacing.late,
+            "same instant": spacing.repeated,
+            "largest gap": f"{spacing.largest_ns / NANOSECONDS:g} s",
+            "at": f"{_seconds(spacing.largest_at_ns)} s",
         }
-        rows.append(row)
-    return rows, more
+    return row
 
 
-def _differences(report: Section) -> list[Section]:
-    """Return the rows of a swapped component's report that differ."""
-    ports: list[Section] = report.get("ports", [])
-    return [row for row in ports if row["verdict"] not in ("ok", "unknown")]
+def _seconds(time_ns: int) -> str:
+    """Return a time in ns as seconds, with all its digits."""
+    sign = "-" if time_ns < 0 else ""
+    whole, rest = divmod(abs(time_ns), NANOSECONDS)
+    return f"{sign}{whole}.{rest:09d}".rstrip("0").rstrip(".")
 
 
 def describe_samples(source: str) -> Section:
@@ -292,7 +336,7 @@ def describe_samples(source: str) -> Section:
         row = {
             "signal": signal.name,
             "size": signal.values.shape[1],
-            "unit": ", ".join(signal.unit) if isinstance(signal.unit, tuple) else signal.unit,
+            "unit": _joined(signal.unit),
             "not measured": int(np.isnan(signal.values).any(axis=1).sum()),
         }
         signals.append(row)
@@ -305,6 +349,13 @@ def describe_samples(source: str) -> Section:
     return content
 
 
+def _joined(unit: Sequence[str] | None) -> str | None:
+    return unit if unit is None or isinstance(unit, str) else ", ".join(unit)
+
+
+# --- scenarios ---
+
+
 def describe_scenario(name: str) -> Section:
     """Describe a scenario: its clock, components, connections and metadata.
 
@@ -314,23 +365,19 @@ def describe_scenario(name: str) -> Section:
     loaded = described.scenario
     graph = described.graph
     settings = loaded.file.scenario
-    steps = described.clock.steps
     since = f"{settings.start_time} s to " if settings.start_time else ""
     stages = [] if graph is None else [stage.description for stage in graph.stages]
     about = {
         "name": settings.name,
         "description": settings.description or None,
-        "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
+        "clock": f"{since}{settings.stop} s in {described.clock.steps} steps of {settings.step} s",
         "until": settings.until,
         "schedule": ", ".join(stages) or "not known, as the ports of some components are not",
     }
     signals: list[Section] = []
     for component, spec in loaded.specs.items():
-        if component in described.components:
-            channel = Channel(component, described.components[component].interface, 0)
-            signals += _signal_rows(channel, spec.kind)
-        else:
-            signals.append(_unknown_row(component, spec.kind))
+        known = described.components.get(component)
+        signals += _signal_rows(component, spec.kind, None if known is None else known.interface)
     gains = () if graph is None else described_gains(graph, described.clock)
     content = {
         "scenario": about,
@@ -340,190 +387,91 @@ def describe_scenario(name: str) -> Section:
         "metadata": dict(described.metadata),
     }
     actions = [_action_row(action) for action in loaded.actions.values()]
-    if actions:
-        content["actions"] = actions
-    return content
+    return {**content, "actions": actions} if actions else content
 
 
 def _action_row(action: ActionTable) -> Section:
     """Return an action as its table has it."""
     effect = effect_of(action)
     value = getattr(action, effect)
-    signals = ", ".join(signals_of(action) or action.set or ())
-    if action.swap is not None:
-        signals = ", ".join(action.swap)
-        value = ", ".join(action.swap.values())
-    if action.set is not None:
-        value = ", ".join(map(str, action.set.values()))
+    signals = ", ".join(signals_of(action) or action.set or action.swap or ())
+    if effect in ("set", "swap"):
+        value = ", ".join(map(str, value.values()))
     t = action.when if action.at is None else action.at
     return {"t": t, "signal": signals, "action": effect, "value": value}
 
 
 def _connection_rows(described: DescribedScenario) -> list[Section]:
+    """Return the connections; of inputs that nothing drives their start values."""
     graph = described.graph
-    rows = []
     if graph is None:
-        for to, connection in described.scenario.connections.items():
-            rows.append(_written_row(to, connection))
-        return rows
-    for to, connection in graph.connections.items():
-        rows.append(_connection_row(graph, to, connection))
+        return [_connection_row(*written) for written in described.scenario.connections.items()]
+    rows = [_connection_row(*connection, graph) for connection in graph.connections.items()]
     for to, values in graph.unconnected.items():
-        rows.append(_start_row(graph, to, values))
+        row = {
+            "to": str(to),
+            "from": f"start value {', '.join(f'{value:.6g}' for value in values)}",
+            "map": None,
+            "unit": units_text(graph.ports.input(to).measures) or None,
+            "conversion": None,
+        }
+        rows.append(row)
     return rows
 
 
-def _written_row(to: Port, connection: Connection) -> Section:
-    """Describe a connection as it is written, where the ports at its ends need not be known."""
-    unit = connection.unit
+def _connection_row(to: Port, connection: Connection, graph: Graph | None = None) -> Section:
+    """Describe one connection: its map and its unit conversions, where it has them.
+
+    Without a graph as it is written, as the ports at its ends need not be known.
+    """
+    unit = _joined(connection.unit)
+    conversions: dict[str, None] = {}
+    if graph is not None:
+        sources = [graph.ports.output(port) for port in connection.sources]
+        of_sources = element_units(connection, sources, graph.ports.input(to))
+        units = list(chain.from_iterable(of_sources))
+        if connection.unit != AS_IS:
+            unit = _distinct(one.reached.name for one in units) or None
+        for conversion in graph.conversions.get(to, ()):
+            if not conversion.copies:
+                conversions[str(conversion)] = None
+        if conversions:
+            unit = f"{unit} -> {_distinct(one.target.name for one in units)}"
+    gain = connection.matrix
+    expression = f"{gain.tolist()} v" if gain.ndim or gain != 1.0 else "v"
+    if connection.offset:
+        sign = "-" if connection.offset < 0.0 else "+"
+        expression += f" {sign} {abs(connection.offset)}"
     return {
         "to": str(to),
         "from": connection.label,
-        "map": _map(connection),
-        "unit": ", ".join(unit) if isinstance(unit, tuple) else unit,
-        "conversion": None,
-    }
-
-
-def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
-    """Describe one connection: its map and its unit conversions, where it has them."""
-    end = graph.ports.input(to)
-    sources = [graph.ports.output(port) for port in connection.sources]
-    units = list(chain.from_iterable(element_units(connection, sources, end)))
-    names = [unit.reached.name for unit in units if unit.reached.name is not None]
-    unit = AS_IS if connection.unit == AS_IS else ", ".join(dict.fromkeys(names)) or None
-    conversions = dict.fromkeys(
-        str(conversion) for conversion in graph.conversions.get(to, ()) if not conversion.copies
-    )
-    if conversions:
-        targets = [unit.target.name for unit in units if unit.target.name is not None]
-        unit = f"{unit} -> {', '.join(dict.fromkeys(targets))}"
-    return {
-        **_written_row(to, connection),
+        "map": None if expression == "v" else expression,  # of the source's value v
         "unit": unit,
         "conversion": ", ".join(conversions) or None,
     }
 
 
-def _start_row(graph: Graph, to: Port, values: tuple[float, ...]) -> Section:
-    """Describe an input that nothing drives."""
-    units = graph.ports.input(to).measures
-    value = ", ".join(f"{value:.6g}" for value in values)
-    return {
-        "to": str(to),
-        "from": f"start value {value}",
-        "map": None,
-        "unit": units_text(units) or None,
-        "conversion": None,
-    }
+def _distinct(names: Iterable[str | None]) -> str:
+    return ", ".join(dict.fromkeys(name for name in names if name is not None))
 
 
-def _map(connection: Connection) -> str | None:
-    """Return gain and offset as an expression of the source's value v; None: there are none."""
-    gain = connection.matrix
-    expression = "v"
-    if gain.ndim or gain != 1.0:
-        expression = f"{gain.tolist()} v"
-    if connection.offset:
-        sign = "-" if connection.offset < 0.0 else "+"
-        expression += f" {sign} {abs(connection.offset)}"
-    return None if expression == "v" else expression
-
-
-def describe_fmu(path: str) -> Section:
-    """Describe an FMU: capabilities of its interface types, units, variables, dependencies."""
-    from cosim.fmi.reading.model_description import read
-
-    archive = read(path)
-    description = archive.description
-    about = {
-        "name": description.name,
-        "fmi_version": description.version,
-        "tool": description.tool or None,
-        "platforms": list(description.platforms),
-        "states": list(description.states),
-        "n_states": description.n_states,
-        "event_indicators": description.event_indicators,
-        "clocks": list(description.clocks),
-        "default_step": description.default_step,
-        "default_tolerance": description.default_tolerance,
-        "sha256": archive.sha256,
-    }
-    capabilities = {}
-    for interface_type, values in description.capabilities.items():
-        capabilities[interface_type] = asdict(values)
-    content: Section = {"fmu": about, "capabilities": capabilities, "units": _units(description)}
-    content["vectors"] = _vectors(description)
-    content["variables"] = [_variable_row(variable) for variable in description.variables]
-    content["dependencies"] = _lists(description.dependencies)
-    content["initial_dependencies"] = _lists(description.initial_dependencies)
-    content["residual_form"] = description.dae and asdict(description.dae)
-    return content
-
-
-def _units(description: Description) -> Section:
-    """Return what the units are in SI; of those with the same name, the one with an offset."""
-    bases = set()
-    for variable in description.variables:
-        if variable.unit is not None and variable.base is not None:
-            bases.add((variable.unit, variable.base))
-    in_order = sorted(bases, key=lambda pair: (pair[0], abs(pair[1].offset)))
-    return {unit: asdict(base) for unit, base in in_order}
-
-
-def _vectors(description: Description) -> dict[str, list[str]]:
-    """Return the ports that are several scalar variables, with the names of these."""
-    vectors = {}
-    for causality in ("input", "output"):
-        for signal, group in description.ports(causality):
-            if len(group) > 1:
-                vectors[signal.name] = [variable.name for variable in group]
-    return vectors
-
-
-def _variable_row(variable: Variable) -> Section:
-    """Return all of a variable; infinite limits are None."""
-    # Not by asdict, which copies every value of very many variables deeply.
-    row = {field.name: getattr(variable, field.name) for field in fields(variable)}
-    row["base"] = None if variable.base is None else asdict(variable.base)
-    for limit in ("minimum", "maximum"):
-        if math.isinf(row[limit]):
-            row[limit] = None
-    return row
-
-
-def _lists(dependencies: Mapping[str, Iterable[str] | None]) -> dict[str, list[str] | None]:
-    return {name: None if names is None else list(names) for name, names in dependencies.items()}
-
-
-def _signal_rows(channel: Channel, kind: str) -> Iterator[Section]:
-    """Yield the inputs of a component, then its outputs."""
-    for signal in channel.interface.inputs:
-        yield _signal_row(channel.name, kind, signal, role="input")
-    for signal in channel.interface.outputs:
-        yield _signal_row(channel.name, kind, signal, role=signal.role)
-
-
-def _unknown_row(component: str, kind: str) -> Section:
-    """Return the row of a component whose ports are not known."""
-    return {
-        "signal": component,
-        "role": "ports not known",
-        "size": None,
-        "unit": None,
-        "variability": None,
-        "kind": kind,
-        "description": None,
-    }
-
-
-def _signal_row(component: str, kind: str, signal: Signal, *, role: str) -> Section:
-    return {
-        "signal": f"{component}.{signal.name}",
-        "role": role,
-        "size": signal.size,
-        "unit": signal.unit_text or None,
-        "variability": signal.variability,
-        "kind": kind,
-        "description": signal.description or None,
-    }
+def _signal_rows(component: str, kind: str, interface: Interface | None) -> Iterator[Section]:
+    """Yield the inputs of a component, then its outputs; one row where they are not known."""
+    if interface is None:
+        row = dict.fromkeys(
+            ("signal", "role", "size", "unit", "variability", "kind", "description")
+        )
+        yield {**row, "signal": component, "role": "ports not known", "kind": kind}
+        return
+    roles = [(signal, "input") for signal in interface.inputs]
+    roles += [(signal, signal.role) for signal in interface.outputs]
+    for signal, role in roles:
+        yield {
+            "signal": f"{component}.{signal.name}",
+            "role": role,
+            "size": signal.size,
+            "unit": signal.unit_text or None,
+            "variability": signal.variability,
+            "kind": kind,
+            "description": signal.description or None,
+        }

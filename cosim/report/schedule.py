@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypeAlias
+from itertools import chain
+from typing import Any, Final, Literal, TypeAlias
 
-from cosim.core.connections import Connection
 from cosim.core.graph import Graph
 from cosim.core.port import Port
-from cosim.core.signals import Interface
 from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
 from cosim.instants import step_seconds
-from cosim.scenario.building.build import DescribedScenario, describe
+from cosim.report.tables.console import new_table, print_json, print_tables
+from cosim.scenario.building.build import describe
 from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling
 
@@ -28,6 +28,17 @@ InputCourse: TypeAlias = Literal[
     "extrapolated",
     "solved",
 ]
+_COURSES: Final[Mapping[InputCourse, str]] = {
+    "linear": "linear interpolation",
+    "linear over period": "linear interpolation over its period",
+    "mean": "mean of both ends",
+    "latest": "latest value, which may have jumped",
+    "zero-order hold": "zero-order hold",
+    "sampled": "zero-order hold of its samples",
+    "delayed": "delayed, so its value at the start of the step is exact",
+    "extrapolated": "extrapolated: held from the start of the step",
+    "solved": "solved",
+}
 
 
 @dataclass(frozen=True)
@@ -167,22 +178,52 @@ def schedule_of(name: str) -> GraphSchedule:
         If the ports of some components are not known.
     """
     described = describe(find(name))
+    scenario = described.scenario
     graph = described.graph
     if graph is None:
-        unknown = sorted(described.scenario.specs.keys() - described.components.keys())
+        unknown = sorted(scenario.specs.keys() - described.components.keys())
         raise UsageError(
             f"{name}: the ports of {', '.join(unknown)} are defined by user code, which is not "
             f"imported here; {command('run')} writes the schedule to its log"
         )
-    stages = tuple(_stage(number, stage) for number, stage in enumerate(graph.stages, start=1))
+    step_ns = described.clock.step_ns
+    samplings: dict[str, Sampling | None] = {}
+    for owner, spec in scenario.specs.items():
+        samplings[owner] = spec.sampling(spec.period_steps(owner, step_ns))
+    stages = []
     components = []
-    for stage in stages:
-        for member in stage.members:
-            components.append(_component(described, graph, member, stage.number))
-    connections = tuple(_connections(described, graph))
-    step = described.clock.h
-    title = described.scenario.name
-    return GraphSchedule(title, step, stages, tuple(components), connections)
+    loops: dict[str, Stage] = {}
+    for number, stage in enumerate(graph.stages, start=1):
+        scheduled = _stage(number, stage)
+        stages.append(scheduled)
+        if stage.is_loop:
+            loops |= dict.fromkeys(scheduled.members, stage)
+        for member in scheduled.members:
+            interface = graph.layout[member].interface
+            sampling = samplings[member] or Sampling(graph.layout[member].period, 0, holds=False)
+            feedthrough: dict[str, tuple[str, ...] | None] = {}
+            for output in interface.outputs:
+                is_known = interface.knows(output.name)
+                feedthrough[output.name] = interface.feeds(output.name) if is_known else None
+            component = ScheduledComponent(
+                member,
+                scenario.specs[member].kind,
+                number,
+                step_seconds(sampling.period * step_ns) if sampling.period > 1 else None,
+                step_seconds(sampling.offset * step_ns),
+                feedthrough,
+            )
+            components.append(component)
+    connections = []
+    for to, written in graph.connections.items():
+        for source in written.sources:
+            loop = loops.get(to.component)
+            if loop is not loops.get(source.component):
+                loop = None
+            connections.append(_connection(graph, loop, source, to, samplings[to.component]))
+    return GraphSchedule(
+        scenario.name, described.clock.h, tuple(stages), tuple(components), tuple(connections)
+    )
 
 
 def _stage(number: int, stage: Stage) -> ScheduledStage:
@@ -194,104 +235,104 @@ def _stage(number: int, stage: Stage) -> ScheduledStage:
             operations.append(f"advance {name}")
         else:
             operations.append(f"outputs of {name}")
-    solved = () if stage.torn is None else tuple(stage.torn.labels)
-    substeps: list[str] = []
-    for control in stage.controls:
-        substeps += control.components
     return ScheduledStage(
         number,
         tuple(members),
         stage.coupling,
         tuple(operations),
-        solved,
+        () if stage.torn is None else tuple(stage.torn.labels),
         stage.is_first_order,
         stage.controls[0].tolerance.min_ns / 1e9 if stage.controls else None,
-        tuple(substeps),
+        tuple(chain.from_iterable(control.components for control in stage.controls)),
     )
 
 
-def _component(
-    described: DescribedScenario, graph: Graph, name: str, stage: int
-) -> ScheduledComponent:
-    channel = graph.layout[name]
-    step_ns = described.clock.step_ns
-    sampling = _sampling(described, name)
-    steps = channel.period if sampling is None else sampling.period
-    period = step_seconds(steps * step_ns) if steps > 1 else None
-    offset = 0.0 if sampling is None else step_seconds(sampling.offset * step_ns)
-    kind = described.scenario.specs[name].kind
-    return ScheduledComponent(name, kind, stage, period, offset, _feedthrough(channel.interface))
-
-
-def _sampling(described: DescribedScenario, name: str) -> Sampling | None:
-    spec = described.scenario.specs[name]
-    return spec.sampling(spec.period_steps(name, described.clock.step_ns))
-
-
-def _feedthrough(interface: Interface) -> dict[str, tuple[str, ...] | None]:
-    feedthrough: dict[str, tuple[str, ...] | None] = {}
-    for output in interface.outputs:
-        is_known = interface.knows(output.name)
-        feedthrough[output.name] = interface.feeds(output.name) if is_known else None
-    return feedthrough
-
-
-def _connections(described: DescribedScenario, graph: Graph) -> Iterator[ScheduledConnection]:
-    """Yield the connections, one for each source."""
-    loops: dict[str, Stage] = {}
-    for stage in graph.stages:
-        if stage.is_loop:
-            loops |= {member.name: stage for member in stage.members}
-    for to, connection in graph.connections.items():
-        sampling = _sampling(described, to.component)
-        yield from _by_sources(graph, loops.get(to.component), to, connection, sampling)
-
-
-def _by_sources(
-    graph: Graph,
-    loop: Stage | None,
-    to: Port,
-    connection: Connection,
-    sampling: Sampling | None,
-) -> Iterator[ScheduledConnection]:
+def _connection(
+    graph: Graph, loop: Stage | None, source: Port, to: Port, sampling: Sampling | None
+) -> ScheduledConnection:
+    """Return the connection of a source with an input: what this has within a step."""
     end = graph.ports.input(to)
+    name = end.signal.name
+    interface = end.channel.interface
     first = end.columns.start - end.channel.inputs.start
     elements = slice(first, first + end.size)
     is_held = bool(graph.held[to.component][elements].all())
-    late: frozenset[str] = frozenset()
-    if loop is not None:
-        late = loop.extrapolated.get(to.component, frozenset())
-    for source in connection.sources:
-        is_inside = loop is not None and source.component in {
-            member.name for member in loop.members
-        }
-        is_feedback = is_inside and end.signal.name in late
-        course = _own_course(sampling, is_held=is_held)
-        if end.signal.name in end.channel.interface.one_value and course.startswith("linear"):
-            course = "latest" if graph.latest[to.component][elements].any() else "mean"
-        if loop is not None and is_inside and _is_solved(loop, end.port):
-            course = "solved"
-        elif course == "sampled":
-            pass  # late in a loop, and nothing lost
-        elif is_feedback and end.signal.name in end.channel.interface.delayed:
+    course: InputCourse = "zero-order hold" if is_held else "linear"
+    if sampling is not None and (sampling.holds or (is_held and sampling.period > 1)):
+        course = "sampled"
+    elif sampling is not None and sampling.period > 1:
+        course = "linear over period"
+    if name in interface.one_value and course.startswith("linear"):
+        course = "latest" if graph.latest[to.component][elements].any() else "mean"
+    is_feedback = loop is not None and name in loop.extrapolated.get(to.component, ())
+    if loop is not None and _is_solved(loop, end.port):
+        course = "solved"
+    elif is_feedback and course != "sampled":  # that is late, and nothing lost
+        if name in interface.delayed:
             course = "delayed"
-        elif is_feedback and graph.variability(source) != "discrete":
+        elif graph.variability(source) != "discrete":
             course = "extrapolated"
-        yield ScheduledConnection(str(source), str(to), course, is_feedback)
-
-
-def _own_course(sampling: Sampling | None, *, is_held: bool) -> InputCourse:
-    """Return what an input has outside a loop."""
-    if sampling is None:
-        return "zero-order hold" if is_held else "linear"
-    if sampling.holds:
-        return "sampled"
-    if sampling.period == 1:
-        return "zero-order hold" if is_held else "linear"
-    return "sampled" if is_held else "linear over period"
+    return ScheduledConnection(str(source), str(to), course, is_feedback)
 
 
 def _is_solved(loop: Stage, to: Port) -> bool:
     """Return whether a loop solves for an input, or elements of it."""
     labels = () if loop.torn is None else loop.torn.labels
     return any(label == str(to) or label.startswith(f"{to}[") for label in labels)
+
+
+# --- as tables ---
+
+
+def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
+    """Print stages, components and connections."""
+    if as_json:
+        print_json(schedule.to_dict())
+        return
+    title = f"{schedule.scenario}: stages in order, communication step {schedule.step:g} s"
+    stages = []
+    for stage in schedule.stages:
+        stages.append((str(stage.number), ", ".join(stage.members), _stage_text(stage)))
+    components = []
+    for one in schedule.components:
+        components.append((one.name, str(one.stage), one.kind, one.rate, _feedthrough_text(one)))
+    connections = [(one.source, one.to, _COURSES[one.course]) for one in schedule.connections]
+    headings = ("", "stage", "kind", "outputs change", "direct feedthrough")
+    tables = [
+        new_table(title, ("", "components", "advance"), stages),
+        new_table("components", headings, components),
+        new_table("connections", ("from", "to", "within a step"), connections),
+    ]
+    print_tables(tables)
+
+
+def _stage_text(stage: ScheduledStage) -> str:
+    """Return how the components of a stage advance."""
+    if not stage.coupling:
+        return "in blocks of steps"
+    text = f"step by step, {stage.coupling}: {', '.join(stage.operations)}"
+    if stage.solved:
+        text += f"; solved in every step: {', '.join(stage.solved)}"
+    if stage.is_first_order:
+        text += "; coupling error: first order"
+    if stage.shortest_substep is not None:
+        some = len(stage.substeps) < len(stage.members)
+        names = f"{', '.join(stage.substeps)} " if some else ""
+        text += f"; {names}in substeps of at least {stage.shortest_substep:g} s"
+    return text
+
+
+def _feedthrough_text(component: ScheduledComponent) -> str:
+    """Return on which inputs the outputs of a component depend directly."""
+    texts = []
+    without = []
+    for output, inputs in component.feedthrough.items():
+        if inputs is None:
+            texts.append(f"{output}: not known")
+        elif inputs:
+            texts.append(f"{output} from {' '.join(inputs)}")
+        else:
+            without.append(output)
+    if texts and without:
+        texts.append(f"none: {' '.join(without)}")
+    return ", ".join(texts) or "none"

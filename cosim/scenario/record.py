@@ -100,9 +100,9 @@ class Compensation:
 
     regulated: tuple[int, ...]
     internal_model: bool
+    feedforward: bool = field(default=False, kw_only=True)
     interval: tuple[tuple[float, float], ...]
     largest_error: float
-    feedforward: bool = False
 
 
 class _Table(BaseModel):

@@ -13,8 +13,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import COLORS, LARGEST_DRAWN, shown_text
-from cosim.report.plots.fitting import broken
-from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
+from cosim.report.plots.picture import LARGEST, Picture, PictureOptions, broken
 from cosim.studies.layout import MetricColumn, StudyResults, VariedValues, count_text, numbers_of
 from cosim.studies.search import Search
 

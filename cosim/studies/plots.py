@@ -13,8 +13,7 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError, nearest, quoted
 from cosim.report.plots.curves import COLORS, WIDTH, shown_text
-from cosim.report.plots.fitting import broken
-from cosim.report.plots.picture import PictureOptions, need_plot
+from cosim.report.plots.picture import PictureOptions, broken, need_plot
 from cosim.studies import panels
 from cosim.studies.layout import StudyResults, count_text, drawn_members
 from cosim.studies.panels import NOTE, Scale, StudyPicture, is_logarithmic, mark_failed

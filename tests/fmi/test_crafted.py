@@ -12,8 +12,7 @@ import pytest
 
 from cosim.errors import CosimError
 from cosim.fmi.checking.check import check
-from cosim.report.inspection import describe_fmu
-from cosim.report.tables.fmu import print_fmu
+from cosim.report.fmu import describe_fmu, print_fmu
 from tests.fmi.archives import Entry, write
 from tests.fmi.descriptions import CO_SIMULATION, FMI2, FMI3, fmi1
 

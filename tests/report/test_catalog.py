@@ -46,24 +46,22 @@ def test_kinds_say_their_ports_and_expressions_their_functions(capsys):
     text = capsys.readouterr().out
     assert "ports: [u1], [u2], ... -> y" in text
     assert all(f" {name}" in text for name in FUNCTIONS)
-    print_kind("lag", as_json=True)
-    assert json.loads(capsys.readouterr().out)["ports"] == "u -> y"
 
 
 def test_kinds_mark_what_may_be_set_in_a_run(capsys):
     print_kind("pid", as_json=False)
-    lines = capsys.readouterr().out.splitlines()
-    assert "parameter\tdefault\tin a run\tmeaning" in lines
-    rows = {line.split("\t")[0]: line.split("\t")[2] for line in lines[2:]}
+    lines = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert ["parameter", "default", "in a run", "meaning"] in lines
+    rows = {line[0]: line[2] for line in lines[3:]}
     assert rows["gain"] == rows["upper"] == "tunable"
     assert rows["period"] == rows["initial_integral"] == ""
-    print_kind("lag", as_json=True)
-    assert json.loads(capsys.readouterr().out)["tunable"] == ["time_constant"]
     print_kind("delay", as_json=False)
     assert "parameter\tdefault\tmeaning" in capsys.readouterr().out.splitlines()
     print_kind("fmu", as_json=False)
-    text = "tunable: parameters that the FMU declares tunable; 'cosim info'"
-    assert text in capsys.readouterr().out
+    assert "tunable: parameters that the FMU declares tunable" in capsys.readouterr().out
+    print_kind("lag", as_json=True)
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["ports"], shown["tunable"]) == ("u -> y", ["time_constant"])
 
 
 def test_every_tunable_key_is_a_key_of_its_kind():

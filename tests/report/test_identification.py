@@ -11,8 +11,9 @@ import pytest
 
 import cosim
 from cosim.report.plots import identification as plots
-from cosim.report.plots.intervals import band_curves
+from cosim.report.plots.curves import draw_curves
 from cosim.report.plots.picture import PictureOptions
+from cosim.report.plots.runs import estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.estimates import IF_WRONG, estimate_notes
 from cosim.report.tables.identification import report_identification
@@ -266,19 +267,22 @@ def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, ver
     """Where noise does not explain the residual, the titles say why there is none."""
     pytest.importorskip("matplotlib")
     bands = []
-    monkeypatch.setattr(
-        plots, "draw_bands", lambda panel, curves, widths, styles: bands.append(len(widths))
-    )
+
+    def keep(panel, curves, styles=None):
+        draw_curves(panel, curves, styles)
+        bands.append([curve.band is not None for curve in curves])
+
+    monkeypatch.setattr(plots, "draw_curves", keep)
     found = identify_records([identifier_record(logs["first"])], bounds=bounds)
     assert {one.verdict for one in found.assessment.parameters} == {verdict}
     plots.plot_identification(found, tmp_path / "a.svg")
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
-    of_delta = bands[:2]
+    of_delta = bands[1:3]  # behind the residual
     if verdict == "IDENTIFIABLE":
-        assert of_delta == [1, 1]
+        assert of_delta == [[True], [True]]
         assert "its error, and 95 % band" in texts
     else:
-        assert of_delta == [0, 0]
+        assert of_delta == [[False], [False]]
         reason = f"no 95 % band: theta[0] is {verdict}"
         assert texts.count(reason) == 1
         assert texts.count(f"its error; {reason}") == 1
@@ -306,15 +310,19 @@ def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     text = (tmp_path / "a.svg").read_text("utf-8")
     assert "gray: truth" not in text
     assert "its error" not in text
-    assert "half width of its 95 % band" in text
-    assert "half width of its 95 % interval" in text
+    assert text.count("half width of its 95 % band") == 2
+    found = identify_records([identifier_record(logs["first"])], bounds={1: (-0.5, -0.5)})
+    plots.plot_identification(found, tmp_path / "b.svg")  # nothing stands beside the disturbance
+    text = (tmp_path / "b.svg").read_text("utf-8")
+    assert text.count("no 95 % band: theta[0] is INCONSISTENT") == 2
 
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):
     """The standard picture draws it around theta; other estimates have none."""
-    widths = band_curves(logs["first"], "identifier.theta", PictureOptions())
+    curves = estimate_curves(logs["first"], "identifier.theta", PictureOptions())
     recorded = logs["first"]["identifier.standard_error"]
-    for width, error in zip(widths, recorded.T, strict=True):
+    for curve, error in zip(curves, recorded.T, strict=True):
         expected = NormalDist().inv_cdf(0.975) * error
-        np.testing.assert_allclose(width.values, expected, rtol=1e-12)
-    assert band_curves(logs["first"], "observer.delta", PictureOptions()) == []
+        np.testing.assert_allclose(curve.band, expected, rtol=1e-12)
+    (delta,) = estimate_curves(logs["first"], "observer.delta", PictureOptions())
+    assert delta.band is None

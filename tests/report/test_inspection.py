@@ -1,15 +1,20 @@
-"""What info shows of a scenario and of a log."""
+"""What info shows of a scenario, of a log, and of a recording of another tool."""
 
 import platform
 from datetime import UTC, datetime, timedelta
 from time import process_time
 
 import pytest
+from mcap.writer import Writer
+from mcap_protobuf.writer import Writer as ProtobufWriter
+from mcap_ros2.writer import Writer as RosWriter
 
 import cosim
+from cosim.errors import LogError
 from cosim.report import inspection
-from cosim.report.inspection import describe_log, describe_scenario
+from cosim.report.inspection import describe_log, describe_recording, describe_scenario
 from cosim.scenario.exporting import export_component
+from tests.log.foreign.field_logs import EPOCH, state_class, write_json
 from tests.log.recordings import STEP_NS, record
 from tests.scenario.user_modules import RELAY
 
@@ -19,22 +24,11 @@ name = "x"
 stop = 0.2
 step = 0.1
 
-[components.length]
-kind = "constant"
-value = 1.0
-unit = "m"
-
-[components.width]
-kind = "constant"
-value = 2.0
-unit = "m"
-
-[components.area]
-kind = "sum"
-signs = [1.0]
-size = 2
-unit = "mm"
-
+[components]
+length = { kind = "constant", value = 1.0, unit = "m" }
+width = { kind = "constant", value = 2.0, unit = "m" }
+area = { kind = "sum", signs = [1.0], size = 2, unit = "mm" }
+#
 [connections]
 "area.u1" = { from = ["length.y", "width.y"], offset = -0.5 }
 """
@@ -60,25 +54,17 @@ def test_signals_are_shown_with_what_they_are():
     assert rows["u.y"] is None
 
 
-def test_an_fmu_that_saves_its_state_is_shown(tmp_path):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_an_fmu_that_saves_its_state_is_shown(tmp_path, interface_type):
     """The description is enough, whatever the FMU could do if it ran."""
-    fmu = tmp_path / "plant.fmu"
-    export_component("closed-loop", "plant", fmu)
+    export_component("closed-loop", "plant", tmp_path / "plant.fmu")
+    table = f'{{ kind = "fmu", path = "plant.fmu", interface_type = "{interface_type}" }}'
     path = tmp_path / "x.toml"
-    for interface_type in ("me", "cs"):
-        path.write_text(
-            f'''
-[scenario]
-name = "x"
-stop = 0.2
-step = 0.1
-
-[components]
-plant = {{ kind = "fmu", path = "{fmu}", interface_type = "{interface_type}" }}
-'''
-        )
-        signals = [row["signal"] for row in describe_scenario(str(path))["signals"]]
-        assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
+    path.write_text(
+        f'scenario = {{ name = "x", stop = 0.2, step = 0.1 }}\ncomponents.plant = {table}\n'
+    )
+    signals = [row["signal"] for row in describe_scenario(str(path))["signals"]]
+    assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
 
 
 def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkeypatch):
@@ -117,21 +103,11 @@ def test_a_log_has_no_path_of_its_sender(tmp_path, monkeypatch):
     (scenarios / "few.csv").write_text("t,y\n0,1\n0.2,2\n")  # a warning names it
     export_component("closed-loop", "plant", folder / "plant.fmu")
     text = SCENARIO.replace(
-        "[connections]",
+        "#\n[connections]",
         """
-[components.few]
-kind = "field-data"
-path = "few.csv"
-
-[components.relay]
-kind = "python"
-class = "relay:Relay"
-width = 0.1
-
-[components.plant]
-kind = "constant"
-value = 1.0
-
+few = { kind = "field-data", path = "few.csv" }
+relay = { kind = "python", class = "relay:Relay", width = 0.1 }
+plant = { kind = "constant", value = 1.0 }
 [connections]
 "relay.u" = "length.y"
 """,
@@ -141,10 +117,7 @@ value = 1.0
     swaps = {"plant": folder / "plant.fmu", "width": scenarios / "few.csv"}
     with pytest.warns(cosim.CosimWarning):
         run = cosim.run(
-            scenarios / "x.toml",
-            swap=swaps,
-            map={"width.y": "y"},
-            out=folder / "x.mcap",
+            scenarios / "x.toml", swap=swaps, map={"width.y": "y"}, out=folder / "x.mcap"
         )
     with pytest.warns(cosim.CosimWarning):
         again = cosim.replay(folder / "x.mcap", out=folder / "y.mcap")
@@ -159,14 +132,13 @@ value = 1.0
 
 def describing_cost(folder, size):
     """Return the processor time for each component to describe a chain of gains."""
-    lines = ["[scenario]", 'name = "gains"', "stop = 0.01", "step = 1e-3"]
-    connections = ["[connections]"]
-    lines += ["[components.g0]", 'kind = "constant"', "value = 1.0"]
-    for i in range(1, size):
-        lines += [f"[components.g{i}]", 'kind = "gain"', "K = 2.0"]
-        connections.append(f'"g{i}.u" = "g{i - 1}.y"')
+    gains = [f'g{i} = {{ kind = "gain", K = 2.0 }}' for i in range(1, size)]
+    connections = [f'"g{i}.u" = "g{i - 1}.y"' for i in range(1, size)]
+    head = 'scenario = { name = "gains", stop = 0.01, step = 1e-3 }'
+    first = 'g0 = { kind = "constant", value = 1.0 }'
+    lines = [head, "[components]", first, *gains, "[connections]", *connections]
     path = folder / f"{size}.toml"
-    path.write_text("\n".join(lines + connections), encoding="utf-8")
+    path.write_text("\n".join(lines), encoding="utf-8")
     began = process_time()
     assert len(describe_scenario(str(path))["connections"]) == size - 1
     return (process_time() - began) / size
@@ -182,3 +154,121 @@ def test_the_cost_to_describe_a_component_does_not_grow(tmp_path):
         if ratio <= 1.5:
             return
     raise AssertionError(f"a component costs {ratio} times as much to describe")
+
+
+# --- recordings of other tools ---
+
+
+def fields_of(content):
+    return {row["field"]: row["type"] for row in content["fields"]}
+
+
+def test_topics_are_shown_with_their_messages_in_time(tmp_path):
+    """Counts, rate at the median distance, order, the largest gap and where it is."""
+    times = [0, 10, 20, 20, 30, 70, 60, 80]
+    rows = [(EPOCH + 10**6 * time, {"x": 1, "name": "n"}) for time in times]
+    options = {"schema": {"type": "object"}}
+    path = write_json(tmp_path / "log.mcap", {"/b": rows, "/a": [(EPOCH - 5, {})]}, **options)
+    content = describe_recording(str(path))
+    assert content["recording"] == {
+        "topics": 2,
+        "messages": 9,
+        "log times": "1699999999.999999995 s to 1700000000.08 s",
+        "duration": "0.080000005 s",
+    }
+    one, several = content["topics"]
+    assert (one["topic"], one["messages"], one["rate"]) == ("/a", 1, None)
+    assert several == {
+        "topic": "/b",
+        "encoding": "json",
+        "schema": "/b (jsonschema)",
+        "messages": 8,
+        "rate": "100 Hz",
+        "out of order": 1,
+        "same instant": 1,
+        "largest gap": "0.03 s",
+        "at": "1700000000.03 s",
+    }
+    assert fields_of(content) == {"/b.x": "number"}
+
+
+def test_fields_are_those_of_the_schemas(tmp_path):
+    """Of protobuf and ROS without a message, those of any length with brackets."""
+    path = tmp_path / "state.mcap"
+    with path.open("wb") as stream, ProtobufWriter(stream) as writer:
+        writer.write_message("/state", state_class()(), EPOCH, EPOCH)
+    fields = fields_of(describe_recording(str(path)))
+    expected = {
+        "/state.position": "double",
+        "/state.effort[]": "double",
+        "/state.mode": "enum",
+        "/state.inner.points[].y": "float",
+        "/state.stamp": "time",
+        "/state.stamp.seconds": "int64",
+    }
+    assert expected.items() <= fields.items()
+    assert not {"/state.name", "/state.raw", "/state.inner"} & fields.keys()
+    definition = (
+        "builtin_interfaces/Time stamp\nfloat64[3] x\nint8[] n\nP[2] p\nstring s\nbool on\n"
+        "===\nMSG: demo_msgs/P\nfloat32 y"
+    )
+    path = tmp_path / "ros.mcap"
+    with path.open("wb") as stream, RosWriter(stream) as writer:
+        schema = writer.register_msgdef("demo_msgs/msg/Demo", definition)
+        writer.write_message("/demo", schema, {}, EPOCH)
+    assert fields_of(describe_recording(str(path))) == {
+        "/demo.stamp": "time",
+        "/demo.stamp.sec": "int32",
+        "/demo.stamp.nanosec": "uint32",
+        "/demo.x[0:3]": "float64",
+        "/demo.n[]": "int8",
+        "/demo.p[].y": "float32",
+        "/demo.on": "bool",
+    }
+
+
+def test_fields_of_json_are_those_of_its_first_message(tmp_path):
+    """Lists of numbers as a whole, objects and lists of objects by their elements."""
+    value = {"a": [1, 2.5], "b": [{"c": 1}, {"d": True}], "t": {"sec": 1, "nsec": 2}, "e": []}
+    path = write_json(tmp_path / "log.mcap", {"/t": [(EPOCH, value), (EPOCH + 1, {"z": 1})]})
+    assert fields_of(describe_recording(str(path))) == {
+        "/t.a[0:2]": "number",
+        "/t.b[0].c": "number",
+        "/t.b[1].d": "bool",
+        "/t.t": "time",
+        "/t.t.sec": "number",
+        "/t.t.nsec": "number",
+    }
+
+
+def test_unread_topics_are_listed_with_the_problem(tmp_path, monkeypatch):
+    """By topic, and it is no error; of very many fields the first are shown."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("many", "ros2msg", b"float64 a\nfloat64 b\nfloat64 c")
+        writer.register_channel("/none", "cdr", schema)
+        for topic, encoding, data in (("/odd", "cbor", b"\xff"), ("/bad", "json", b"{")):
+            channel = writer.register_channel(topic, encoding, 0)
+            writer.add_message(channel, EPOCH, data, EPOCH)
+        writer.finish()
+    monkeypatch.setattr(inspection, "MOST_FIELDS", 2)
+    content = describe_recording(str(path))
+    assert list(fields_of(content)) == ["/none.a", "/none.b"]
+    assert content["more fields"] == {"not shown": 1}
+    assert content["topics"][1]["messages"] == 0
+    problems = {row["topic"]: row["problem"] for row in content["not read"]}
+    assert "'cbor'" in problems["/odd"]
+    assert "protobuf" in problems["/odd"]
+    assert problems["/bad"].startswith("the message is not JSON")
+
+
+def test_no_topics_are_shown_and_times_beyond_63_bits_refused(tmp_path):
+    """Nothing can be said of distances between them; of a file without topics there is nothing."""
+    path = write_json(tmp_path / "none.mcap", {})
+    nothing = {"recording": {"topics": 0, "messages": 0}, "topics": [], "fields": []}
+    assert describe_recording(str(path)) == nothing
+    path = write_json(tmp_path / "log.mcap", {"/t": [(2**63, {"x": 1})]})
+    with pytest.raises(LogError, match=r"'/t'.* 9223372036854775808 ns"):
+        describe_recording(str(path))

@@ -1,7 +1,8 @@
-"""Pictures: what they show, read back from the SVG, whose text is text."""
+"""Pictures: what they show, read back from the SVG, whose text is text, and from what is drawn."""
 
 import re
 from contextlib import nullcontext
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,14 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.report.plots import PictureOptions, plot_run, plot_signals
+from cosim.log import open_log
+from cosim.log.comparison.diff import diff
+from cosim.report.plots import PictureOptions, plot_difference, plot_run, plot_signals, runs
+from cosim.report.plots.curves import Curve, curves_of, draw_curves
+from cosim.report.plots.picture import Picture, broken
+from cosim.report.plots.runs import error_curves, near_most
+from cosim.units import Unit
+from tests.log.recordings import STEP_NS, layout, record, table
 
 pytest.importorskip("matplotlib")
 
@@ -22,11 +30,15 @@ step = 0.01
 a = { kind = "ramp", slope = 1.0, unit = "m" }
 b = { kind = "constant", value = 500.0, unit = "mm" }
 c = { kind = "constant", value = [1.0, 2.0], unit = "V" }
+d = { kind = "constant", value = [1.0, 2.0], unit = { y = ["mm", "m/s"] } }
+e = { kind = "lag", time_constant = 1.0 }
+[connections]
+"e.u" = "a.y"
 """
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def logs(tmp_path_factory):
     """Return two logs of a run without truth."""
     folder = tmp_path_factory.mktemp("logs")
     file = folder / "lengths.toml"
@@ -36,9 +48,9 @@ def runs(tmp_path_factory):
     return first, second
 
 
-@pytest.fixture(scope="module")
-def academic():
-    return cosim.run("academic", set={"scenario.stop": 8.0, "scenario.step": 0.01})
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "a.svg"
 
 
 def texts(path):
@@ -50,160 +62,128 @@ def size_of(path):
     """Return width and height of an SVG [cm]."""
     content = path.read_text(encoding="utf-8")
     points = re.search(r'width="([\d.]+)pt" height="([\d.]+)pt"', content).groups()
-    return tuple(float(length) / 72.0 * 2.54 for length in points)
+    return pytest.approx(tuple(float(length) / 72.0 * 2.54 for length in points), abs=1e-4)
 
 
-def test_every_curve_has_its_name_and_unit(runs, tmp_path):
+# --- signals ---
+
+
+def test_every_curve_has_its_name_and_unit(logs, out):
     """What all are of stands on the axis, with the unit, several in a legend; 5 cm a panel."""
-    plot_signals(runs[0], ["a.y", "c.y", "a.y, b.y"], tmp_path / "a.svg")
-    shown = texts(tmp_path / "a.svg")
+    plot_signals(logs[0], ["a.y", "c.y", "a.y, b.y", "d.y"], out)
+    shown = texts(out)
     assert shown.count("a.y [m]") == 1
     assert {"c.y[0]", "c.y[1]", "c.y [V]", "a.y", "b.y", "[m]", "t [s]"} <= set(shown)
+    assert {"d.y", "d.y[0] [mm]", "d.y[1] [m/s]"} <= set(shown)  # which have no common unit
     assert "[mm]" not in shown
-    assert size_of(tmp_path / "a.svg") == pytest.approx((22.0, 3.0 + 3 * 5.0), abs=1e-4)
+    assert size_of(out) == (22.0, 3.0 + 4 * 5.0)
+    plot_signals(logs[0], ["d.y[1]"], out)
+    assert "d.y[1] [m/s]" in texts(out)
 
 
-def test_units_of_one_kind_share_an_axis_and_others_do_not(runs, tmp_path):
-    """The curve in mm is drawn in m; volts need a panel of their own."""
-    from cosim.report.plots.curves import curves_of, draw_curves
+def test_units_of_one_kind_share_an_axis_and_others_do_not(logs, out):
+    """The curve in mm is drawn in m, with its band; volts need a panel of their own."""
+    from matplotlib.figure import Figure
 
-    lines = []
-
-    class Panel:
-        def plot(self, times, values, **style):
-            lines.append(values)
-
-        def set_ylabel(self, text):
-            assert text == "[m]"
-
-        def get_legend_handles_labels(self):
-            return [], []
-
-        def legend(self, handles, labels, **options):
-            pass
-
-    options = PictureOptions()
-    curves = [*curves_of(runs[0], "a.y", options), *curves_of(runs[0], "b.y", options)]
-    draw_curves(Panel(), curves, styles=[{}, {}])
-    assert lines[1].tolist() == [0.5] * 101
+    panel = Figure().subplots()
+    (length,) = curves_of(logs[0], "a.y", PictureOptions())
+    (width,) = curves_of(logs[0], "b.y", PictureOptions())
+    band = np.full(101, 100.0)
+    draw_curves(panel, [length, Curve("b.y", width.unit, width.times, width.values, band=band)])
+    assert panel.lines[1].get_ydata().tolist() == [0.5] * 101
+    edges = panel.collections[0].get_paths()[0].vertices[:, 1]
+    assert (edges.min(), edges.max()) == pytest.approx((0.4, 0.6))
     with pytest.raises(UsageError, match=r"a\.y in 'm' and c\.y\[0\] in 'V' cannot share an axis"):
-        plot_signals(runs[0], ["a.y,c.y[0]"], tmp_path / "b.svg")
+        plot_signals(logs[0], ["a.y,c.y[0]"], out)
 
 
-def test_elements_of_different_units_have_them_in_their_names(tmp_path):
-    """They are one signal, which the axis names, and have no common unit."""
-    (tmp_path / "a.toml").write_text("""
-        scenario = { name = "a", stop = 0.1, step = 0.1 }
-        components.a = { kind = "constant", value = [1.0, 2.0], unit = { y = ["mm", "m/s"] } }
-    """)
-    run = cosim.run(tmp_path / "a.toml")
-    plot_signals(run, ["a.y"], tmp_path / "a.svg")
-    assert {"a.y", "a.y[0] [mm]", "a.y[1] [m/s]"} <= set(texts(tmp_path / "a.svg"))
-    plot_signals(run, ["a.y[1]"], tmp_path / "b.svg")
-    assert "a.y[1] [m/s]" in texts(tmp_path / "b.svg")
-
-
-def test_several_logs_share_a_panel(runs, tmp_path):
+def test_several_logs_share_a_panel(logs, out):
     """The axis says which signal it is, each curve from which log, by its folder if need be."""
-    plot_signals(runs, ["a.y", "c.y"], tmp_path / "a.svg")
-    shown = set(texts(tmp_path / "a.svg"))
-    assert {"a.y [m]", "a.y (first)", "a.y (second)", "c.y [V]", "c.y[1] (second)"} <= shown
-    plot_signals([runs[0], runs[0]], ["a.y"], tmp_path / "b.svg")
-    assert texts(tmp_path / "b.svg").count(f"a.y ({runs[0].path})") == 2
+    plot_signals(logs, ["a.y", "c.y"], out)
+    expected = {"a.y [m]", "a.y (first)", "a.y (second)", "c.y [V]", "c.y[1] (second)"}
+    assert expected <= set(texts(out))
+    plot_signals([logs[0], logs[0]], ["a.y"], out)
+    assert texts(out).count(f"a.y ({logs[0].path})") == 2
 
 
-def test_many_panels_stand_side_by_side(runs, tmp_path):
+def test_many_panels_stand_side_by_side(logs, out):
     """At most four in a column: a picture fits a screen; the lowest of each column has the time."""
-    plot_signals(runs[0], ["a.y"] * 4, tmp_path / "a.svg")
-    assert size_of(tmp_path / "a.svg") == pytest.approx((22.0, 3.0 + 4 * 5.0), abs=1e-4)
-    assert texts(tmp_path / "a.svg").count("t [s]") == 1
-    plot_signals(runs[0], ["a.y"] * 5, tmp_path / "a.svg")
-    assert size_of(tmp_path / "a.svg") == pytest.approx((32.0, 3.0 + 3 * 6.0), abs=1e-4)
-    assert [texts(tmp_path / "a.svg").count(text) for text in ("t [s]", "a.y [m]", "0.2")] == [
-        2,
-        5,
-        2 + 5,  # on both axes of time, and on all of values
-    ]
+    plot_signals(logs[0], ["a.y"] * 4, out)
+    assert size_of(out) == (22.0, 3.0 + 4 * 5.0)
+    assert texts(out).count("t [s]") == 1
+    plot_signals(logs[0], ["a.y"] * 5, out)
+    assert size_of(out) == (32.0, 3.0 + 3 * 6.0)
+    counts = [texts(out).count(text) for text in ("t [s]", "a.y [m]", "0.2")]
+    assert counts == [2, 5, 2 + 5]  # the number on both axes of time, and on all of values
 
 
-def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):
+def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
     """The curve is cut one row outside the window; sizes are in cm."""
-    options = PictureOptions(size=(12.7, 7.62), start=0.25, stop=0.5, title="A & B")
-    plot_signals(runs[0], ["a.y"], tmp_path / "a.svg", options)
-    assert size_of(tmp_path / "a.svg") == pytest.approx((12.7, 7.62), abs=1e-9)
-    assert "A &amp; B" in texts(tmp_path / "a.svg")
-    from cosim.report.plots.curves import curves_of
-
-    (curve,) = curves_of(runs[0], "a.y", options)
-    assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
-    between = PictureOptions(start=0.253, stop=0.497)
-    (curve,) = curves_of(runs[0], "a.y", between)
-    assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
+    options = PictureOptions(size=(12.7, 7.62), start=0.253, stop=0.497, title="A & B")
+    plot_signals(logs[0], ["a.y"], out, options)
+    assert size_of(out) == (12.7, 7.62)
+    assert "A &amp; B" in texts(out)
+    for window in (options, PictureOptions(start=0.25, stop=0.5)):
+        (curve,) = curves_of(logs[0], "a.y", window)
+        assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
 
 
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"size": (0.0, 5.0)}, "got 0 x 5 cm"),
-        ({"size": (5.0, float("nan"))}, "got 5 x nan cm"),
-        ({"start": 2.0, "stop": 1.0}, "stop: expected a time after start = 2 s, got 1 s"),
-        ({"stop": float("inf")}, "stop: expected a finite number, got inf s"),
+        ({"size": (0.0, 5.0)}, "0 x 5 cm"),
+        ({"size": (5.0, float("nan"))}, "5 x nan cm"),
+        ({"start": 2.0, "stop": 1.0}, "stop: .* start = 2 s, got 1 s"),
+        ({"stop": float("inf")}, "stop: .* inf s"),
+        ({"start": 2.0}, r"start, stop: .*0 s to 1 s"),
+        ({"stop": -1.0}, r"start, stop: .*0 s to 1 s"),
     ],
 )
-def test_a_wrong_size_or_window_is_refused(options, text):
-    """Before anything is drawn."""
-    with pytest.raises(UsageError, match=re.escape(text)):
-        PictureOptions(**options)
+def test_a_wrong_size_or_window_is_refused(logs, out, options, text):
+    """As is one without rows: an empty picture says nothing."""
+    with pytest.raises(UsageError, match=text):
+        plot_signals(logs[0], ["a.y"], out, PictureOptions(**options))
 
 
-@pytest.mark.parametrize("window", [{"start": 2.0}, {"stop": -1.0}])
-def test_a_window_without_rows_is_refused(runs, tmp_path, window):
-    """An empty picture says nothing; the message names the times that there are."""
-    with pytest.raises(UsageError, match=r"start, stop: .*0 s to 1 s"):
-        plot_signals(runs[0], ["a.y"], tmp_path / "a.svg", PictureOptions(**window))
+def test_a_picture_of_any_values_is_drawn_or_refused(tmp_path, subtests):
+    """Where an axis cannot hold them, the signal is named."""
+    for values in ([np.nan, np.inf, -np.inf], [5e-324, -5e-324], [1e308, -1e308]):
+        rows = np.zeros((21, layout().width))
+        for number, value in enumerate(values):
+            rows[5 + 3 * number : 8 + 3 * number] = value
+        path = tmp_path / f"{values[0]}.mcap"
+        record(path, rows=rows)
+        picture = path.with_suffix(".png")
+        with subtests.test(case=values):
+            if values[0] == 1e308:
+                with pytest.raises(UsageError, match=r"plant\.u: .*1e\+308"):
+                    plot_signals(open_log(path), ["plant.u"], picture)
+            else:
+                plot_signals(open_log(path), ["plant.u"], picture)
+                assert picture.stat().st_size > 0
 
 
-def test_the_standard_picture_shows_estimates_truth_and_errors(academic, tmp_path):
-    """A panel of errors for each estimate; the errors are those of the summary."""
-    from cosim.report.plots.estimates import error_curves
-
-    plot_run(academic, tmp_path / "a.svg")
-    shown = texts(tmp_path / "a.svg")
-    assert {"academic", "errors", "error of observer.delta", "identifier.theta[1]"} <= set(shown)
-    # wider for its two columns, a row each for x, delta and theta
-    assert size_of(tmp_path / "a.svg") == pytest.approx((32.0, 3.0 + 3 * 6.0), abs=1e-4)
-    (error,) = error_curves(academic, "observer.delta", "delta.y", PictureOptions())
-    assert np.array_equal(error.values, academic["observer.delta"] - academic["delta.y"])
-    first, second = error_curves(academic, "identifier.theta", [-0.1, -0.3], PictureOptions())
-    theta = academic["identifier.theta"]
-    assert np.array_equal(second.values, theta[:, 1] + 0.3, equal_nan=True)
-    assert np.array_equal(first.values, theta[:, 0] + 0.1, equal_nan=True)
+def test_a_picture_of_no_signals_or_to_no_file_is_refused(logs, tmp_path, subtests):
+    for signals in ([], [3], ["a"], "a.y"):
+        with subtests.test(case=signals), pytest.raises(UsageError):
+            plot_signals(logs[0], signals, tmp_path / "a.png")
+    (tmp_path / "file").touch()
+    for name, problem in {"file/a.png": "cannot be written", "a.doc": r"'\.doc'"}.items():
+        with pytest.raises(UsageError, match=problem):
+            plot_signals(logs[0], ["a.y"], tmp_path / name)
 
 
-@pytest.mark.slow
-def test_a_run_without_truth_has_a_picture_of_its_outputs(runs, tmp_path):
-    """A panel for each; where there are many, the title says how many are shown."""
-    plot_run(runs[0], tmp_path / "a.svg")
-    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "lengths"} <= set(texts(tmp_path / "a.svg"))
-    many = tmp_path / "many.toml"
-    lines = [f'c{i} = {{ kind = "constant", value = 1.0 }}' for i in range(20)]
-    many.write_text(SCENARIO.partition("a =")[0] + "\n".join(lines))
-    plot_run(cosim.run(many), tmp_path / "b.svg")
-    assert "lengths: the first 12 of 20 outputs" in texts(tmp_path / "b.svg")
+@pytest.mark.parametrize(
+    ("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")]
+)
+def test_every_format_is_written(logs, out, suffix, begin):
+    plot_signals(logs[0], ["a.y"], out.with_suffix(suffix))
+    assert out.with_suffix(suffix).read_bytes().startswith(begin)
 
 
-def test_every_format_is_written(runs, tmp_path):
-    """PDF keeps text in fonts, too."""
-    for suffix, begin in ((".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")):
-        path = tmp_path / f"a{suffix}"
-        plot_signals(runs[0], ["a.y"], path)
-        assert path.read_bytes().startswith(begin)
-
-
-def test_a_picture_that_is_interrupted_leaves_the_one_before(runs, tmp_path, monkeypatch):
+def test_a_picture_that_is_interrupted_leaves_the_one_before(logs, out, monkeypatch):
     """Ctrl-C while it is drawn."""
-    path = tmp_path / "a.png"
-    path.write_bytes(b"before")
+    out.write_bytes(b"before")
 
     def interrupted(figure, target, **options):
         with open(target, "wb") if isinstance(target, str | Path) else nullcontext(target) as file:
@@ -212,48 +192,173 @@ def test_a_picture_that_is_interrupted_leaves_the_one_before(runs, tmp_path, mon
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        plot_signals(runs[0], ["a.y"], path)
-    assert path.read_bytes() == b"before"
+        plot_signals(logs[0], ["a.y"], out)
+    assert out.read_bytes() == b"before"
 
 
-def test_states_are_shown_of_components_that_have_no_other_outputs(tmp_path):
-    """A lag's y is its state; an observer's state beside its outputs would be too much."""
-    text = (
-        '[scenario]\nname = "lags"\nstop = 1.0\nstep = 0.1\n[components]\n'
-        's = { kind = "step", time = 0.5, before = 0.0, after = 1.0 }\n'
-        'a = { kind = "lag", time_constant = 1.0 }\n'
-        '[connections]\n"a.u" = "s.y"\n'
-    )
-    (tmp_path / "lags.toml").write_text(text)
-    plot_run(cosim.run(tmp_path / "lags.toml"), tmp_path / "a.svg")
-    assert {"s.y", "a.y"} <= set(texts(tmp_path / "a.svg"))
+# --- runs ---
 
 
-def test_a_legend_of_many_curves_fits_its_panel(tmp_path, recwarn):
-    """The first are named, and how many there are."""
-    scenario = tmp_path / "many.toml"
-    components = [f'c{i} = {{ kind = "constant", value = {i}.0 }}' for i in range(60)]
-    lines = ['[scenario]\nname = "many"\nstop = 1.0\nstep = 0.1\n[components]', *components]
-    scenario.write_text("\n".join(lines))
-    names = ",".join(f"c{i}.y" for i in range(60))
-    plot_signals([cosim.run(scenario, out=tmp_path / "m.mcap")], [names], tmp_path / "a.svg")
-    shown = texts(tmp_path / "a.svg")
-    assert "the first 24 of 60" in shown
-    assert ("c23.y" in shown, "c24.y" in shown) == (True, False)
-    assert not recwarn.list
+def test_the_standard_picture_shows_estimates_truth_and_errors(out):
+    """A panel of errors for each estimate; the errors are those of the summary."""
+    run = cosim.run("academic", set={"scenario.stop": 8.0, "scenario.step": 0.01})
+    plot_run(run, out)
+    expected = {"academic", "errors", "error of observer.delta", "identifier.theta[1]"}
+    assert expected <= set(texts(out))
+    assert size_of(out) == (32.0, 3.0 + 3 * 6.0)  # a row each for x, delta and theta
+    (error,) = error_curves(run, "observer.delta", PictureOptions())
+    assert np.array_equal(error.values, run["observer.delta"] - run["delta.y"])
+    errors = error_curves(run, "identifier.theta", PictureOptions())
+    for curve, values, true in zip(errors, run["identifier.theta"].T, (-0.1, -0.3), strict=True):
+        assert np.array_equal(curve.values, values - true, equal_nan=True)
+
+
+@pytest.mark.slow
+def test_a_run_without_truth_has_a_picture_of_its_outputs(logs, tmp_path, out):
+    """A panel for each; where there are many, the title says how many are shown.
+
+    The lag's output is its state, and shown, as it has no other.
+    """
+    plot_run(logs[0], out)
+    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "e.y", "lengths"} <= set(texts(out))
+    many = tmp_path / "many.toml"
+    lines = [f'c{i} = {{ kind = "constant", value = 1.0 }}' for i in range(60)]
+    many.write_text(SCENARIO.partition("a =")[0] + "\n".join(lines))
+    run = cosim.run(many)
+    plot_run(run, out)
+    assert "lengths: the first 12 of 60 outputs" in texts(out)
+    plot_signals(run, [",".join(f"c{i}.y" for i in range(60))], out)  # whose legend would not fit
+    assert {"the first 24 of 60", "c23.y"} <= set(texts(out))
+    assert "c24.y" not in texts(out)
 
 
 def test_a_method_far_beyond_most_does_not_hide_the_others():
     """It leaves the panel; curves of one size, one alone and one without a value all stay."""
-    from cosim.report.plots.comparison import near_most
-    from cosim.report.plots.curves import Curve
-    from cosim.units import Unit
-
     t = np.linspace(0.0, 1.0, 50)
     curves = []
     for size in (1.0, 2.0, 0.5, 1e3, np.nan):
         curves.append(Curve("theta", Unit(None), t, size * np.sin(9.0 * t)))
-    shown = near_most(curves[:4])
-    assert [id(curve) for curve in shown] == [id(curve) for curve in curves[:3]]
+    assert list(map(id, near_most(curves[:4]))) == list(map(id, curves[:3]))
     assert len(near_most(curves[3:4])) == 1
     assert len(near_most(curves[4:])) == 1
+
+
+# --- differences ---
+
+
+@pytest.fixture
+def rows():
+    """Return rows of numbers."""
+    return np.nan_to_num(table(layout(), 100), posinf=1.0, neginf=-1.0)
+
+
+@pytest.fixture
+def draw(tmp_path, rows, out, monkeypatch):
+    """Return a function that draws the difference to other rows, and returns the lines drawn."""
+
+    def draw(changed, **options):
+        record(tmp_path / "first.mcap", rows=rows)
+        record(tmp_path / "second.mcap", rows=changed)
+        both = open_log(tmp_path / "first.mcap"), open_log(tmp_path / "second.mcap")
+        panels = []
+
+        def keep(panel, curves, styles):
+            draw_curves(panel, curves, styles)
+            panels.append(list(panel.lines))
+
+        monkeypatch.setattr(runs, "draw_curves", keep)
+        plot_difference(diff(*both, **options), both, out)
+        return panels
+
+    return draw
+
+
+def test_both_curves_and_their_difference_are_drawn(rows, draw, out):
+    """Of the element that is farthest apart, by the names of the runs, with the tolerance."""
+    changed = rows.copy()
+    changed[40:, 2] += 0.5
+    (first, second), (apart,) = draw(changed, tol={"plant.*": 0.1})
+    assert np.array_equal(first.get_ydata(), rows[:, 2])
+    assert np.array_equal(second.get_ydata(), changed[:, 2])
+    assert np.array_equal(apart.get_ydata(), changed[:, 2] - rows[:, 2])
+    assert np.array_equal(apart.get_xdata(), np.arange(101) * STEP_NS / 1e9)
+    assert {line.get_drawstyle() for line in (first, second, apart)} == {"default"}
+    expected = {"plant.x_a[1] (first)", "plant.x_a[1] (second)", "tolerance", "first outside"}
+    assert expected <= set(texts(out))
+    assert "plant.x_a[1]: largest |a - b| = 0.5" in texts(out)
+
+
+def test_a_discrete_signal_and_its_difference_hold_between_rows(rows, draw):
+    """They are drawn as steps, such as n of the plant."""
+    changed = rows.copy()
+    changed[40:60, 4] += 2.0
+    both, (apart,) = draw(changed)
+    assert [line.get_drawstyle() for line in (*both, apart)] == 3 * ["steps-post"]
+    assert np.array_equal(apart.get_ydata(), changed[:, 4] - rows[:, 4])
+
+
+def test_a_number_beside_none_is_drawn_where_it_is(rows, draw, out):
+    """The difference is infinite there; the element is the first that is outside."""
+    changed = rows.copy()
+    changed[30, 2] = np.nan
+    rows[20, 1] = changed[20, 1] = np.inf
+    draw(changed)
+    assert "plant.x_a[1]: largest |a - b| = inf" in texts(out)
+
+
+def test_runs_of_other_lengths_are_drawn(rows, draw):
+    """Each with its own rows; the difference at those that both have."""
+    changed = rows[:51].copy()
+    changed[10, 0] += 1.0
+    (first, second), (apart,) = draw(changed)
+    assert [len(line.get_xdata()) for line in (first, second, apart)] == [101, 51, 51]
+
+
+# --- texts that fit ---
+
+
+@pytest.mark.parametrize(
+    ("text", "count", "lines"),
+    [
+        ("over plant.mass and rate", 40, ["over plant.mass and rate"]),
+        ("over plant.mass and rate", 16, ["over plant.mass", "and rate"]),
+        ("plant.filter_rate [rad/s]", 14, ["plant.filter_", "rate [rad/s]"]),
+        ("a.very_long_name", 6, ["a.", "very_", "long_", "name"]),
+        ("abcdefghij", 4, ["abcd", "efgh", "ij"]),
+        ("one\ntwo words", 4, ["one", "two", "word", "s"]),
+        ("ends  ", 4, ["ends"]),
+        ("", 4, [""]),
+    ],
+)
+def test_a_text_is_broken_after_blanks_and_names_after_their_parts(text, count, lines):
+    """No line is longer, and nothing is lost but blanks."""
+    assert broken(text, count).split("\n") == lines
+
+
+@pytest.mark.parametrize(
+    ("scale", "low", "high", "fewest"),
+    [
+        ("log", 0.011, 0.08, 3),  # 3e-2 and 4e-2 would be on each other
+        ("log", 1.0, 1.5, 3),  # a number for every tenth
+        ("log", 0.5, 5e4, 5),
+        ("linear", 4.00001, 4.00002, 2),
+        ("linear", 1.7e9 + 0.01, 1.7e9 + 0.02, 2),
+    ],
+)
+def test_numbers_at_axes_are_whole_and_apart(out, scale, low, high, fewest):
+    """None runs into another, and none is to be added to another beside the axis."""
+    picture = Picture(1, PictureOptions(size=(14.0, 9.0)), shares_time=False)
+    panel = picture.panels[0]
+    values = np.linspace(low, high, 20)
+    draw = panel.loglog if scale == "log" else panel.plot
+    draw(values, values)
+    panel.set_ylabel("a name that is far too long for the height of the picture that it stands at")
+    picture.save(out)
+    panel.figure.draw_without_rendering()  # at its own resolution again
+    assert panel.yaxis.label.get_window_extent().height <= panel.figure.bbox.height
+    for axis in (panel.xaxis, panel.yaxis):
+        assert "+" not in axis.get_offset_text().get_text()
+        shown = [*axis.get_majorticklabels(), *axis.get_minorticklabels()]
+        seen = [label.get_window_extent() for label in shown if label.get_text()]
+        assert len(seen) >= fewest
+        assert not [pair for pair in combinations(seen, 2) if pair[0].overlaps(pair[1])]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.cli import main
-from cosim.report.plots.schedule_layout import layout_of
+from cosim.report.plots.schedule import layout_of
 from cosim.report.schedule import GraphSchedule, ScheduledConnection, ScheduledStage, schedule_of
 from tests.scenario import certified
 from tests.scenario.certified import write
@@ -51,17 +51,9 @@ def test_rates_and_feedthrough_are_those_of_the_interfaces():
     assert components["u"].stage < components["plant"].stage < components["observer"].stage
 
 
-def test_delayed_and_held_inputs_are_named(tmp_path):
+def test_delayed_inputs_are_named():
     found = courses("compensation")
     assert found["identifier.theta", "compensator.theta"] == "delayed"
-    path = tmp_path / "held.toml"
-    path.write_text(
-        '[scenario]\nname = "held"\nstop = 1.0\nstep = 0.1\n[components]\n'
-        'step = { kind = "step", time = 0.5 }\nlag = { kind = "lag", time_constant = 1.0 }\n'
-        '[connections]\n"lag.u" = "step.y"\n',
-        encoding="utf-8",
-    )
-    assert courses(path) == {("step.y", "lag.u"): "zero-order hold"}
 
 
 SAMPLED = """
@@ -77,54 +69,63 @@ meter = {{ kind = "sensor", period = 0.2 }}
 """
 
 
+OFFSET = ", period = 0.6, offset = 0.2"
+LINEAR = ', input_interpolation = "linear"'
+
+
+@pytest.fixture
+def sampled(tmp_path):
+    """Return a function that writes a scenario with a controller with more keys."""
+
+    def sampled(keys, source="sine"):
+        path = tmp_path / "sampled.toml"
+        path.write_text(SAMPLED.format(keys=keys, source=source), encoding="utf-8")
+        return path
+
+    return sampled
+
+
 @pytest.mark.parametrize(
     ("keys", "source", "rate", "course"),
     [
-        (", period = 0.6, offset = 0.2", "sine", (0.6, 0.2), "sampled"),
+        (OFFSET, "sine", (0.6, 0.2), "sampled"),
         (", period = 0.1", "sine", (None, 0.0), "sampled"),
-        (
-            ', period = 0.6, input_interpolation = "linear"',
-            "sine",
-            (0.6, 0.0),
-            "linear over period",
-        ),
-        (', period = 0.6, input_interpolation = "linear"', "step", (0.6, 0.0), "sampled"),
-        (', period = 0.1, input_interpolation = "linear"', "sine", (None, 0.0), "linear"),
+        (f", period = 0.6{LINEAR}", "sine", (0.6, 0.0), "linear over period"),
+        (f", period = 0.6{LINEAR}", "step", (0.6, 0.0), "sampled"),
+        (f", period = 0.1{LINEAR}", "sine", (None, 0.0), "linear"),
         ("", "step", (None, 0.0), "zero-order hold"),
         ("", "sine", (None, 0.0), "linear"),
     ],
 )
-def test_period_and_offset_say_what_an_input_has(tmp_path, keys, source, rate, course):
+def test_period_and_offset_say_what_an_input_has(sampled, keys, source, rate, course):
     """A component with a period takes its inputs at its own instants, whatever they do between."""
-    path = tmp_path / "sampled.toml"
-    path.write_text(SAMPLED.format(keys=keys, source=source), encoding="utf-8")
+    path = sampled(keys, source)
     own = {entry.name: entry for entry in schedule_of(path).components}["own"]
     assert (own.period, own.offset) == rate
     assert courses(path)[f"{source}.y", "own.u"] == course
     assert courses(path)["own.y", "meter.u"] == "sampled"
 
 
-def test_sampled_input_is_held_from_the_offset_on(tmp_path):
+def test_sampled_input_is_held_from_the_offset_on(sampled):
     """The first step of its own takes sin(0.2 s), and ends 0.6 s later: x = (1 - e^-0.6) sin 0.2.
 
     It is right to some roundings of numbers below 1.
     """
-    path = tmp_path / "sampled.toml"
-    path.write_text(SAMPLED.format(keys=", period = 0.6, offset = 0.2", source="sine"))
-    recorded = cosim.run(path)
+    recorded = cosim.run(sampled(OFFSET))
     changes = np.flatnonzero(np.diff(recorded["own.x"])) + 1
     assert recorded.time("own.x")[changes] == pytest.approx([0.8])
     assert recorded["own.x"][-1] == pytest.approx(-np.expm1(-0.6) * np.sin(0.2), abs=1e-15)
 
 
-def test_text_shows_period_and_offset(tmp_path, capsys):
-    path = tmp_path / "sampled.toml"
-    keys = ", period = 0.6, offset = 0.2"
-    path.write_text(SAMPLED.format(keys=keys, source="sine"), encoding="utf-8")
-    lines = run(capsys, "info", path, "--graph").splitlines()
-    rate = "every 0.6 s, first 0.2 s after the start"
-    assert f"own\t2\tcontroller\t{rate}\tnone" in lines
+def test_text_and_picture_show_period_and_offset(sampled, tmp_path, capsys):
+    """In the picture both of them, in place of the kind where there is no room for it."""
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "graph.svg"
+    lines = run(capsys, "info", sampled(OFFSET), "--graph", "--out", out).splitlines()
+    assert "own\t2\tcontroller\tevery 0.6 s, first 0.2 s after the start\tnone" in lines
     assert "sine.y\town.u\tzero-order hold of its samples" in lines
+    assert "every 0.6 s + 0.2 s" in out.read_text()
+    assert "sensor, every 0.2 s" in out.read_text()
 
 
 def test_newton_solves_for_its_inputs(tmp_path):
@@ -141,11 +142,7 @@ def test_newton_solves_for_its_inputs(tmp_path):
 
 
 LAGS = """
-[scenario]
-name = "lags"
-stop = 1.0
-step = 0.1
-substeps = {{ min = 1e-3 }}
+scenario = {{ name = "lags", stop = 1.0, step = 0.1, substeps = {{ min = 1e-3 }} }}
 [components]
 one = {}
 two = {{ kind = "lag", time_constant = 2.0 }}
@@ -153,25 +150,7 @@ two = {{ kind = "lag", time_constant = 2.0 }}
 "one.u" = "two.y"
 "two.u" = "one.y"
 """
-
-
-def test_substeps_of_fmus_are_named(tmp_path, capsys):
-    """They are known from the descriptions, as nothing of an FMU runs."""
-    path = tmp_path / "lags.toml"
-    path.write_text(LAGS.format('{ kind = "lag", time_constant = 1.0 }'), encoding="utf-8")
-    run(capsys, "export", path, "--component", "one", "--out", tmp_path / "one.fmu")
-    for interface_type in ("me", "cs"):
-        table = f'{{ kind = "fmu", path = "one.fmu", interface_type = "{interface_type}" }}'
-        path.write_text(LAGS.format(table), encoding="utf-8")
-        line = run(capsys, "info", path, "--graph").splitlines()[2]
-        assert line.endswith("; in substeps of at least 0.001 s")
-
-
-def test_text_names_what_takes_substeps_where_others_do_not(tmp_path, capsys):
-    """A sampled controller keeps to communication steps; the loop inside its own does not."""
-    path = tmp_path / "sampled.toml"
-    path.write_text(
-        """
+CONTROL = """
 scenario = { name = "sampled", stop = 1.0, step = 0.1, substeps = { min = 1e-3 } }
 [components]
 control = { kind = "pid", gain = 2.0, period = 0.2 }
@@ -183,9 +162,20 @@ plant = { kind = "lag", time_constant = 1.0 }
 "force.u1" = "control.y"
 "force.u2" = "plant.y"
 "plant.u" = "force.y"
-""",
-        encoding="utf-8",
-    )
+"""
+
+
+def test_what_takes_substeps_is_named(tmp_path, capsys):
+    """Of FMUs by their descriptions; not a sampled controller, but the loop inside its own."""
+    path = tmp_path / "lags.toml"
+    path.write_text(LAGS.format('{ kind = "lag", time_constant = 1.0 }'), encoding="utf-8")
+    run(capsys, "export", path, "--component", "one", "--out", tmp_path / "one.fmu")
+    for interface_type in ("me", "cs"):
+        table = f'{{ kind = "fmu", path = "one.fmu", interface_type = "{interface_type}" }}'
+        path.write_text(LAGS.format(table), encoding="utf-8")
+        line = run(capsys, "info", path, "--graph").splitlines()[2]
+        assert line.endswith("; in substeps of at least 0.001 s")
+    path.write_text(CONTROL, encoding="utf-8")
     line = run(capsys, "info", path, "--graph").splitlines()[2]
     assert line.endswith("; force, plant in substeps of at least 0.001 s")
 
@@ -205,29 +195,13 @@ def test_text_shows_stages_components_and_connections(capsys):
     assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
 
 
-def test_picture_has_period_and_offset(tmp_path, capsys):
-    """Both of them, in place of the kind where there is no room for it."""
+def test_picture_is_written(tmp_path, capsys):
     pytest.importorskip("matplotlib")
-    path = tmp_path / "sampled.toml"
-    path.write_text(SAMPLED.format(keys=", period = 0.6, offset = 0.2", source="sine"))
-    run(capsys, "info", path, "--graph", "--out", tmp_path / "graph.svg")
-    content = (tmp_path / "graph.svg").read_text()
-    assert "every 0.6 s + 0.2 s" in content
-    assert "sensor, every 0.2 s" in content
-
-
-@pytest.mark.parametrize("ending", ["png", "svg"])
-def test_picture_is_written(tmp_path, capsys, ending):
-    pytest.importorskip("matplotlib")
-    out = tmp_path / f"graph.{ending}"
+    out = tmp_path / "graph.svg"
     shown = run(capsys, "info", "closed-loop", "--graph", "--out", out)
     assert shown.endswith(f"{out}\n")
-    content = out.read_bytes()
-    if ending == "svg":
-        for text in (b"controller", b"loop: gauss-seidel, first order", b"every 0.1 s"):
-            assert text in content
-    else:
-        assert content.startswith(b"\x89PNG")
+    for text in ("controller", "loop: gauss-seidel, first order", "every 0.1 s"):
+        assert text in out.read_text("utf-8")
 
 
 def test_wrong_use_is_one_error_each(tmp_path, capsys):

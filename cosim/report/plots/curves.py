@@ -1,10 +1,9 @@
-"""Curves of recorded signals, with names and units, and how they are drawn into a panel."""
+"""Curves of recorded signals, with names, units and bands, and how a panel shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -23,6 +22,7 @@ TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
 WIDTH: Final = 1.2  # of a line [points]
 MOST_NAMES: Final = 24  # in the legend of a panel
 _NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
+_FAINT: Final = 0.2  # opacity of a band
 # Okabe and Ito, without yellow: the color-blind can distinguish them
 COLORS: Final = ("#0072B2", "#D55E00", "#000000", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 DASHES: Final = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
@@ -44,6 +44,8 @@ class Curve:
         Whether it has a zero-order hold between its rows; else it is interpolated linearly.
     run : str
         What tells its run from others, behind its name.
+    band : Vector, shape (N,), or None
+        Half width of the band around it.
     """
 
     name: str
@@ -52,14 +54,21 @@ class Curve:
     values: Vector
     held: bool = False
     run: str = ""
+    band: Vector | None = None
 
     @property
     def label(self) -> str:
         """Its name, with its run."""
         return f"{self.name}{self.run}"
 
+    @property
+    def edges(self) -> tuple[Vector, Vector]:
+        """Both edges of its band; itself where it has none."""
+        band = 0.0 if self.band is None else self.band
+        return self.values - band, self.values + band
+
     def draw(self, panel: Any, style: Style, *, label: str | None = None) -> None:
-        """Draw the curve as it is between two rows.
+        """Draw the curve as it is between two rows, and its band.
 
         Raises
         ------
@@ -75,16 +84,43 @@ class Curve:
             )
         drawstyle = "steps-post" if self.held else "default"
         panel.plot(self.times, self.values, drawstyle=drawstyle, label=label, **style)
+        if self.band is not None:
+            panel.fill_between(
+                self.times,
+                *np.clip(self.edges, -LARGEST_DRAWN, LARGEST_DRAWN),
+                color=style["color"],
+                alpha=_FAINT,
+                linewidth=0.0,
+                step="post" if self.held else None,
+            )
 
     def within(self, options: PictureOptions) -> Curve:
         """Return the part that a picture shows, with the rows next to it."""
-        first = 0
-        stop = len(self.times)
-        if options.start is not None:
-            first = max(0, int(np.searchsorted(self.times, options.start, side="right")) - 1)
-        if options.stop is not None:
-            stop = int(np.searchsorted(self.times, options.stop, side="left")) + 1
-        return replace(self, times=self.times[first:stop], values=self.values[first:stop])
+        start, stop = options.window
+        first = int(np.searchsorted(self.times, start, side="right")) - 1
+        shown = slice(max(0, first), int(np.searchsorted(self.times, stop, side="left")) + 1)
+        band = None if self.band is None else self.band[shown]
+        return replace(self, times=self.times[shown], values=self.values[shown], band=band)
+
+    def in_unit_of(self, other: Curve) -> Curve:
+        """Return the curve in the unit of another.
+
+        Raises
+        ------
+        UsageError
+            If the units are of different kinds.
+        """
+        convert = conversion(self.unit, other.unit)
+        if convert is None:
+            raise UsageError(
+                f"{other.label} in {other.unit.name!r} and {self.label} in {self.unit.name!r} "
+                "cannot share an axis; give each a panel of its own"
+            )
+        if convert.copies:
+            return self
+        values = convert(self.values)
+        band = None if self.band is None else convert(self.edges[1]) - values
+        return replace(self, unit=other.unit, values=values, band=band)
 
 
 def curves_of(
@@ -93,6 +129,7 @@ def curves_of(
     options: PictureOptions,
     *,
     like: Sequence[Unit] | None = None,
+    run: str = "",
 ) -> list[Curve]:
     """Return a curve for each element of a port; in the units ``like``, if given.
 
@@ -100,22 +137,28 @@ def curves_of(
     ------
     LogError
         If there is no such component, signal or element.
+    UsageError
+        If the port begins after the last time shown, or ends before the first.
     """
     rows = rows_of(recording, port, like=like)
     times = time_ns_of(recording, port) / 1e9
+    start, stop = options.window
+    if len(times) and (start > times[-1] or stop < times[0]):
+        raise UsageError(
+            "start, stop: no rows in this interval; expected a part of "
+            f"{times[0]:g} s to {times[-1]:g} s"
+        )
     units = units_of(recording, port) if like is None else like
+    names = element_names(port, rows.shape[1])
     held = signal_of(recording, port).variability == "discrete"
     curves = []
-    options.check_shows(times)
-    names = element_names(port, rows.shape[1])
     for name, unit, values in zip(names, units, rows.T, strict=True):
-        curve = Curve(name, unit, times, values, held)
-        curves.append(curve.within(options))
+        curves.append(Curve(name, unit, times, values, held, run).within(options))
     return curves
 
 
-def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style]) -> None:
-    """Draw curves into a panel, with their names and units.
+def draw_curves(panel: Any, curves: Sequence[Curve], styles: Sequence[Style] | None = None) -> None:
+    """Draw curves into a panel, with their names and units; by default in the standard styles.
 
     All are shown in the unit of the first; where elements of one signal cannot be, each in its own.
     The axis has the name of the signal, or of the element, that all are of.
@@ -131,12 +174,12 @@ def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style])
     has_own_units = False
     if len(signals) == 1 and len({curve.run for curve in curves}) == 1:
         has_own_units = any(conversion(curve.unit, first.unit) is None for curve in curves)
-    for curve, style in zip(curves, styles, strict=True):
+    for curve, style in zip(curves, styles or color_styles(len(curves)), strict=True):
         label = shown_text(curve.label)
         if has_own_units:
             curve.draw(panel, style, label=f"{label} {_bracketed(curve.unit)}")
         else:
-            _in_unit(curve, first).draw(panel, style, label=label)
+            curve.in_unit_of(first).draw(panel, style, label=label)
     common = ""
     if len(signals) == 1:
         common = first.name if len(names) == 1 else first.name.partition("[")[0]
@@ -167,31 +210,14 @@ def show_legend(panel: Any) -> None:
     )
 
 
-def color_styles(count: int) -> Iterator[Style]:
-    """Yield a style for each of several curves: colors, then dashes too."""
+def color_styles(count: int) -> list[Style]:
+    """Return a style for each of several curves: colors, then dashes too."""
+    styles: list[Style] = []
     for i in range(count):
-        dashes = DASHES[i // len(COLORS) % len(DASHES)]
         color = COLORS[i % len(COLORS)]
-        yield {"color": color, "linestyle": dashes, "linewidth": WIDTH}
-
-
-def run_styles(count: int) -> Iterator[Style]:
-    """Yield a style for each of several runs; widths leave equal lines visible."""
-    widths = np.linspace(2.8, 1.0, count)
-    for width, color in zip(widths, cycle(COLORS), strict=False):
-        yield {"color": color, "linewidth": width}
-
-
-def _in_unit(curve: Curve, first: Curve) -> Curve:
-    convert = conversion(curve.unit, first.unit)
-    if convert is None:
-        raise UsageError(
-            f"{first.label} in {first.unit.name!r} and {curve.label} in {curve.unit.name!r} cannot "
-            "share an axis; give each a panel of its own"
-        )
-    if convert.copies:
-        return curve
-    return replace(curve, unit=first.unit, values=convert(curve.values))
+        dashes = DASHES[i // len(COLORS) % len(DASHES)]
+        styles.append({"color": color, "linestyle": dashes, "linewidth": WIDTH})
+    return styles
 
 
 def shown_text(name: str) -> str:

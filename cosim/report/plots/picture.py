@@ -1,8 +1,9 @@
-"""A figure of panels over time, and the file it is written to."""
+"""A figure of panels, its texts in lines that fit, and the file it is written to."""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -10,20 +11,26 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.files import check_writable
 from cosim.filters import collected_warnings
-from cosim.report.plots.fitting import fit_labels, fit_legend, fit_ticks, fit_title
 
-CENTIMETER: Final = 1.0 / 2.54  # inches
-SMALLEST: Final = 3.0  # cm
 LARGEST: Final = 200.0  # cm
+_SMALLEST: Final = 3.0  # cm
+_CENTIMETER: Final = 1.0 / 2.54  # inches
 _DOTS_PER_INCH: Final = 150
 _MOST_ROWS: Final = 4  # where a picture chooses its columns itself: more would not fit a screen
 _NO_ROOM: Final = "constrained_layout not applied"  # a warning of matplotlib
 # text stays text: it can be searched and edited, and set in the font of the page
 _TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
+# of texts
+_WORDS: Final = re.compile(r"\S+\s*|\s+")
+_PARTS: Final = re.compile(r"[^._/]+[._/]*|[._/]+")  # of a name, with what ends them
+_MARGIN: Final = 0.97  # of the room, that is used
+_ROOMY: Final = 0.5  # of the part of a picture that a panel has: its axes have more mostly
+_MOST_COLUMNS: Final = 6  # of a legend
+_APART: Final = 1.25  # of the length of a number: from one to the next
+_GAP: Final = 3.0  # between numbers [dots]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +60,9 @@ class PictureOptions:
     def __post_init__(self) -> None:
         if self.size is not None:
             width, height = self.size
-            if not all(SMALLEST <= length <= LARGEST for length in (width, height)):
+            if not all(_SMALLEST <= length <= LARGEST for length in self.size):
                 raise UsageError(
-                    f"size: expected {SMALLEST:g} to {LARGEST:g} cm each, "
+                    f"size: expected {_SMALLEST:g} to {LARGEST:g} cm each, "
                     f"got {width:g} x {height:g} cm"
                 )
         for name, time in (("start", self.start), ("stop", self.stop)):
@@ -66,23 +73,11 @@ class PictureOptions:
                 f"stop: expected a time after start = {self.start:g} s, got {self.stop:g} s"
             )
 
-    def check_shows(self, times: Vector) -> None:
-        """Check that something of a signal with rows at ``times`` is shown.
-
-        Raises
-        ------
-        UsageError
-            If the signal begins after the last time shown, or ends before the first.
-        """
-        if not len(times):
-            return
-        too_late = self.start is not None and self.start > times[-1]
-        too_early = self.stop is not None and self.stop < times[0]
-        if too_late or too_early:
-            raise UsageError(
-                "start, stop: no rows in this interval; expected a part of "
-                f"{times[0]:g} s to {times[-1]:g} s"
-            )
+    @property
+    def window(self) -> tuple[float, float]:
+        """First and last time shown [s], infinite where they are those of the run."""
+        start = -math.inf if self.start is None else self.start
+        return start, math.inf if self.stop is None else self.stop
 
 
 def need_plot(out: Path) -> None:
@@ -136,23 +131,15 @@ class Picture:
         columns: int | None = None,
         shares_time: bool = True,
     ) -> None:
-        if columns is None:
-            columns = -(-count // _MOST_ROWS)  # rounded up
-        rows = -(-count // columns)
         self._options = options
         self._shares_time = shares_time
-        self._rows = rows
-        self._columns = columns
-        self._figure = _new_figure()
-        if options.size is None:
-            width = 22.0 if columns == 1 else 32.0
-            height = 3.0 + (5.0 if columns == 1 else 6.0) * rows
-        else:
-            width, height = options.size
-        self._figure.set_size_inches(width * CENTIMETER, height * CENTIMETER)
-        self._figure.set_layout_engine("constrained")
-        grid = self._figure.subplots(rows, columns, sharex=shares_time, squeeze=False)
-        places: list[Any] = list(np.ravel(grid))
+        self._columns = columns or math.ceil(count / _MOST_ROWS)
+        self._rows = math.ceil(count / self._columns)
+        width, height = (22.0, 5.0) if self._columns == 1 else (32.0, 6.0)
+        size = np.array(options.size or (width, 3.0 + height * self._rows))
+        self._figure = _new_figure(figsize=size * _CENTIMETER, layout="constrained")
+        grid = self._figure.subplots(self._rows, self._columns, sharex=shares_time, squeeze=False)
+        places = list(grid.flat)
         self.panels = places[:count]
         for empty in places[count:]:
             empty.set_visible(False)
@@ -160,9 +147,25 @@ class Picture:
             panel.ticklabel_format(useOffset=False)  # numbers as they are, not from 1e-5+4
 
     def legend(self, lines: list[Any], *, below: bool = False, title: str = "") -> None:
-        """Show a legend of all panels above them; below them where the picture has a title."""
+        """Show a legend of all panels above them; below them where the picture has a title.
+
+        It has as many columns as fit side by side.
+        """
         place = "outside lower center" if below else "outside upper center"
-        fit_legend(self._figure, lines, place=place, title=title)
+        room = self._figure.bbox.width
+        for columns in range(min(_MOST_COLUMNS, len(lines)), 0, -1):
+            legend = self._figure.legend(
+                handles=lines, loc=place, ncols=columns, frameon=False, title=title or None
+            )
+            _fit(legend.get_title(), _MARGIN * room)
+            width = legend.get_window_extent().width
+            if width <= room or columns == 1:
+                break
+            legend.remove()
+        texts = legend.get_texts()
+        handles = width - max(text.get_window_extent().width for text in texts)
+        for text in texts:
+            _fit(text, room - handles)
 
     def save(self, out: Path, *, title: str = "") -> None:
         """Write the picture to a file; ``title`` is its standard one.
@@ -176,7 +179,7 @@ class Picture:
 
         shown_title = title if self._options.title is None else self._options.title
         if shown_title:
-            fit_title(self._figure, shown_title)
+            _fit(self._figure.suptitle(shown_title), self._figure.bbox.width)
         for panel in self.panels:
             panel.grid(alpha=0.3)
         if self._shares_time:
@@ -187,11 +190,10 @@ class Picture:
         picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
             with rc_context(_TEXT_AS_TEXT), collected_warnings(_NO_ROOM) as problems:
-                fit_ticks(self._figure)
-                fit_labels(self._figure, rows=self._rows, columns=self._columns)
+                self._fit_axes()
                 self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
             if problems:
-                width, height = self._figure.get_size_inches() / CENTIMETER
+                width, height = self._figure.get_size_inches() / _CENTIMETER
                 raise UsageError(
                     f"size: {width:g} x {height:g} cm is too small for the axis labels of this "
                     "picture"
@@ -203,13 +205,92 @@ class Picture:
         except OSError as error:
             raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
+    def _fit_axes(self) -> None:
+        """Break long names at the axes; leave out numbers that would run into others."""
+        from matplotlib.ticker import MaxNLocator
+
+        share = _ROOMY * self._figure.bbox.size / (self._columns, self._rows)
+        labels = []
+        for panel in self._figure.axes:
+            for direction, axis in enumerate((panel.xaxis, panel.yaxis)):
+                labels.append((panel, axis.label, direction, axis.label.get_text()))
+                _fit(axis.label, share[direction], is_upright=direction == 1)
+        self._figure.draw_without_rendering()  # how long axes and numbers are is known only then
+        for panel, label, direction, text in labels:
+            label.set_text(text)
+            room = max(panel.get_window_extent().size[direction], share[direction])
+            _fit(label, room, is_upright=direction == 1)
+        for panel in self._figure.axes:
+            for axis in (panel.xaxis, panel.yaxis):
+                if axis.get_scale() == "log":
+                    _thin_out(axis)
+            locator = panel.xaxis.get_major_locator()
+            widths = [text.get_window_extent().width for text in panel.xaxis.get_majorticklabels()]
+            room = panel.get_window_extent().width / max(_APART * max(widths, default=0.0), 1.0)
+            if isinstance(locator, MaxNLocator) and room < len(widths):
+                locator.set_params(nbins=max(int(room), 1))
+
+
+def broken(text: str, count: int) -> str:
+    """Return a text in lines of at most so many characters, broken after blanks.
+
+    A name that is longer is broken after its dots and bars, and a part of it anywhere.
+    """
+    lines = []
+    for line in text.split("\n"):
+        current = ""
+        for piece in _pieces(line, count):
+            if current and len((current + piece).rstrip()) > count:
+                lines.append(current.rstrip())
+                current = ""
+            current += piece
+        lines.append(current.rstrip())
+    return "\n".join(lines)
+
+
+def _pieces(line: str, count: int) -> list[str]:
+    """Return what a line may be broken into; without its blanks, none is longer than ``count``."""
+    pieces = []
+    for word in _WORDS.findall(line):
+        parts = [word] if len(word.rstrip()) <= count else _PARTS.findall(word)
+        for part in parts:
+            pieces += [part[k : k + count] for k in range(0, len(part.rstrip()), count)]
+    return pieces
+
+
+def _fit(artist: Any, room: float, *, is_upright: bool = False) -> None:
+    """Break the text of an artist into lines that are not longer than ``room`` [dots]."""
+    text = artist.get_text()
+    count = len(text)
+    while count > 1:
+        extent = artist.get_window_extent()
+        length = extent.height if is_upright else extent.width
+        if length <= room:
+            return
+        longest = max(map(len, artist.get_text().split("\n")))
+        count = max(min(int(_MARGIN * longest * room / length), count - 1), 1)
+        artist.set_text(broken(text, count))
+
+
+def _thin_out(axis: Any) -> None:
+    """Write the numbers between powers of ten only where they have room."""
+    direction = 0 if axis.axis_name == "x" else 1
+    taken = [label.get_window_extent() for label in axis.get_majorticklabels()]
+    texts = {}
+    for label in axis.get_minorticklabels():
+        extent = label.get_window_extent().padded(_GAP)
+        if label.get_text() and not any(extent.overlaps(other) for other in taken):
+            taken.append(extent)
+            texts[label.get_position()[direction]] = label.get_text()
+    axis.set_minor_formatter(lambda value, _: texts.get(value, ""))
+
 
 def _format(out: Path) -> str:
     """Return the format of a picture, by its ending."""
     return out.suffix.lower().removeprefix(".")
 
 
-def _new_figure() -> Any:
+def _new_figure(**options: Any) -> Any:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -217,4 +298,4 @@ def _new_figure() -> Any:
             "plots need matplotlib, which is not installed: pip install matplotlib, or, "
             "in a clone of cosim, pip install -e '.[plot]'"
         ) from error
-    return Figure()
+    return Figure(**options)

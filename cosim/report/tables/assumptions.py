@@ -20,21 +20,15 @@ def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
         return
     for component, text in report.warnings:
         print_line(f"warning: {component}: {text}", error=True)
-    table = new_table(f"{report.scenario}: {_counts(report)}", ("", "", "", ""))
+    rows = []
     for name, verdict in report.verdicts:
-        word = _WORDS[verdict.fulfilled]
-        answer = ": ".join(filter(None, (word, verdict.verdict)))
+        answer = ": ".join(filter(None, (_WORDS[verdict.fulfilled], verdict.verdict)))
         text = "; ".join(filter(None, (verdict.evidence, verdict.cure)))
-        table.add_row(name, _EQUATION.sub("", verdict.name), answer, text)
-    print_table(table)
-
-
-def _counts(report: AssumptionReport) -> str:
-    """Write how many assumptions are fulfilled, are not, and are not decided."""
+        rows.append((name, _EQUATION.sub("", verdict.name), answer, text))
     number = Counter(verdict.fulfilled for _, verdict in report.verdicts)
     counts = f"{number[True]} of {number.total()} assumptions are fulfilled"
     if number[False]:
         counts += f", {number[False]} not"
     if number[None]:
         counts += f", {number[None]} not decided"
-    return counts
+    print_table(new_table(f"{report.scenario}: {counts}", ("", "", "", ""), rows))

@@ -25,7 +25,7 @@ _FOLDED: Final = 40  # characters of a word in the last column, such as a path, 
 
 
 def new_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]] = ()) -> Table:
-    """Return a table without lines, with some rows."""
+    """Return a table without lines, of the rows given."""
     table = Table(title=title, header_style="", box=None, padding=(0, _GAP, 0, 0))
     for column in columns:
         table.add_column(column)
@@ -39,23 +39,36 @@ def print_table(table: Table) -> None:
 
     In a terminal its columns are aligned; texts wrap between words. Where the words of a row do not
     fit side by side, its cells stand below each other; columns without any text are omitted. In a
-    file or a pipe every row is one line, with a tab between its cells.
+    file or a pipe every row is one line, with a tab between its cells; a header that says nothing
+    is left out.
     """
     width = terminal_width()
-    title = "" if table.title is None else str(table.title)
-    rows = _rows_of(table)
+    title = printable(str(table.title or ""))
+    columns = []
+    for column in table.columns:
+        columns.append([printable(str(cell)) for cell in (column.header, *column.cells)])
     if width is None:
-        _print_lines(title, rows)
+        lines = [(title,), *zip(*columns, strict=True)]
+        for i, line in enumerate(lines):
+            if i > 1 or any(line):
+                typer.echo("\t".join(map(printable_line, line)).rstrip("\t"))
         return
-    rows = _without_empty_columns(rows)
     console = Console(highlight=False, markup=False, emoji=False, width=width)
     if title:
-        console.print(printable(title), style="bold", soft_wrap=True)
-    widths = _column_widths(rows, width)
+        console.print(title, style="bold", soft_wrap=True)
+    columns = [cells for cells in columns if any(cells[1:])] or columns
+    widths = _column_widths(columns, width)
     if widths is None:
-        _print_records(rows, width)
-    else:
-        console.print(_aligned(table, rows, widths))
+        _print_records(columns, width)
+        return
+    aligned = Table(header_style="", box=None, padding=(0, _GAP, 0, 0), pad_edge=False)
+    aligned.show_header = any(cells[0] for cells in columns)
+    for cells, column_width in zip(columns, widths, strict=True):
+        aligned.add_column(Text(cells[0]), width=column_width, overflow="fold")
+    for i, original in enumerate(table.rows, start=1):
+        row = [Text(cells[i]) for cells in columns]
+        aligned.add_row(*row, end_section=original.end_section)
+    console.print(aligned)
 
 
 def print_tables(tables: Iterable[Table]) -> None:
@@ -84,43 +97,14 @@ def print_line(text: str, *, error: bool = False) -> None:
     typer.echo(printable(text), err=error)
 
 
-def _rows_of(table: Table) -> list[list[str]]:
-    """Return the header and the rows of a table as texts that a terminal may show."""
-    columns = []
-    for column in table.columns:
-        cells = [str(cell) for cell in (column.header, *column.cells)]
-        columns.append([printable(cell) for cell in cells])
-    return [list(row) for row in zip(*columns, strict=True)]
-
-
-def _without_empty_columns(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return rows without the columns in which no row below the header has a text."""
-    columns = list(zip(*rows, strict=True))
-    kept = [cells for cells in columns if any(cells[1:])]
-    return [list(row) for row in zip(*kept, strict=True)] if kept else [[*row] for row in rows]
-
-
-def _aligned(table: Table, rows: Sequence[Sequence[str]], widths: Sequence[int]) -> Table:
-    """Return a table of the rows whose columns have the widths given."""
-    aligned = Table(
-        header_style="",
-        box=None,
-        padding=(0, _GAP, 0, 0),
-        pad_edge=False,
-        show_header=any(rows[0]),
-    )
-    for title, width in zip(rows[0], widths, strict=True):
-        aligned.add_column(Text(title), width=width, overflow="fold")
-    for row, original in zip(rows[1:], table.rows, strict=True):
-        aligned.add_row(*map(Text, row), end_section=original.end_section)
-    return aligned
-
-
-def _column_widths(rows: Sequence[Sequence[str]], width: int) -> list[int] | None:
+def _column_widths(columns: Sequence[Sequence[str]], width: int) -> list[int] | None:
     """Return the widths of columns that break no word; None: they do not fit into ``width``."""
-    columns = list(zip(*rows, strict=True))
-    widths = [max(map(_longest_line, cells)) for cells in columns]
-    least = [max(map(_longest_word, cells)) for cells in columns]
+    widths = []
+    least = []
+    for cells in columns:
+        lines = "\n".join(cells).split("\n")
+        widths.append(max(map(cell_len, lines)))
+        least.append(max((cell_len(word) for line in lines for word in line.split()), default=0))
     least[-1] = min(least[-1], _FOLDED)
     room = width - _GAP * (len(columns) - 1)
     if sum(least) > room:
@@ -131,24 +115,7 @@ def _column_widths(rows: Sequence[Sequence[str]], width: int) -> list[int] | Non
     return widths
 
 
-def _longest_line(text: str) -> int:
-    return max(map(cell_len, text.split("\n")))
-
-
-def _longest_word(text: str) -> int:
-    return max(map(cell_len, text.split()), default=0)
-
-
-def _print_lines(title: str, rows: Sequence[Sequence[str]]) -> None:
-    """Print every row as a line; a header that says nothing is left out."""
-    if title:
-        typer.echo(printable_line(title))
-    for i, row in enumerate(rows):
-        if i or any(row):
-            typer.echo("\t".join(map(printable_line, row)).rstrip("\t"))
-
-
-def _print_records(rows: Sequence[Sequence[str]], width: int) -> None:
+def _print_records(columns: Sequence[Sequence[str]], width: int) -> None:
     """Print the cells of every row below each other, wrapped between words."""
     wrapper = TextWrapper(
         width,
@@ -157,13 +124,12 @@ def _print_records(rows: Sequence[Sequence[str]], width: int) -> None:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    header = rows[0]
-    for first, *others in rows[1:]:
-        cells = zip(header[1:], others, strict=True)
-        labelled = [f"{name}: {cell}" if name else cell for name, cell in cells if cell]
-        typer.echo(first)
-        for text in labelled:
-            typer.echo(wrapper.fill(text))
+    header, *rows = zip(*columns, strict=True)
+    for row in rows:
+        typer.echo(row[0])
+        for name, cell in zip(header[1:], row[1:], strict=True):
+            if cell:
+                typer.echo(wrapper.fill(f"{name}: {cell}" if name else cell))
 
 
 def print_section(title: str, content: Any) -> None:
@@ -178,32 +144,22 @@ def print_sections(sections: Iterable[tuple[str, Any]]) -> None:
 
 def _section_table(title: str, content: Any) -> Table:
     if isinstance(content, Mapping):
-        table = new_table(title, ("", ""))
-        for key, value in content.items():
-            if value is not None:
-                table.add_row(key, _cell(value))
-        return table
+        rows = [[key, _cell(value)] for key, value in content.items() if value is not None]
+        return new_table(title, ("", ""), rows)
     columns = list(content[0])
-    table = new_table(title, columns)
-    for row in content:
-        cells = [_cell(row.get(column)) for column in columns]
-        table.add_row(*cells)
-    return table
+    rows = [[_cell(row.get(column)) for column in columns] for row in content]
+    return new_table(title, columns, rows)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return json.dumps(value) if isinstance(value, list | dict) else str(value)
 
 
 def print_json(content: Any) -> None:
     """Print JSON; numbers that it has no word for are the texts "nan", "inf" and "-inf"."""
     typer.echo(json.dumps(_strict(content), indent=2, allow_nan=False, default=str))
-
-
-def _cell(value: Any) -> str:
-    match value:
-        case None:
-            return ""
-        case list() | dict():
-            return json.dumps(value)
-        case _:
-            return str(value)
 
 
 def _strict(content: Any) -> Any:

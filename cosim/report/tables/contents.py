@@ -21,7 +21,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
     """
     from cosim.log.foreign.topics import is_foreign
     from cosim.report import inspection
-    from cosim.report.tables.fmu import print_fmu
+    from cosim.report.fmu import describe_fmu, print_fmu
 
     path = path_argument("source", source)
     if path.is_dir():
@@ -32,13 +32,11 @@ def print_contents(source: str, *, as_json: bool) -> None:
     source_type = file_type(path)
     match source_type:
         case "log" if is_foreign(path):
-            from cosim.report.field_recording import describe_recording  # rarely needed
-
-            content = describe_recording(source)
+            content = inspection.describe_recording(source)
         case "log":
             content = inspection.describe_log(source)
         case "FMU":
-            content = inspection.describe_fmu(source)
+            content = describe_fmu(source)
         case "table":
             content = inspection.describe_samples(source)
         case _:

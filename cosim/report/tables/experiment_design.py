@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from cosim.report.estimators import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.scenario.experiment_design.designs import ExperimentDesign, OmittedDesigns
+from cosim.scenario.experiment_design.designs import ExperimentDesign
 
 _SHOWN: Final = 3  # designs of a choice and a method
 _TITLES: Final = {"scenario": "as it is"}
@@ -21,33 +21,25 @@ def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
     if as_json:
         print_json(design.to_dict())
         return
-    parameters = range(len(design.theta))
-    titles = [f"error of theta[{j}]" for j in parameters]
+    titles = [f"error of theta[{j}]" for j in range(len(design.theta))]
     noise = numbers_text(design.deviations.tolist())
     title = f"{design.identifier}: predicted errors, noise of y {noise} ({design.noise_source})"
-    table = new_table(title, ("", "set", "method", *titles, "of bound"))
+    rows = []
     shown: Counter[tuple[str, str]] = Counter()
     for ranked in design.designs:
-        group = (ranked.choice, ranked.method)
-        shown[group] += 1
-        if shown[group] <= _SHOWN:
-            errors = [_number(error) for error in ranked.error]
+        shown[ranked.choice, ranked.method] += 1
+        if shown[ranked.choice, ranked.method] <= _SHOWN:
             choice = _TITLES.get(ranked.choice, ranked.choice)
-            settings = _settings(ranked.settings)
-            table.add_row(choice, settings, ranked.method, *errors, _number(ranked.ratio))
-    print_table(table)
+            numbers = map(_number, (*ranked.error, ranked.ratio))
+            rows.append((choice, _settings(ranked.settings), ranked.method, *numbers))
+    print_table(new_table(title, ("", "set", "method", *titles, "of bound"), rows))
     for omitted in design.omitted:
-        print_line(_omission(omitted))
+        choice = _TITLES.get(omitted.choice, omitted.choice)
+        settings = ", ".join(filter(None, map(_settings, omitted.settings)))
+        of_method = " ".join(filter(None, (omitted.method, settings)))
+        print_line(": ".join(filter(None, (choice, of_method, omitted.reason))))
     for note in design.notes:
         print_line(note)
-
-
-def _omission(omitted: OmittedDesigns) -> str:
-    """Write which choices have no row, and why."""
-    choice = _TITLES.get(omitted.choice, omitted.choice)
-    settings = ", ".join(filter(None, map(_settings, omitted.settings)))
-    of_method = " ".join(filter(None, (omitted.method, settings)))
-    return ": ".join(filter(None, (choice, of_method, omitted.reason)))
 
 
 def _settings(settings: Mapping[str, Any]) -> str:

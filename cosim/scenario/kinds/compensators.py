@@ -297,7 +297,11 @@ class CompensatorKind(Kind):
     def _record(self, regulated: tuple[int, ...], box: ParameterBox) -> dict[str, Any]:
         intervals = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
         told = Compensation(
-            regulated, self.internal_model, tuple(intervals), self.largest_error, self.feedforward
+            regulated,
+            self.internal_model,
+            tuple(intervals),
+            self.largest_error,
+            feedforward=self.feedforward,
         )
         return plain(told)
 
