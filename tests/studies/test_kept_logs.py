@@ -159,7 +159,9 @@ def test_logs_of_members_that_crash_or_hang_end_there(tmp_path):
     assert (log.status, log.steps >= 1) == ("unfinished", True)
     assert cosim.open_log(study.logs[3]).status == "failed"
     (text,) = notices
-    assert text.startswith("no log of members that failed: 2 (crashes: SIGSEGV, before a row of its log")
+    assert text.startswith(
+        "no log of members that failed: 2 (crashes: SIGSEGV, before a row of its log"
+    )
     left = sorted((tmp_path / "out" / "logs").iterdir())
     assert [path.name for path in left] == ["1.mcap", "2.txt", "3.mcap", "4.mcap"]
     assert set(cosim.study(scenario, keep=[0], **given).logs) == {0, 1, 3, 4}
