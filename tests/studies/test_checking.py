@@ -40,7 +40,7 @@ def test_values_that_the_scenario_accepts_pass(tmp_path):
     path = tmp_path / "cases.csv"
     path.write_text('observer.filter_rate,plant.x_a0\n,\n100.0,\n,"[0.0, 1.0]"\n')
     check(cases=path, seeds=3, vary={"identifier.method": ["output-error", "least-squares"]})
-    check(vary={**OTHER, RATE: {"log": [10.0, 20.0], "points": 3000}}, samples=10)
+    check(vary={**OTHER, RATE: [10.0, 20.0]}, samples=10)
 
 
 @pytest.mark.parametrize(
@@ -59,6 +59,12 @@ def test_values_that_the_scenario_refuses_are_refused(vary, message):
     is_drawn = any(isinstance(value, dict) for value in vary.values())
     with pytest.raises(UsageError, match=message):
         check(vary=vary, samples=100 if is_drawn else None)
+
+
+def test_of_many_numbers_the_extremes_are_checked(small):
+    """Almost all of these steps do not fit the end."""
+    with pytest.raises(UsageError, match=r"\Ascenario.step = 0.7: [^\n]*\Z"):
+        check(*small, vary={"scenario.step": {"linear": [0.1, 0.7], "points": 3000}})
 
 
 def test_members_with_refused_draws_will_fail(small):

@@ -1,5 +1,6 @@
 """What a study is made of, and the command that runs a member on its own."""
 
+import re
 import shlex
 from pathlib import Path
 
@@ -140,14 +141,23 @@ def test_every_varied_file_belongs_to_the_study(scenario, tmp_path, monkeypatch)
     assert "table u.csv" not in names  # a replay has it from its log
 
 
+def test_empty_cells_are_told(scenario, tmp_path):
+    """A row of commas may be a mistake."""
+    (tmp_path / "c.csv").write_text("s.amplitude,s.rate\n1,2\n,\n,3\n")
+    study = read_study(scenario).with_options(metrics=METRICS, cases=tmp_path / "c.csv")
+    [notice] = plan_study(study).notices
+    assert re.search(r"c.csv': 3 empty cells, .* own value; all empty is row 2\Z", notice)
+
+
 def test_the_modules_of_users_belong_to_the_study(tmp_path):
-    """By their classes, wherever they are; those in the scenario's folder can be sent."""
+    """By their classes, wherever they are; of the scenario what it says, not its comments."""
     (tmp_path / "x.toml").write_text(THERMOSTAT)
     (tmp_path / "relay.py").write_text(RELAY)
     study = read_study(tmp_path / "x.toml").with_options(metrics={"y": "max(room.y)"})
     before = plan_study(study)
-    assert str(tmp_path / "relay.py") in before.files
+    assert str(tmp_path / "relay.py") in before.files  # those in this folder can be sent
     (tmp_path / "relay.py").write_text(RELAY + "\n")
+    (tmp_path / "x.toml").write_text(f"# warm\n{THERMOSTAT}")
     changed = plan_study(study).identity({}).digests.items() ^ before.identity({}).digests.items()
     assert {name for name, _ in changed} == {"code of relay:Relay"}
 

@@ -78,7 +78,7 @@ def test_no_rounding_leads_out_of_the_bounds():
     """Where a parameter of a scenario may have a limit."""
     for lower, upper, table in (
         (-1e308, 1e308, {"uniform": [-1e308, 1e308]}),
-        (0.1, 0.3, {"log-uniform": [0.1, 0.3]}),
+        (0.03, 0.12, {"log-uniform": [0.03, 0.12]}),
         (40.0, 41.0, {"normal": [0.0, 1.0], "lower": 40.0, "upper": 41.0}),
         (0.1, 0.3, {"beta": [0.5, 0.5], "lower": 0.1, "upper": 0.3}),
     ):
