@@ -22,15 +22,10 @@ from tests.scenario.user_modules import RELAY, THERMOSTAT
 
 EMPTY = read_study("academic-noisy")
 TEXTS = st.text(st.characters(blacklist_categories=("Cs",), blacklist_characters="\0"))
-SCALARS = (
-    st.floats(allow_nan=False)
-    | st.integers(-(2**63), 2**63 - 1)
-    | st.booleans()
-    | TEXTS
-    | st.sampled_from(["true", "1.0", "inf", " a", "a\n", "", "[1]", "'", '"', "1 # c", "\x7f"])
-)
+NUMBERS = st.floats(allow_nan=False) | st.integers(-(2**63), 2**63 - 1) | st.booleans()
+LIKE_TOML = ["true", "1.0", "inf", " a", "a\n", "", "[1]", "'", '"', "1 # c", "\x7f"]
 VALUES = st.recursive(
-    SCALARS,
+    NUMBERS | TEXTS | st.sampled_from(LIKE_TOML),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner, max_size=3),
     max_leaves=6,
 )
@@ -63,19 +58,15 @@ def test_the_member_of_a_recording_is_a_replay(call, tmp_path):
     """Of the log alone, which has its scenario; one of another tool has that and fields beside."""
     (tmp_path / "loop.toml").write_text(LOOP)
     log = field_log(tmp_path)
-    key = "model.time_constant"
-    study = read_study("loop.toml").with_options(replay=str(log), map=BOTH, vary={key: [0.5]})
-    plan = plan_study(study)
-    line = run_command(plan.design.member(0), study)
+    changes = {"model.time_constant": 0.25}
+    study = read_study("loop.toml").with_options(replay=str(log), map=BOTH)
+    line = run_command(StudyMember(0, changes, recording=str(log)), study)
     assert line.startswith(f"cosim replay {log} --scenario {tmp_path}")
     assert call(*shlex.split(line)[1:], "--quiet", "--out", "own.mcap")[0] == 0
-    own, expected = (
-        tmp_path / "own.mcap",
-        cosim.replay(log, scenario="loop.toml", map=BOTH, set={key: 0.5}),
-    )
-    assert cosim.diff(cosim.open_log(own), expected).equal
-    command = run_command(StudyMember(0, {"a.x": 1.0}, recording=str(own)), EMPTY)
-    assert command == f"cosim replay {own} --set a.x=1.0"
+    expected = cosim.replay(log, scenario="loop.toml", map=BOTH, set=changes)
+    assert cosim.diff(cosim.open_log("own.mcap"), expected).equal
+    command = run_command(StudyMember(0, {"a.x": 1.0}, recording="own.mcap"), EMPTY)
+    assert command == "cosim replay own.mcap --set a.x=1.0"
 
 
 # --- a study belongs to the files that its members read: those that it began with ---

@@ -117,7 +117,6 @@ def test_an_option_is_what_a_file_has():
     """Or it is refused."""
     for text, value in {
         "1e3,1e6": [1e3, 1e6],
-        "[0,2],[0,4]": [[0, 2], [0, 4]],
         "'a:1',b:c": ["a:1", "b:c"],
         "[a.fmu,b.fmu#cs]": ["a.fmu", "b.fmu#cs"],
         "['a.fmu', \"b.fmu\"]": [["a.fmu", "b.fmu"]],
