@@ -156,6 +156,7 @@ def test_many_members_are_columns():
     design = planned(vary=vary, samples=200_000, seeds=5)
     kept, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
+    assert len(design) == 3_000_000
     assert kept < (2 + 5) * 8 * 200_000 + 2**20
     assert peak < (2 + 2 * 5 + 3) * 8 * 200_000
 
