@@ -36,13 +36,17 @@ def small(tmp_path):
 
 
 def test_values_that_the_scenario_accepts_pass(small, tmp_path):
-    """Grids, samples, seeds, cases with empty cells, and with values that fit each other."""
+    """Grids, samples, seeds, cases with empty cells and with values that fit each other."""
     path = tmp_path / "cases.csv"
     path.write_text('observer.filter_rate,plant.x_a0\n,\n100.0,\n,"[0.0, 1.0]"\n')
     check(cases=path, seeds=3, vary={"identifier.method": ["output-error", "least-squares"]})
     check(vary={**OTHER, RATE: [10.0, 20.0]}, samples=10)
     path.write_text("scenario.step,scenario.stop\n0.3,0.9\n0.4,0.8\n")
     check(*small, cases=path)
+    wrong = small[1].document.text.replace("time_constant = 1.0", "time_constant = -1.0")
+    (tmp_path / "x.toml").write_text(wrong)  # a value that is drawn in its place is right
+    drawn = {"a.time_constant": {"uniform": [1.0, 2.0]}}
+    check(read_study(tmp_path / "x.toml"), cosim.load(tmp_path / "x.toml"), vary=drawn, samples=2)
 
 
 @pytest.mark.parametrize(

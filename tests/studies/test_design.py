@@ -188,6 +188,8 @@ def test_points_are_uniform_and_uncorrelated(method):
     points = unit_points(method, KEYS, 4096, seed=3)
     assert min(stats.kstest(column, "uniform").pvalue for column in points) > 1e-4
     assert np.abs(np.corrcoef(points) - np.eye(3)).max() < 5 / 64
+    few = unit_points(method, KEYS, 50, seed=3)
+    assert (few == points[:, :50]).all() == (method != "latin-hypercube")
     alone = unit_points(method, KEYS[2:], 4096, seed=3)[0]
     assert (alone == points[2]).all() == (method == "random"), "a key has a stream of its own"
     for n in (2, 16, 1024) if method != "random" else ():

@@ -58,12 +58,12 @@ def test_the_member_of_a_recording_is_a_replay(call, tmp_path):
     """Of the log alone, which has its scenario; one of another tool has that and fields beside."""
     (tmp_path / "loop.toml").write_text(LOOP)
     log = field_log(tmp_path)
-    changes = {"model.time_constant": 0.25}
-    study = read_study("loop.toml").with_options(replay=str(log), map=BOTH)
-    line = run_command(StudyMember(0, changes, recording=str(log)), study)
+    key = "model.time_constant"
+    study = read_study("loop.toml").with_options(replay=str(log), map=BOTH, vary={key: [0.25]})
+    line = run_command(plan_study(study).design.member(0), study)
     assert line.startswith(f"cosim replay {log} --scenario {tmp_path}")
     assert call(*shlex.split(line)[1:], "--quiet", "--out", "own.mcap")[0] == 0
-    expected = cosim.replay(log, scenario="loop.toml", map=BOTH, set=changes)
+    expected = cosim.replay(log, scenario="loop.toml", map=BOTH, set={key: 0.25})
     assert cosim.diff(cosim.open_log("own.mcap"), expected).equal
     command = run_command(StudyMember(0, {"a.x": 1.0}, recording="own.mcap"), EMPTY)
     assert command == "cosim replay own.mcap --set a.x=1.0"
