@@ -134,16 +134,6 @@ def test_a_metric_is_printed_with_all_intervals(shown):
     assert ends == [np.nanargmin(SETTLING), np.nanargmax(SETTLING)]
 
 
-def test_the_extremes_of_a_metric_are_those_of_the_members_beside_them(shown):
-    """Of all members: also of those that no statistics are of, and of infinite ones."""
-    values = np.arange(64.0)
-    values[[40, 50]] = -7.0, np.inf
-    layout = StudyLayout("saltelli", samples=64, parameters=("p", "q"))
-    lines = shown(MadeStudy({"y": values}, (), ("y",)), layout, metrics=("y",))
-    assert ["smallest", "-7", "members 40, 0, 1, 2, 3"] in lines
-    assert ["largest", "inf", "members 50, 63, 62, 61, 60"] in lines
-
-
 def test_one_member_is_printed_with_its_command(shown):
     """Parameters, metrics, how it ended."""
     failed, complete = STUDY.table(members=[3, 8]).to_pylist()
