@@ -19,8 +19,6 @@ class MadeStudy:
             "warnings": pyarrow.nulls(count, "string"),
             "steps": [1000] * count,
             "wall_time": np.full(count, 0.25),
-            "worker": ["1"] * count,
-            "log": pyarrow.nulls(count, "string"),
         }
         self._table = pyarrow.table({**outcome, **columns})
         self.name = "tolerances"
