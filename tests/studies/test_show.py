@@ -15,7 +15,8 @@ from tests.studies.made import MadeStudy, command_of, saltelli, tolerances
 from tests.studies.test_standard_errors import LINE, T, fitted, line
 
 TEN = StudyLayout("random", samples=10)
-STUDY, LAYOUT = (found := tolerances())[0], found[1].layout
+STUDY, RESULTS = tolerances()
+LAYOUT = RESULTS.layout
 RMS, SETTLING = (STUDY.table([name])[name].to_numpy() for name in ("rms", "settling"))
 
 
