@@ -87,6 +87,7 @@ def test_a_study_prints_statistics_failures_and_the_worst_members(shown):
         ["settling", "plant.mass +0.86"],
     ):
         assert needed in [cells[: len(needed)] for cells in lines]
+    assert any(cells[-1].endswith("; 3 of them failed") for cells in lines)
 
 
 def test_what_a_few_members_do_not_show_is_said(shown):
