@@ -144,11 +144,9 @@ def test_white_noise_of_any_size_is_what_noise_leaves():
         assert (found.problem, found.independent) == ("", ROWS)
 
 
-@pytest.mark.slow
 def test_what_a_wrong_model_would_leave_is_a_problem():
     """An offset, a trend, a memory that is long for the record."""
-    noise = white(1, ROWS)
-    trend = np.linspace(-0.8, 0.8, ROWS)
+    noise, trend = white(1, ROWS), np.linspace(-0.8, 0.8, ROWS)
     for values in (noise + 0.4, noise + trend, lfilter([1.0], [1.0, -0.9], noise)):
         assert checked(values).problem.startswith("noise does not explain the residual: ")
 
@@ -156,15 +154,14 @@ def test_what_a_wrong_model_would_leave_is_a_problem():
 def test_independent_samples_are_those_of_the_closed_form():
     """Of AR(1) the share is (1 - a)/(1 + a), which is known to 4 times 2 (1 - a^2)^-1/2 N^-1/2.
 
-    AR(1) of 0.4 in 251 samples is what the tests of all lags refuse or call white.
+    The tests of all lags call some of the short records white, of which the share would be 1.
     """
     found = checked(lfilter([1.0], [1.0, -0.5], white(1, 4000)))
     assert found.problem == ""
     assert found.independent == pytest.approx(4000 / 3.0, rel=0.15)
     short = [checked(lfilter([1.0], [1.0, -0.4], white(seed, 251))) for seed in range(12)]
-    shares = [one.independent / 251 for one in short if not one.problem]
-    assert len(shares) > 4
-    assert np.median(shares) == pytest.approx(0.6 / 1.4, rel=0.3)
+    shares = [found.independent / 251 for found in short]
+    assert shares == pytest.approx([0.6 / 1.4] * 12, abs=0.2)
 
 
 def test_rows_between_samples_do_not_count():
@@ -182,8 +179,8 @@ def test_rows_between_samples_do_not_count():
     assert check_residual(SampledResidual(20, 0.0, t[:20], 0.0 * noise[:20])) is None
 
 
-@pytest.mark.parametrize(("spacing", "offset"), [(37, 0), (40, 5), (7, 0)])
 @pytest.mark.parametrize("hold", [False, True])
+@pytest.mark.parametrize(("spacing", "offset"), [(37, 0), (40, 5), (7, 0)])
 def test_errors_of_values_between_samples_are_those_of_what_the_rows_rest_on(spacing, offset, hold):
     """With y = X p + W e the covariance of least squares is s^2 (X'X)^-1 X'W W'X (X'X)^-1.
 
@@ -196,7 +193,6 @@ def test_errors_of_values_between_samples_are_those_of_what_the_rows_rest_on(spa
     W = interp1d(knots, np.eye(knots.size), kind=kind, axis=0)(T)
     noise = 0.1 * white(2, knots.size)
     assert lines.of(noise) == pytest.approx(W @ noise, abs=1e-9)
-    assert lines.back(T) == pytest.approx(W.T @ T, abs=1e-9)
     X = np.stack([T, np.ones(T.size)], axis=1)
     C = np.linalg.inv(X.T @ X)
     result = fitted(line, LINE, line(T, 3.0, -2.0) + W @ noise)

@@ -97,12 +97,19 @@ def test_a_search_that_goes_on_asks_for_what_a_longer_one_asks(method):
     assert seen == [(number, 40, 0) for number in range(1, 41)]
 
 
-def test_a_generation_is_one_batch():
-    """So that all workers have something to do; the first member runs alone."""
+@pytest.mark.parametrize(
+    ("method", "sizes"),
+    [
+        ("global", [1, 20, 20]),
+        pytest.param("optuna", [1, 3, *[4] * 9, 1], marks=pytest.mark.slow),
+    ],
+)
+def test_the_first_member_runs_alone_and_others_in_batches(method, sizes):
+    """Such as a generation, so that all workers have something to do."""
     batches = []
     run = running(bowl, lambda points: batches.append(len(points)))
-    search_best(run, planned(method="global", members=101), {})
-    assert batches == [1, 20, 20, 20, 20, 20]
+    search_best(run, planned(method=method, members=41), {})
+    assert batches == sizes
 
 
 @pytest.mark.parametrize("method", ["cobyqa", "nelder-mead"])

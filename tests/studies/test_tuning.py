@@ -12,7 +12,7 @@ from cosim.cli.app import main
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.verifying import verify_study
-from tests.studies.fitted_fmu import A, B, response, write_fit
+from tests.fmi.small import able, compiled
 
 LAG = """
 scenario = { name = "lag", stop = 2.0, step = 0.01 }
@@ -25,6 +25,16 @@ pole = { kind = "expression", y = "1 / (0.9 - plant.y)" }
 "plant.u" = "u.y"
 "limit.u" = "u.y"
 """
+FIT = """
+scenario = { name = "fit", stop = 5.0, step = 0.01 }
+[components]
+plant = { kind = "fmu", path = "plant.fmu", start = { A = -1.0, B = 1.0, C = 1.0 } }
+one = { kind = "constant", value = 1.0 }
+measured = { kind = "field-data", path = "measured.csv" }
+[connections]
+"plant.u" = "one.y"
+"""
+A, B = -1.6, 2.4
 KEY = "plant.time_constant"
 GOAL = "abs(last(plant.y) - 0.5)"
 
@@ -37,6 +47,22 @@ def lag(tmp_path):
     path = tmp_path / "lag.toml"
     path.write_text(LAG)
     return path
+
+
+def response(t, a, b):
+    """Return y of the FMU in closed form."""
+    return -b / a * (1.0 - np.exp(a * t))
+
+
+def write_fit(folder, spacing=0.01):
+    """Write fit.toml with an FMU x' = A x + B u, y = x; return its recording with 1 % noise."""
+    able(compiled(folder), folder / "plant.fmu", A=-1.0, B=1.0, C=1.0)
+    (folder / "fit.toml").write_text(FIT)
+    t = np.round(np.arange(0.0, 5.0 + spacing, spacing), 6)
+    y = response(t, A, B) + 0.01 * (-B / A) * np.random.default_rng(1).standard_normal(t.size)
+    rows = zip(t.tolist(), y.tolist(), strict=True)
+    (folder / "measured.csv").write_text("t,y\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows))
+    return t, y
 
 
 def tuned(path, **given):
@@ -78,6 +104,8 @@ def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(tmp_path, spa
         minimize="rms(plant.y - measured.y)",
         vary={"plant.start.A": {"linear": [-10.0, -0.1]}, "plant.start.B": {"log": [0.1, 10.0]}},
         standard_errors=True,
+        starts=1,
+        members=100,
         workers=1,
     )
     found = np.array(list(result.estimate.values()))
@@ -97,13 +125,13 @@ def test_a_tuning_that_was_killed_goes_on_and_one_that_is_whole_runs_nothing(lag
     killed, place = tmp_path / "killed", tmp_path / "whole"
 
     def kill(done, *_):
-        if done == 17:  # what is on the disk then
+        if done == 22:  # what is on the disk then; of 40 members 20 are for the errors
             shutil.copytree(place, killed)
 
     given = {"minimize": "rms(plant.y - 0.5)", "standard_errors": True, "members": 40}
     whole = tuned(lag, **given, out=place, progress=kill)
     rows = rows_of(place)
-    assert len(rows_of(killed)) == 17
+    assert len(rows_of(killed)) == 22
     assert tuned(lag, **given, out=killed).to_dict() == whole.to_dict()
     own = ("wall_time", "worker")
     assert rows_of(killed, *own) == rows_of(place, *own)
