@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from cosim.errors import UsageError
@@ -129,6 +130,17 @@ def test_a_search_claims_no_optimum_that_it_has_not_seen():
     assert any("ended elsewhere" in text and "x = -1" in text for text in result.statements)
     result = search(lambda _: 1.5, ONE, members=20)
     assert "no effect" in " ".join(result.statements)
+
+
+def test_a_search_that_breaks_down_has_not_converged(monkeypatch):
+    def singular(cost, start, **_):
+        cost(start)
+        raise np.linalg.LinAlgError("singular matrix")
+
+    monkeypatch.setattr("scipy.optimize.minimize", singular)
+    result = search(bowl, starts=1)
+    assert result.ends[0].reason == "COBYQA stopped: singular matrix"
+    assert result.to_dict()["converged"] is False
 
 
 def test_members_that_fail_are_named_and_cost_themselves():
