@@ -59,7 +59,7 @@ def errors_beside(function, keys, *best):
     ("model", "keys", "truth", "deviation", "noise", "most"),
     [
         (line, LINE, (3.0, -2.0), 0.1, 0.0, 1e-3),  # a parabola: rounding and the last move
-        (decay, DECAY, (2.0, 3.0), 1e-6, 0.0, 0.01),
+        (decay, DECAY, (2.0, 3.0), 1e-9, 0.0, 0.05),  # values have 12 digits
         (decay, DECAY, (2.0, 3.0), 0.2, 0.0, 0.2),  # curve_fit leaves its curvature out
         (decay, DECAY, (2.0, 3.0), 1e-2, 1e-4, 0.1),
     ],
@@ -113,14 +113,6 @@ def test_an_interval_may_go_beyond_the_bounds_and_beyond_all_numbers():
     said = replace(result, search=replace(result.search, keys=keys)).statements
     assert "the interval of a extends beyond its bounds, where nothing was tried" in said
     assert "goes beyond all numbers" in logarithm(5000.0).errors_problem
-
-
-def test_a_residual_of_rounding_has_no_errors_or_right_ones():
-    """Values have 12 digits; the standard error of the slope is 0.24 deviations."""
-    rounding, fine = (fitted(line, SLOPE, noisy(0.7 * T, d)) for d in (1e-14, 1e-10))
-    assert "the objective is noisy" in rounding.errors_problem  # from rounded values
-    expected = fine.best.objective * math.sqrt(T.size / (T.size - 1) / (T @ T))
-    assert fine.errors.errors["slope"] == pytest.approx(expected, rel=0.05)
 
 
 def test_a_recording_without_noise_has_no_errors_where_the_search_stopped_short():

@@ -11,6 +11,7 @@ import cosim
 from cosim.cli.app import main
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.dataset import StudyDataset
+from cosim.studies.studying import executor_of
 from cosim.studies.verifying import verify_study
 from tests.fmi.small import able, compiled
 
@@ -204,6 +205,20 @@ def test_a_log_is_replayed_by_every_trial(lag, tmp_path):
     result = tuned(log, members=3, starts=1)
     assert result.history[0]["values"] == {KEY: 1.25}
     assert "cosim replay" in result.command
+
+
+def test_beside_a_cluster_the_first_member_runs_on_this_machine(lag, monkeypatch):
+    places = []
+
+    def executor_there(plan, workers, scheduler, notice):
+        executor = executor_of(plan, workers, None, notice)
+        run = executor.run
+        executor.run = lambda members: run(places.append(scheduler) or members)
+        return executor
+
+    monkeypatch.setattr("cosim.studies.tuning.executor_of", executor_there)
+    tuned(lag, method="global", scheduler="tcp://host:8786", members=11)
+    assert places == [None, "tcp://host:8786"]
 
 
 def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
