@@ -116,7 +116,7 @@ timeout, keep, results : optional
     file = file.with_options(**{name: given[name] for name in options})
     place = default_place(file) if out is None else out
     plan = plan_study(file)
-    notice = notice or _warn
+    notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
     for text in plan.notices:
         notice(text)
     with ExitStack() as resources:
@@ -290,7 +290,3 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
         dataset_bytes=total * row_bytes,
         log_bytes=log_bytes,
     )
-
-
-def _warn(text: str) -> None:
-    warn([text.removeprefix("warning: ")])
