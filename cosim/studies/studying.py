@@ -278,8 +278,7 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     values = (*member.set.values(), *member.swap.values(), *last.metrics.values(), *texts)
     row_bytes = 4 * 8  # of number, steps, wall time, other results
     for value in values:
-        is_text = isinstance(value, str) and value
-        row_bytes += len(value.encode()) if is_text else 8 * np.size(value)
+        row_bytes += len(value.encode()) if isinstance(value, str) and value else 8 * np.size(value)
     each = -(-total // workers)
     return StudyEstimate(
         total,
