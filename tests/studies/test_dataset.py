@@ -326,7 +326,7 @@ def test_two_studies_cannot_write_one_dataset_at_once(folder):
 # --- damage ---
 
 
-@pytest.mark.parametrize("stride", [41, pytest.param(1, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("stride", [83, pytest.param(1, marks=pytest.mark.campaign)])
 def test_a_flipped_bit_is_named_or_harmless(folder, stride):
     """Anywhere in any file: never is anything read that was not written."""
     rows = {row["member"]: row for row in content(folder).to_pylist()}

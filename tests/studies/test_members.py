@@ -119,7 +119,7 @@ def alone(name):
     return log.status, reason or log.reason, log.steps, values, log.content_hash()
 
 
-@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
 @given(names=st.permutations([*EDITS] * 2))
 def test_a_member_has_the_bits_of_its_own_run_in_any_order(names):
     """Also behind those that fail: nothing of a member is left for the next; so has its log."""

@@ -89,17 +89,19 @@ def test_another_machine_and_other_versions_are_said(recorded, monkeypatch):
 
 
 def test_what_members_are_made_of_must_be_as_it_was(recorded, tmp_path):
-    """By its SHA-256, though it computes no metric otherwise; by the version of cosim."""
-    plant = recorded / "LIES.fmu"
+    """By its SHA-256, also while they run, where one differs; by the version of cosim."""
+    plant, other = recorded / "LIES.fmu", recorded / "OTHER_START.fmu"
     before = plant.read_bytes()
-    shutil.copy(recorded / "OTHER_START.fmu", plant)
+    differs = tampered(recorded, tmp_path / "x", y=0.0)
     try:
+        with pytest.raises(DatasetError, match=r"x: FMU LIES.fmu changed \(by SHA-256\)"):
+            verify_study(differs, progress=lambda *_: shutil.copy(other, plant))
         with pytest.raises(DatasetError, match=r"out: FMU LIES.fmu changed \(by SHA-256\)"):
             verify_study(recorded / "out")
     finally:
         plant.write_bytes(before)
     with pytest.raises(DatasetError, match="the version of cosim was 9, is"):
-        verify_study(tampered(recorded, tmp_path, version="9"))
+        verify_study(tampered(recorded, tmp_path / "y", version="9"))
 
 
 def test_members_that_cannot_run_again_are_refused(recorded, tmp_path):
