@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.digests import sha256_of
-from cosim.errors import ChangedFileError, CosimError, Interrupted, ScenarioError, UsageError
+from cosim.errors import ChangedFileError, CosimError, Interrupted
 from cosim.scenario.swapping.swap_comparison import compare_swaps
 from cosim.studies import members as module
 from cosim.studies.contracts import COMPLETE, FAILED, StudyMember, StudySubject
@@ -143,12 +143,7 @@ def test_edits_of_a_member_come_after_those_of_all():
     assert run_member(subject, StudyMember(0)).status == FAILED
 
 
-def test_what_cannot_be_opened_is_refused(monkeypatch):
-    """A signal that is not there is the member's failure; an interruption ends the study."""
-    with pytest.raises(UsageError, match="x: "):
-        run_member(StudySubject(scenario(), metrics={"x": "plant.y"}), StudyMember(0))
-    with pytest.raises(ScenarioError, match="acadmic"):
-        run_member(StudySubject("acadmic"), StudyMember(0))
+def test_an_interruption_ends_the_study_and_a_signal_that_is_not_there_the_member(monkeypatch):
     outcome = run_member(StudySubject(scenario(), metrics={"x": "last(plant.z)"}), StudyMember(0))
     assert outcome.status == FAILED
     assert "plant.z" in outcome.reason
@@ -225,21 +220,6 @@ def study(tmp_path):
 def swapping(folder, name, **values):
     """Return a member with another plant."""
     return StudyMember(0, values, swap={"plant": str(folder / f"{name}.fmu")})
-
-
-def test_the_sources_of_a_member_are_found(study):
-    """Files by path, the code of a user's class by its name; or why it cannot be built."""
-    subject, folder = study
-    found = inspect_member(subject, swapping(folder, "b"))
-    names = ["u.csv", "b.fmu"]
-    assert {str(folder / name): sha256_of(folder / name) for name in names} == found.files
-    own = inspect_member(StudySubject(scenario()), StudyMember(0))
-    assert [path.rpartition("/")[2] for path in own.modules] == ["counting.py"]
-    assert [*own.codes] == ["code of counting:Counting"]
-    wrong = inspect_member(StudySubject(scenario()), StudyMember(0, EDITS["kind"]))
-    assert "time_constant" in wrong.refused
-    unknown = StudySubject(scenario(), metrics={"x": "last(plant.z)"})
-    assert "plant.z" in inspect_member(unknown, StudyMember(0)).refused
 
 
 def test_a_swap_is_compared_once_and_without_what_is_varied_beside_it(study, monkeypatch):

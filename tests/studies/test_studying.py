@@ -72,26 +72,10 @@ def test_every_member_is_its_run_alone(grid):
 
 
 @pytest.mark.parametrize(
-    ("changed", "text"),
-    [
-        ({"metrics": {"error": "rms(plant.y)"}}, "the metrics changed"),
-        ({"set": {**GRID["set"], "observer.L": [3.0, 0.5]}}, "key components.observer changed"),
-        ({"vary": {"observer.filter_rate": [10.0, 20.0, 5.0, 1.0]}}, "member 1 was observer."),
-    ],
-)
-def test_the_dataset_of_another_study_is_refused(grid, changed, text):
-    """By what differs."""
-    with pytest.raises(DatasetError, match=re.escape(text)):
-        cosim.study("academic", out=grid, **(GRID | changed))
-    assert len(cosim.open_study(grid)) == 4
-
-
-@pytest.mark.parametrize(
     ("given", "text"),
     [
         ({"metrics": {"a": "rms(observer.delt)"}}, "did you mean 'delta'"),
         ({"metrics": {}, "keep": "worst 1 of no"}, "keep: 'no' is not a numeric metric"),
-        ({"out": ""}, "empty path"),
         ({"new": 1}, "new"),
     ],
 )
