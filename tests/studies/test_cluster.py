@@ -166,15 +166,17 @@ def test_workers_that_go_and_come_cost_nothing(tmp_path, study, monkeypatch):
         found = {}
         for member, outcome in workers.run(acting(n, seconds=0.02) for n in range(200)):
             found[member.number] = outcome
-            if len(found) == 3:
+            if len(found) == 3:  # the tasks that wait are for this worker only
+                own.workers[0].kill()
                 own.start_worker(PYTHONPATH=str(tmp_path / "other"))
                 own.start_worker()
-            if len({o.worker for o in found.values()}) == 2:
-                own.workers[0].kill()
-        assert own.workers[0].wait(LIMIT) == -signal.SIGKILL
+                own.start_worker()
+            if len({o.worker for o in found.values()}) == 3:
+                own.workers[2].kill()
+        assert [own.workers[n].wait(LIMIT) for n in (0, 2)] == [-signal.SIGKILL] * 2
         assert len(found) == 200
         assert {outcome.status for outcome in found.values()} == {COMPLETE}
-    assert sum("is gone" in text for text in notices) == 1
+    assert sum("is gone" in text for text in notices) == 2
     assert sum("is not used: " in text and "cosim" in text for text in notices) == 1
 
 
