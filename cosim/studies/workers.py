@@ -34,7 +34,6 @@ from cosim.studies.members import run_member
 from cosim.studies.worker import DONE, HEAD, MARK, REFUSED, SOCKET_LOST
 from cosim.temporary import TemporaryFolder
 
-VARIABLE: Final = "COSIM_WORKER"  # set in a worker
 LEAST: Final = 60.0  # [s] that a member may take, and
 FACTOR: Final = 10.0  # times the longest of
 FIRST_MEMBERS: Final = 10  # that were completed
@@ -253,7 +252,7 @@ class _Child:
             number = other.fileno()
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "cosim.studies.worker", str(number)],
-                env=with_one_thread(child_environment(folder, VARIABLE)),
+                env=with_one_thread(child_environment(folder, "COSIM_WORKER")),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
