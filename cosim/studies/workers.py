@@ -2,6 +2,9 @@
 
 What a crash destroys may be the work of an earlier member: so a member with which a worker crashes
 that has done others is done once more, as the first of a new worker.
+
+Pools of libraries lose more: with distributed innocent members go with one that crashes, with loky
+all that are at work, and pebble hangs on what foreign code writes into its pipes.
 """
 
 from __future__ import annotations
