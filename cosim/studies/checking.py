@@ -177,7 +177,7 @@ class _DesignCheck:
         for key, value in values.items():  # without its log it would run what the log has in it
             others = {k: v for k, v in values.items() if k != key} | {RECORDING: member.recording}
             rest = self._problem(member_of(member.number, others), level).splitlines()
-            lines = [without_key(line, key) for line in problem.splitlines() if line not in rest]
+            lines = [_without_key(line, key) for line in problem.splitlines() if line not in rest]
             if lines:
                 text = "\n".join(lines)
                 place = self._place(key, member.number)
@@ -244,7 +244,7 @@ def _firsts(values: NDArray[Any]) -> list[int]:
     return sorted(firsts.tolist())
 
 
-def without_key(problem: str, key: str) -> str:
+def _without_key(problem: str, key: str) -> str:
     """Return a problem without the place that a scenario has for a key that is varied."""
     rest = re.sub(rf"^\S+:\d+ \(with {re.escape(key)}\): ", "", problem)
     return rest.removeprefix(f"{key}: ").removeprefix(f"components.{key}: ")

@@ -131,8 +131,8 @@ class StudyDataset:
             If another study's is there, it is damaged, or another process writes there.
         """
         storage = Storage(place)
-        storage.lock()
         try:
+            storage.lock()
             if new:
                 _remove(storage)
             recorded = _recorded(storage)

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -120,15 +119,14 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     grid = list(study.grid)
     if recordings:
         grid.insert(0, GridVariation(RECORDING, recordings))
-    varied = {item.key: "varied" for item in study.variations}
-    froms = {RECORDING: "of the logs"} if recordings else {}
-    given = [*froms.items(), *varied.items(), *((key, "of the cases") for key in cases)]
+    given = [(RECORDING, "of the logs")] if recordings else []
+    given += [(item.key, "varied") for item in study.variations]
+    given += [(key, "of the cases") for key in cases]
     firsts = {item.key: item.values[0] for item in study.variations if item.key.startswith(SWAP)}
     edited = edited_scenario(study, scenario, member_of(0, firsts).swap)
     sources: dict[str, str] = {}
     if settings.seeds is not None:
-        is_replay = any(key == RECORDING for key, _ in given)
-        sources = _noise_sources(edited, {key for key, _ in given}, is_replay)
+        sources = _noise_sources(edited, {key for key, _ in given})
     _check_keys(study, [*given, *((key, "of the seeds") for key in sources)])
 
     layout = _layout(study, grid, [*sources], cases)
@@ -160,14 +158,13 @@ def edited_scenario(
     study: StudyFile,
     scenario: Scenario,
     swaps: Mapping[str, str],
-    changes: Mapping[str, Any] = MappingProxyType({}),
+    changes: Mapping[str, Any] | None = None,
 ) -> Scenario:
     """Return the scenario of a member; of a replay as far as it is known without its log."""
     settings = study.settings
     swap = {**settings.swap, **swaps}
-    may_replay = settings.replay is not None or settings.cases is not None
-    maps = {} if may_replay and not swap else dict(settings.map)
-    return scenario.edit(swap=swap, map=maps, set={**settings.set, **changes})
+    maps = {} if study.may_replay and not swap else dict(settings.map)
+    return scenario.edit(swap=swap, map=maps, set={**settings.set, **(changes or {})})
 
 
 def find_recordings(patterns: str | Iterable[str] | None) -> tuple[str, ...]:
@@ -258,15 +255,16 @@ def _drawn(item: SampledVariation, p: Vector, scenario: Scenario) -> _Array:
     return values
 
 
-def _noise_sources(scenario: Scenario, given: set[str], is_replay: bool) -> dict[str, str]:
+def _noise_sources(scenario: Scenario, varied: set[str]) -> dict[str, str]:
     """Return the noise sources that get seeds, by the keys of their seeds."""
     sources = {}
     for name, table in scenario.tree["components"].items():
-        if table.get("seed") is not None and f"{SWAP}{name}" not in given:
+        if table.get("seed") is not None and f"{SWAP}{name}" not in varied:
             sources[short(f"{COMPONENTS}.{name}.seed")] = name
     for number, action in scenario.actions.items():
         loses = action.drop is not None and not isinstance(action.drop, bool)
-        if not is_replay and (action.noise is not None or loses):  # a replay has them recorded
+        is_noisy = action.noise is not None or loses
+        if is_noisy and RECORDING not in varied:  # a replay has it recorded
             sources[f"{ACTIONS}.{number}.seed"] = f"{ACTIONS}.{number}"
     if not sources:
         raise UsageError(

@@ -19,8 +19,8 @@ from cosim.log.contents.metadata import read_json
 from cosim.studies.contracts import MetricValue
 from cosim.version import __version__
 
-FORMAT: Final = 3
-OF_KEY: Final = "key "  # begins what the digest of a key of the scenario is named
+_FORMAT: Final = 3
+_OF_KEY: Final = "key "  # begins what the digest of a key of the scenario is named
 OF_METRICS: Final = "the metrics"  # what the digest of the metrics is named
 MEMBER: Final = "member"
 LOG: Final = "log"
@@ -81,7 +81,7 @@ _OUTCOME: Final = (
     StudyColumn("worker", "outcome", "string"),
     StudyColumn("other_results", "outcome", "json"),
 )
-RESERVED: Final = {MEMBER, LOG, *(column.name for column in _OUTCOME)}
+_RESERVED: Final = {MEMBER, LOG, *(column.name for column in _OUTCOME)}
 
 
 def parameter_column(name: str, values: Iterable[Any]) -> StudyColumn:
@@ -102,7 +102,7 @@ def metric_column(name: str, expression: str) -> StudyColumn:
 
 def result_columns(results: Mapping[str, MetricValue], taken: Iterable[str]) -> list[StudyColumn]:
     """Return the columns of what the result of one run says, but of names that are taken."""
-    names = RESERVED.union(taken)
+    names = _RESERVED.union(taken)
     return [
         StudyColumn(name, "metric", "string" if isinstance(value, str) else "double")
         for name, value in results.items()
@@ -164,7 +164,7 @@ class StudyIdentity:
     salt: str = field(default_factory=partial(secrets.token_hex, 8))
 
     def __post_init__(self) -> None:
-        taken = set(RESERVED)
+        taken = set(_RESERVED)
         for column in self.columns:
             if column.name in taken:
                 raise DatasetError(
@@ -181,7 +181,7 @@ class StudyIdentity:
     def to_json(self) -> bytes:
         """Return the description of a dataset."""
         study = asdict(self)
-        head = {"format": FORMAT, "cosim": self.version, "checksum": digest_of(study)}
+        head = {"format": _FORMAT, "cosim": self.version, "checksum": digest_of(study)}
         return (json.dumps({**head, "study": study}, indent=1, ensure_ascii=False) + "\n").encode()
 
     @classmethod
@@ -195,9 +195,9 @@ class StudyIdentity:
         """
         with suppress(ValueError, KeyError, TypeError):
             found = read_json(content)
-            if found["format"] != FORMAT:
+            if found["format"] != _FORMAT:
                 raise DatasetError(
-                    f"{label}: expected dataset format {FORMAT}, got {found['format']!r}; read it "
+                    f"{label}: expected dataset format {_FORMAT}, got {found['format']!r}; read it "
                     f"with cosim {found['cosim']}, or choose another folder"
                 )
             identity = TypeAdapter(cls).validate_python(found["study"])
@@ -214,9 +214,9 @@ def scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
     digests: dict[str, str] = {}
     for name, table in tables.items():
         if isinstance(table, Mapping) and table:
-            digests |= {f"{OF_KEY}{name}.{key}": digest_of(value) for key, value in table.items()}
+            digests |= {f"{_OF_KEY}{name}.{key}": digest_of(value) for key, value in table.items()}
         else:
-            digests[f"{OF_KEY}{name}"] = digest_of(table)
+            digests[f"{_OF_KEY}{name}"] = digest_of(table)
     return digests
 
 
@@ -231,7 +231,7 @@ def differences(recorded: StudyIdentity, planned: StudyIdentity) -> str:
             found.append(f"{name} changed")
         elif after[name] != was:
             found.append(f"{name} was {was}, is {after[name]}")
-    new = [name for name in after if name not in before and name.startswith((OF_KEY, _VARIED))]
+    new = [name for name in after if name not in before and name.startswith((_OF_KEY, _VARIED))]
     found += [f"{name} is new" for name in new]
     if len(found) > _SHOWN:
         found[_SHOWN:] = [f"and {len(found) - _SHOWN} more"]

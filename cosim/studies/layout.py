@@ -194,10 +194,6 @@ class StudyLayout:
         """Return the samples of members."""
         return numbers // (self.grid * self.seeds)
 
-    def seeds_of(self, numbers: NumberColumn) -> NumberColumn:
-        """Return which of the seeds members have."""
-        return numbers // self.grid % self.seeds
-
     @property
     def is_drawn(self) -> bool:
         """Members were drawn, not chosen, so that there are intervals."""
@@ -219,7 +215,7 @@ class StudyLayout:
         Members that were chosen are all in one unit, so that nothing has an interval.
         """
         if self.kind in _CHOSEN:
-            return None if 1 < self.seeds == self.members else self.seeds_of(numbers)
+            return None if 1 < self.seeds == self.members else numbers // self.grid % self.seeds
         if self.kind == "saltelli" and self.noise_seeds:
             return self.samples_of(numbers) % self.base_points
         return self.samples_of(numbers) if self.seeds * self.grid > 1 else None

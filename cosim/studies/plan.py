@@ -96,7 +96,7 @@ class StudyPlan:
         tree = {name: table for name, table in self.scenario.tree.items() if name not in others}
         digests = scenario_digests(tree)
         digests[OF_METRICS] = digest_of([dict(study.metrics), with_results])
-        if _is_edited_later(study):
+        if study.may_replay:
             own = "" if with_results else f"{RECORD}."
             edits = {k: v for k, v in subject.set.items() if not own or not k.startswith(own)}
             common = [edits, dict(subject.swap), dict(subject.map), study.settings.allow_code]
@@ -171,7 +171,7 @@ def plan_members(
     checked = check_design(design, scenario)
     sources, warnings = _sources({**named, **files}, checked.found)
     edited = scenario
-    if not _is_edited_later(study):
+    if not study.may_replay:
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
     told = [f"warning: {text}" for text in warnings]
     notices = (*checked.notices, *_empty_cells(design), *told)
@@ -192,11 +192,6 @@ def _empty_cells(design: StudyDesign) -> list[str]:
     if rows:
         text += f"; all empty {'is row' if len(rows) == 1 else 'are rows'} {listing(rows, 5)}"
     return [text]
-
-
-def _is_edited_later(study: StudyFile) -> bool:
-    """Return whether the edits of all members are made to what a log has recorded."""
-    return study.settings.replay is not None or study.settings.cases is not None
 
 
 # --- files ---

@@ -22,7 +22,6 @@ from cosim.studies.sensitivity import SobolIndices, check_has_indices, sobol_ind
 from cosim.studies.statistics import (
     CONFIDENCE,
     LEAST_MEMBERS,
-    NO_INTERVAL,
     PROBABILITIES,
     running_mean,
     spearman,
@@ -394,7 +393,7 @@ def _plot_sobol(picture: StudyPicture) -> None:
     for panel, column, label in picture.each(2, (14.0, 2.5 + 0.9 * tallest)):
         _draw_indices(panel, found[column.name])
         panel.set_xlabel(f"share of the variance of {label}")
-        if found[column.name].first_intervals[0] != NO_INTERVAL:
+        if found[column.name].has_intervals:
             title = f"Sobol indices with rough {_PERCENT} intervals"
     picture.save(title)
 

@@ -32,7 +32,7 @@ from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recorders import Memory
 from cosim.core.signals import SAMPLE_TIMES, samples_of
 from cosim.errors import RunError
-from cosim.native.numerics.expression import ConditionProgram, Program
+from cosim.native.numerics.expression import Program
 from cosim.native.numerics.programs import RowProgram
 from cosim.studies.contracts import COMPLETE, StudyMember, StudySubject
 from cosim.studies.members import opened
@@ -113,23 +113,24 @@ def residual_of(subject: StudySubject, member: StudyMember) -> SampledResidual |
     if opened(subject).run(member, sink=run).status != COMPLETE:
         return None
     reduction = _reduction(subject)
+    of_residual = reduction.values
+    assert isinstance(of_residual, Program)  # as of every rms
     ports = {name: find_element(run.channels, name, "the run") for name in reduction.signals}
     period = math.lcm(*(port.channel.period for port in ports.values()))
     t = _instants(run, period)
     values = {name: run[name][:: period // port.channel.period] for name, port in ports.items()}
-    residual = _evaluated(reduction.values, t, values)
+    residual = _evaluated(of_residual, t, values)
     counts = ~np.isnan(residual)
     if reduction.where is not None:
-        counts &= _evaluated(reduction.where, t, values) > 0.5
+        counts &= _evaluated(reduction.where.program, t, values) > 0.5
     own = residual[counts]
     rms = math.sqrt(float(np.mean(own**2))) if own.size else 0.0
     found = SampledResidual(own.size, rms, t[counts], own)
 
-    signals = _program(reduction.values).signals
-    each = {name: _samples(run, ports[name]) for name in signals}
+    each = {name: _samples(run, ports[name]) for name in of_residual.signals}
     samples = {name: columns for name, columns in each.items() if columns is not None}
     if not samples:
-        return replace(found, problem=_unknown_samples(subject, run, signals, t))
+        return replace(found, problem=_unknown_samples(subject, run, each, t))
     knots = _knots(samples, t, values)
     if knots is None:
         names = " and ".join(samples)
@@ -140,7 +141,7 @@ def residual_of(subject: StudySubject, member: StudyMember) -> SampledResidual |
     for name, port in ports.items():
         between = Lines(t, instants, hold=port.signal.variability == "discrete").of(values[name])
         at_samples[name] = samples[name][:, 2] if name in samples else between
-    residual = _evaluated(reduction.values, instants, at_samples)
+    residual = _evaluated(of_residual, instants, at_samples)
     lines = Lines(instants, t[counts], hold=hold)
     is_used = (lines.back(np.ones(own.size)) > 0.0) & np.isfinite(residual)
     used = instants[is_used]
@@ -153,12 +154,7 @@ def _reduction(subject: StudySubject) -> Reduction:
     return parse_metric_text(name, text).reductions[0]
 
 
-def _program(part: Program | ConditionProgram) -> Program:
-    return part.program if isinstance(part, ConditionProgram) else part
-
-
-def _evaluated(part: Program | ConditionProgram, t: Vector, values: Mapping[str, Vector]) -> Vector:
-    program = _program(part)
+def _evaluated(program: Program, t: Vector, values: Mapping[str, Vector]) -> Vector:
     rows = np.stack(list(values.values()), axis=1)
     columns = [list(values).index(name) for name in program.signals]
     bound = RowProgram(program.with_columns(columns))

@@ -19,6 +19,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import UsageError, option, quoted
 from cosim.studies.contracts import COMPLETE, MemberOutcome
+from cosim.studies.storage import library
 
 METHODS: Final = ("cobyqa", "nelder-mead", "global", "optuna")
 BATCHES: Final = ("global", "optuna")  # methods that try many points at a time
@@ -188,8 +189,8 @@ class Search:
         """Return the largest difference of coordinates."""
         return float(np.abs(self.coordinates(one) - self.coordinates(other)).max())
 
-    def check(self, samples: int | None = None) -> None:
-        """Raise UsageError if it is none, or so many independent samples cannot be."""
+    def check(self, *, with_errors: bool = False, samples: int | None = None) -> None:
+        """Raise UsageError if it is none, or standard errors of so many samples cannot be."""
         if self.method not in METHODS:
             found = f"expected one of {', '.join(METHODS)}, got {quoted(self.method)}"
             raise UsageError(f"{option('method')}: {found}")
@@ -206,13 +207,10 @@ class Search:
                 raise UsageError(f"{option('vary', key.key)}: {problem}")
         if self.method == "optuna":
             _optuna()
-
-    def check_errors(self) -> None:
-        """Raise UsageError if the best values can have no standard errors."""
         name = option("standard_errors")
-        if self.choices:
+        if with_errors and self.choices:
             raise UsageError(f"{name}: expected bounds for all keys, got a list of values")
-        if self.maximize or not self.is_rms:
+        if with_errors and (self.maximize or not self.is_rms):
             such = "such as 'rms(plant.y - measured.y)'"
             raise UsageError(f"{name}: expected to minimize the rms of one residual, {such}")
 
@@ -532,12 +530,7 @@ def _globally(trials: Trials, first: Vector) -> str:
 
 
 def _optuna() -> Any:
-    try:
-        import optuna  # it is optional
-    except ImportError as error:
-        missing = "the method 'optuna' needs optuna, which is not installed"
-        raise UsageError(f"{missing}: pip install optuna") from error
-    return optuna
+    return library("optuna", "the method 'optuna' needs", "optuna")
 
 
 def _with_optuna(trials: Trials, known: Point) -> str:

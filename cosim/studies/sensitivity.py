@@ -15,7 +15,8 @@ other, and the indices are biased: nothing in the values tells by how much.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from itertools import starmap
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
 from cosim.studies.layout import MemberColumns, NumberColumn, StudyLayout
 from cosim.studies.statistics import NO_INTERVAL, TAIL, ConfidenceInterval, is_constant
+
+_RESAMPLES: Final = 1000  # of the bootstrap
 
 
 @dataclass(frozen=True)
@@ -97,20 +100,20 @@ def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> S
         got = f"{found} of {layout.base_points}"
         raise UsageError(f"Sobol indices of {metric!r}: expected {wanted}, got {got}")
     kept = matrices[:, complete]
-    first, total = indices_of(kept, np.ones((1, found)))
+    first, total = _indices_of(kept, np.ones((1, found)))
     if is_constant(kept.ravel()) or not np.isfinite(first).all():
         wanted = "a metric that depends on the parameters"
         got = "the same value in all members"
         raise UsageError(f"Sobol indices of {metric!r}: expected {wanted}, got {got}")
     intervals = [(NO_INTERVAL,) * len(layout.parameters)] * 2
     if found >= 64:  # of fewer as few as 70 % of the intervals hold
-        intervals = [_percentiles(resampled) for resampled in bootstrap(kept)]
+        intervals = _bootstrap(kept)
     omitted = np.flatnonzero(~complete)
     indices = (first[0], total[0], intervals[0], intervals[1])
     return SobolIndices(metric, layout.parameters, *indices, found, omitted)
 
 
-def indices_of(values: Matrix, weights: Matrix) -> tuple[Matrix, Matrix]:
+def _indices_of(values: Matrix, weights: Matrix) -> tuple[Matrix, Matrix]:
     """Return first and total order indices, each of shape (r, d).
 
     Parameters
@@ -132,20 +135,15 @@ def indices_of(values: Matrix, weights: Matrix) -> tuple[Matrix, Matrix]:
         return of_one / column, with_others / column
 
 
-def bootstrap(values: Matrix, *, resamples: int = 1000) -> tuple[Matrix, Matrix]:
-    """Return first and total order indices of resampled base points, each (resamples, d)."""
+def _bootstrap(values: Matrix) -> list[tuple[ConfidenceInterval, ...]]:
+    """Return the intervals of first and total order indices, of resampled base points."""
     rng = np.random.default_rng(0)  # the same study has the same intervals
     count = values.shape[1]
     at_once = max(1, 2**22 // count)  # resamples: their counts take 32 MB
     found = []
-    for start in range(0, resamples, at_once):
-        rows = min(at_once, resamples - start)
+    for start in range(0, _RESAMPLES, at_once):
+        rows = min(at_once, _RESAMPLES - start)
         drawn = [np.bincount(rng.integers(count, size=count), minlength=count) for _ in range(rows)]
-        found.append(indices_of(values, np.array(drawn, np.float64)))
-    firsts, totals = zip(*found, strict=True)
-    return np.concatenate(firsts), np.concatenate(totals)
-
-
-def _percentiles(resampled: Matrix) -> tuple[ConfidenceInterval, ...]:
-    ends = np.quantile(resampled, [TAIL, 1.0 - TAIL], axis=0)
-    return tuple(ConfidenceInterval(*pair) for pair in ends.T.tolist())
+        found.append(_indices_of(values, np.array(drawn, np.float64)))
+    ends = np.quantile(np.concatenate(found, axis=1), [TAIL, 1.0 - TAIL], axis=1)
+    return [tuple(starmap(ConfidenceInterval, pairs)) for pairs in ends.transpose(1, 2, 0).tolist()]

@@ -415,7 +415,7 @@ def _member(study: Study, results: StudyResults, number: int, command: str) -> S
     for name, value in row.items():
         title = titles.get(name, "run")
         text = empty[title] if value is None else shortened(str(value))
-        if text and name not in ("member", "status", "reason", "designs"):
+        if text and name not in ("member", "status", "reason"):
             sections[title].append((results.with_unit(name), text))
     for title, rows in sections.items():
         yield from _table(title, ("", ""), rows)

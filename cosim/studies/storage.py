@@ -110,7 +110,7 @@ class Storage:
     def write(self, name: str, content: bytes | Path) -> None:
         """Write a file as a whole, or move one there."""
         path = f"{self._root}/{name}"
-        with _explained(self.label(name), DatasetWriteError, _RESUME):
+        with _explained(self.label(name), DatasetWriteError):
             if self._folder is not None:
                 _replace(Path(path), content)
             elif isinstance(content, Path):
@@ -129,13 +129,13 @@ class Storage:
                 self._write_later()
             return
         path = self._folder / name
-        explained = _explained(self.label(name), DatasetWriteError, _RESUME)
+        explained = _explained(self.label(name), DatasetWriteError)
         with explained, open(path, "ab", buffering=0) as file:
             _write(file.fileno(), line)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files."""
-        with _explained(self.label(), DatasetWriteError, _RESUME):
+        with _explained(self.label(), DatasetWriteError):
             for name in names:
                 if self._files.exists(f"{self._root}/{name}"):
                     self._files.rm_file(f"{self._root}/{name}")
@@ -157,7 +157,6 @@ class Storage:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             holder = self.read(_LOCK) or b"unknown"
-            self.close()
             raise DatasetError(
                 f"{self.label()}: another study is writing there (process {holder.decode()}); wait "
                 "until it ends, or choose another folder"
@@ -213,10 +212,11 @@ def _write(descriptor: int, content: bytes) -> None:
 
 @contextmanager
 def _explained(
-    label: str, kind: type[DatasetError | DatasetWriteError] = DatasetError, advice: str = ""
+    label: str, kind: type[DatasetError | DatasetWriteError] = DatasetError
 ) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # each kind of storage has errors of its own
         text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        advice = _RESUME if kind is DatasetWriteError else ""
         raise kind(f"{label}: {text}{advice}") from error

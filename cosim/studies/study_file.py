@@ -155,6 +155,11 @@ class StudyFile:
         return tuple(item for item in self.variations if isinstance(item, SampledVariation))
 
     @property
+    def may_replay(self) -> bool:
+        """Whether members may replay logs, so that edits of all are made to what a log has."""
+        return self.settings.replay is not None or self.settings.cases is not None
+
+    @property
     def subject(self) -> StudySubject:
         """What all members have in common."""
         settings = self.settings

@@ -116,7 +116,7 @@ timeout, keep, results : optional
     file = file.with_options(**{name: given[name] for name in options})
     place = default_place(file) if out is None else out
     plan = plan_study(file)
-    notice = notice or _warn
+    notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
     for text in plan.notices:
         notice(text)
     with ExitStack() as resources:
@@ -278,8 +278,7 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     values = (*member.set.values(), *member.swap.values(), *last.metrics.values(), *texts)
     row_bytes = 4 * 8  # of number, steps, wall time, other results
     for value in values:
-        is_text = isinstance(value, str) and value
-        row_bytes += len(value.encode()) if is_text else 8 * np.size(value)
+        row_bytes += len(value.encode()) if isinstance(value, str) and value else 8 * np.size(value)
     each = -(-total // workers)
     return StudyEstimate(
         total,
@@ -290,7 +289,3 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
         dataset_bytes=total * row_bytes,
         log_bytes=log_bytes,
     )
-
-
-def _warn(text: str) -> None:
-    warn([text.removeprefix("warning: ")])

@@ -172,9 +172,7 @@ def tune(
         one = f"the method {method!r} runs one member at a time"
         available = f"available with a cluster: {', '.join(BATCHES)}"
         raise UsageError(f"{option('scheduler')}: {one}; {available}")
-    search.check(samples)
-    if with_errors:
-        search.check_errors()
+    search.check(with_errors=with_errors, samples=samples)
     metrics = {OBJECTIVE: expression}
     if search.is_rms:
         metrics[SAMPLES] = f"count{expression.strip().removeprefix('rms')}"
@@ -232,9 +230,11 @@ def _members(
             there = StudyDataset.open_or_create(out, plan.identity())
             dataset = resources.enter_context(there)
         # before the dataset that is there is removed
-        local, executor = (executor_of(plan.study, workers, s, notice) for s in (None, scheduler))
-        for one in (local, executor):
-            resources.enter_context(one)
+        local = executor = executor_of(plan.study, workers, None, notice)
+        resources.enter_context(local)
+        if scheduler is not None:
+            executor = executor_of(plan.study, workers, scheduler, notice)
+            resources.enter_context(executor)
 
         def run(points: Mapping[int, Point]) -> Iterator[MemberOutcome]:
             nonlocal dataset

@@ -273,14 +273,14 @@ class _Kind(NamedTuple):
     quantiles: Callable[..., Any] = _uniform
 
 
-def _both(a: float, b: float) -> bool:
+def _are_positive(a: float, b: float) -> bool:
     return min(a, b) > 0.0
 
 
 _KINDS: Final = {
     "linear": _Kind(2, lambda a, b: a != b, "[first, last], two different numbers"),
     "log": _Kind(
-        2, lambda a, b: a != b and _both(a, b), "[first, last], two different positive numbers"
+        2, lambda a, b: 0.0 < min(a, b) < max(a, b), "[first, last], two different positive numbers"
     ),
     "tolerance": _Kind(1, lambda x: 0.0 < x < 1.0, "a fraction between 0 and 1, such as 0.05"),
     "uniform": _Kind(2, lambda a, b: a < b, "[lower, upper] with lower < upper"),
@@ -290,7 +290,7 @@ _KINDS: Final = {
     "normal": _Kind(2, lambda _, s: s > 0.0, "[mean, deviation] with a deviation above 0", _normal),
     "lognormal": _Kind(
         2,
-        _both,
+        _are_positive,
         "[median, deviation of the natural logarithm], both above 0",
         lambda p, median, s: median * np.exp(_normal(p, 0.0, s)),
     ),
@@ -303,10 +303,10 @@ _KINDS: Final = {
     "exponential": _Kind(
         1, lambda mean: mean > 0.0, "a mean above 0", lambda p, mean: -mean * np.log1p(-p)
     ),
-    "beta": _Kind(2, _both, "[alpha, beta], both above 0", _beta),
+    "beta": _Kind(2, _are_positive, "[alpha, beta], both above 0", _beta),
     "weibull": _Kind(
         2,
-        _both,
+        _are_positive,
         "[scale, shape], both above 0",
         lambda p, scale, shape: scale * (-np.log1p(-p)) ** (1.0 / shape),
     ),

@@ -2,6 +2,9 @@
 
 What a crash destroys may be the work of an earlier member: so a member with which a worker crashes
 that has done others is done once more, as the first of a new worker.
+
+Pools of libraries lose more: with distributed innocent members go with one that crashes, with loky
+all that are at work, and pebble hangs on what foreign code writes into its pipes.
 """
 
 from __future__ import annotations
@@ -34,7 +37,6 @@ from cosim.studies.members import run_member
 from cosim.studies.worker import DONE, HEAD, MARK, REFUSED, SOCKET_LOST
 from cosim.temporary import TemporaryFolder
 
-VARIABLE: Final = "COSIM_WORKER"  # set in a worker
 LEAST: Final = 60.0  # [s] that a member may take, and
 FACTOR: Final = 10.0  # times the longest of
 FIRST_MEMBERS: Final = 10  # that were completed
@@ -253,7 +255,7 @@ class _Child:
             number = other.fileno()
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "cosim.studies.worker", str(number)],
-                env=with_one_thread(child_environment(folder, VARIABLE)),
+                env=with_one_thread(child_environment(folder, "COSIM_WORKER")),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.studies.plan import RecordedStudy
-from tests.studies.fitted_fmu import write_fit
+from tests.studies.test_tuning import write_fit
 
 METRICS = {
     "error": "rms(observer.delta - delta.y, t > 0.1)",

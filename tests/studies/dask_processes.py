@@ -21,10 +21,9 @@ class ClusterProcesses:
         self._changes = changes
         self.workers = []
         file = folder / "scheduler.json"
-        options = ["--port", "0", "--no-jupyter", "--scheduler-file", file]
-        # for others: by itself it listens to all, on one port
-        options += ["--dashboard-address", "127.0.0.1:0"]
-        self.scheduler = self._start("scheduler", folder, {}, *options)
+        # by itself its dashboard listens to all, on one port
+        options = ["--no-jupyter", "--dashboard-address", "127.0.0.1:0", "--port", "0"]
+        self.scheduler = self._start("scheduler", folder, {}, "--scheduler-file", file, *options)
         wait_until(lambda: file.exists() and file.read_text().endswith("}"))
         self.address = json.loads(file.read_text())["address"]
 
@@ -46,12 +45,6 @@ class ClusterProcesses:
             stderr=subprocess.DEVNULL,
         )
 
-    def end(self):
-        """End all, by their pids."""
-        for process in [*self.workers, self.scheduler]:
-            process.kill()
-            process.wait(LIMIT)
-
 
 @contextmanager
 def cluster(folder, workers=2, **changes):
@@ -67,4 +60,6 @@ def cluster(folder, workers=2, **changes):
             client.wait_for_workers(workers, timeout=LIMIT)
         yield processes
     finally:
-        processes.end()
+        for process in [*processes.workers, processes.scheduler]:
+            process.kill()
+            process.wait(LIMIT)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from cosim.errors import ChangedFileError, RunError, ScenarioError
@@ -38,7 +39,7 @@ def wait_until(condition):
     assert condition()
 
 
-def leave_a_process(exit_code, *, session=False):
+def leave_a_process(exit_code, session):
     """Start one that keeps the files of this one open, perhaps in its own session, and end."""
     if os.fork() == 0:
         if session:
@@ -48,13 +49,9 @@ def leave_a_process(exit_code, *, session=False):
     os._exit(exit_code)
 
 
-def descriptors():
-    """Return those that are open, without the standard streams."""
-    return [number for number in map(int, os.listdir("/dev/fd")) if number > 2]
-
-
 def to_all_files(deed):
-    for number in descriptors():
+    """Do something to what is open besides the standard streams."""
+    for number in [number for number in map(int, os.listdir("/dev/fd")) if number > 2]:
         with suppress(OSError):  # of the listing itself
             deed(number)
 
@@ -74,39 +71,50 @@ def throw(error):
     raise error
 
 
-DEEDS = {
-    "nothing": lambda: None,
-    "SIGSEGV": lambda: ctypes.string_at(0),
-    "abort": os.abort,
-    **{s: lambda s=s: os.kill(os.getpid(), getattr(signal, s)) for s in ("SIGKILL", "SIGTERM")},
-    "SIGFPE": lambda: signal.raise_signal(signal.SIGFPE),
-    "SIGBUS": lambda: signal.raise_signal(signal.SIGBUS),
-    "signal 40": lambda: signal.raise_signal(40),
-    "sleep": lambda: time.sleep(600.0),
-    "ignores SIGTERM": ignore_and_sleep,
-    "search in C": lambda: re.match("(a+)+$", "a" * 64 + "b"),  # with Python's lock
-    "_exit": lambda: os._exit(0),
-    "exit of C with 0": lambda: C.exit(0),
-    "exit of C with 3": lambda: C.exit(3),
-    "sys.exit": lambda: sys.exit(3),
-    "sys.exit with a text": lambda: sys.exit("stop"),
-    "sys.exit with nothing": sys.exit,
-    "ValueError": lambda: int("x"),
-    "MemoryError": lambda: bytearray(1 << 62),
-    "KeyboardInterrupt": lambda: signal.raise_signal(signal.SIGINT),
-    "BaseException": lambda: throw(GeneratorExit()),
-    "leaves a process": lambda: leave_a_process(4),
-    "leaves a session": lambda: leave_a_process(5, session=True),
+EXITS = "ends the process with exit code"
+HANGS = "hangs: did not end within 3 s"
+CLOSES = "closes the pipe of its worker process"
+SIGNALS = {n: getattr(signal, n) for n in ("SIGKILL", "SIGTERM", "SIGFPE", "SIGBUS")}
+SIGNALS["signal 40"] = 40
+# what costs a member its worker, with the reason of its failure
+BAD = {
+    "SIGSEGV": ("crashes: SIGSEGV", lambda: ctypes.string_at(0)),
+    "abort": ("crashes: SIGABRT", os.abort),
+    **{s: (f"crashes: {s}", partial(signal.raise_signal, n)) for s, n in SIGNALS.items()},
+    "_exit": (f"{EXITS} 0", lambda: os._exit(0)),
+    "exit of C with 0": (f"{EXITS} 0", lambda: C.exit(0)),
+    "exit of C with 3": (f"{EXITS} 3", lambda: C.exit(3)),
+    "sys.exit": (f"{EXITS} 3", lambda: sys.exit(3)),
+    "sys.exit with a text": (f"{EXITS} 1", lambda: sys.exit("stop")),
+    "sys.exit with nothing": (f"{EXITS} 0", sys.exit),
+    "ValueError": ("ValueError: invalid literal for int() with base 10: 'x'", lambda: int("x")),
+    "MemoryError": ("MemoryError", lambda: bytearray(1 << 62)),
+    "KeyboardInterrupt": ("KeyboardInterrupt", lambda: signal.raise_signal(signal.SIGINT)),
+    "BaseException": ("GeneratorExit", lambda: throw(GeneratorExit())),
+    "leaves a process": (f"{EXITS} 4", lambda: leave_a_process(4, session=False)),
+    "leaves a session": (f"{EXITS} 5", lambda: leave_a_process(5, session=True)),
+    "closes files": (CLOSES, lambda: to_all_files(os.close)),
+    "replaces files": (
+        CLOSES,
+        lambda: to_all_files(lambda n: os.dup2(os.open(os.devnull, os.O_RDWR), n)),
+    ),
+    "writes into files": (
+        "writes into the pipe of its worker process",
+        lambda: to_all_files(lambda n: os.write(n, b"hello\n")),
+    ),
+    "object": ("TypeError: cannot pickle 'generator' object", lambda: (_ for _ in ())),
+    "sleep": (HANGS, lambda: time.sleep(600.0)),
+    "ignores SIGTERM": (HANGS, ignore_and_sleep),
+    "search in C": (HANGS, lambda: re.match("(a+)+$", "a" * 64 + "b")),  # with Python's lock
+}
+OTHER = {
     "starts a process": lambda: subprocess.Popen(["sleep", "600"]),
     "prints": print_much,
-    "closes files": lambda: to_all_files(os.close),
-    "replaces files": lambda: to_all_files(lambda n: os.dup2(os.open(os.devnull, os.O_RDWR), n)),
-    "writes into files": lambda: to_all_files(lambda n: os.write(n, b"hello\n")),
     "is refused": lambda: throw(ScenarioError("unknown kind 'plnat'")),
     "is an error": lambda: throw(RunError("'a.fmu' is none")),
     "finds a change": lambda: throw(ChangedFileError("a.csv has changed")),
-    "object": lambda: (_ for _ in ()),
 }
+DEEDS = {**OTHER, **{name: deed for name, (_, deed) in BAD.items()}}
 poisoned = False
 
 
@@ -117,9 +125,9 @@ def do(subject, member):
         os.abort()
     if "begun" in member.set:
         Path(member.set["begun"], str(os.getpid())).touch()
-    does = member.set.get("does", "nothing")
+    does = member.set["does"]
     poisoned = does == "poison"
-    found = DEEDS.get(does, DEEDS["nothing"])()
+    found = DEEDS[does]() if does in DEEDS else None
     if does == "object":
         return found
     metrics = {"pid": os.getpid(), **member.set.get("metrics", {})}
@@ -152,5 +160,4 @@ def outcomes_of(folder, members, workers=2, **options):
 
 def failures(outcomes):
     """Return the reasons of those that failed."""
-    failed = {number: one for number, one in outcomes.items() if one.status == FAILED}
-    return {number: outcome.reason for number, outcome in failed.items()}
+    return {number: one.reason for number, one in outcomes.items() if one.status == FAILED}

@@ -19,8 +19,6 @@ class MadeStudy:
             "warnings": pyarrow.nulls(count, "string"),
             "steps": [1000] * count,
             "wall_time": np.full(count, 0.25),
-            "worker": ["1"] * count,
-            "log": pyarrow.nulls(count, "string"),
         }
         self._table = pyarrow.table({**outcome, **columns})
         self.name = "tolerances"
@@ -53,8 +51,7 @@ def command_of(number):
 def tolerances(count=200):
     """Return a random study in which members 3, 17 and 40 failed, and some have no value."""
     rng = np.random.default_rng(1)
-    numbers = np.arange(count)
-    failed = np.isin(numbers, [3, 17, 40])
+    failed = np.isin(np.arange(count), [3, 17, 40])
     rate = np.exp(rng.uniform(np.log(10.0), np.log(1e4), count))
     mass = rng.normal(2.0, 0.1, count)
     rms = 0.05 + 3.0 / rate + 0.02 * rng.normal(size=count) ** 2
@@ -70,7 +67,7 @@ def tolerances(count=200):
         "observer.filter_rate": rate,
         "plant.mass": mass,
         "rms": pyarrow.array(rms, mask=failed),
-        "settling": pyarrow.array(settling, mask=failed | (numbers % 50 == 5)),
+        "settling": pyarrow.array(settling, mask=failed | (np.arange(count) % 50 == 5)),
         "verdict": pyarrow.array(np.where(rms < 0.1, "identifiable", "weak"), mask=failed),
         "status": pyarrow.array(np.where(failed, "failed", "complete")),
         "reason": pyarrow.array(reason, "string"),
@@ -83,19 +80,23 @@ def tolerances(count=200):
     return study, results_of_study(study, layout)
 
 
+def rows_of_matrices(dimension, count, seed=0, *, independent=False):
+    """Return points of the unit cube in the rows A, B, AB_1, ..., AB_d: shape (d, d + 2, n)."""
+    rng = np.random.default_rng(seed)
+    sobol = stats.qmc.Sobol(2 * dimension, rng=rng)
+    points = (rng.random((count, 2 * dimension)) if independent else sobol.random(count)).T
+    of_a, of_b = points[:dimension], points[dimension:]
+    rows = np.arange(dimension)[:, np.newaxis]
+    mixed = [np.where(rows == k, of_b, of_a) for k in range(dimension)]
+    return np.stack([of_a, of_b, *mixed], axis=1)
+
+
 def saltelli():
-    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 failed, and its layout."""
-    points = stats.qmc.Sobol(4, rng=np.random.default_rng(0)).random(256)
-    of_a, of_b = points[:, :2], points[:, 2:]
-    mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
-    rows = np.concatenate([of_a, of_b, *mixed])
-    status = np.full(1024, "complete", object)
+    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 failed."""
+    p, q = rows_of_matrices(2, 256).reshape(2, -1)
+    status = ["complete"] * 1024
     status[256 + 4] = "failed"
-    columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
-    study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
-    return study, StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
-
-
-def saltelli_study():
-    """Return the results of that study."""
-    return results_of_study(*saltelli())
+    columns = {"p": p, "q": q, "y": 3.0 * p + 2.0 * q, "z": np.ones(1024), "status": status}
+    study = MadeStudy(columns, ("p", "q"), ("y", "z"))
+    layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
+    return study, results_of_study(study, layout)

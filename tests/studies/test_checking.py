@@ -14,6 +14,7 @@ from cosim.studies.design import plan_design
 from cosim.studies.members import MemberSources, OpenedSubject
 from cosim.studies.study_file import load_scenario, read_study
 from cosim.studies.workers import LocalExecutor
+from tests.studies.deeds import SCENARIO as CONSTANT
 
 EMPTY = read_study("academic-noisy")
 SCENARIO = cosim.load("academic-noisy")
@@ -25,115 +26,101 @@ def check(study=EMPTY, scenario=SCENARIO, **options):
     return check_design(plan_design(study.with_options(**options), scenario), scenario)
 
 
-def test_values_that_the_scenario_accepts_pass(tmp_path):
-    """Grids, samples, seeds, cases with empty cells."""
+@pytest.fixture
+def small(tmp_path):
+    """Return the study of a scenario that is built at once, and the scenario."""
+    path = tmp_path / "x.toml"
+    lag = 'a = { kind = "lag", time_constant = 1.0 }\n[connections]\n"a.u" = "u.y"\n'
+    path.write_text(CONSTANT + lag)
+    return read_study(path), cosim.load(path)
+
+
+def test_values_that_the_scenario_accepts_pass(small, tmp_path):
+    """Grids, samples, seeds, cases with empty cells and with values that fit each other."""
     path = tmp_path / "cases.csv"
     path.write_text('observer.filter_rate,plant.x_a0\n,\n100.0,\n,"[0.0, 1.0]"\n')
     check(cases=path, seeds=3, vary={"identifier.method": ["output-error", "least-squares"]})
-    rates = {"u.rate": {"log": [1.0, 10.0], "points": 5000}}
-    check(vary={"delta.terms[0].theta": {"uniform": [-0.2, -0.1]}, **rates}, samples=10)
+    check(vary={**OTHER, RATE: [10.0, 20.0]}, samples=10)
+    path.write_text("scenario.step,scenario.stop\n0.3,0.9\n0.4,0.8\n")
+    check(*small, cases=path)
+    wrong = small[1].document.text.replace("time_constant = 1.0", "time_constant = -1.0")
+    (tmp_path / "x.toml").write_text(wrong)  # a value that is drawn in its place is right
+    drawn = {"a.time_constant": {"uniform": [1.0, 2.0]}}
+    check(read_study(tmp_path / "x.toml"), cosim.load(tmp_path / "x.toml"), vary=drawn, samples=2)
 
 
 @pytest.mark.parametrize(
-    ("vary", "options", "message"),
+    ("vary", "message"),
     [
-        ({"observer.filter_rat": [1.0]}, {}, r"\Aobserver.filter_rat = 1.0: .*'filter_rate'"),
-        ({RATE: [1.0, 2.0, "a"]}, {}, f"{RATE} = 'a': .*'a'"),
-        (
-            {RATE: {"normal": [-10.0, 1.0]}},
-            {"samples": 100},
-            rf"\Aall 50 samples .*, such as member 0: {RATE} = -.*positive",
-        ),
-        ({**OTHER, RATE: {"choice": [1.0, -1.0, 2.0]}}, {"samples": 9}, rf"\A{RATE} = -1.0: "),
-        ({"observer.L": [[4.0, 0.0], [-50.0, 0.0]]}, {}, r"L = \[-50.0, 0.0\]: .*Hurwitz"),
-        ({"plant": ["a.fmu#cs"]}, {}, r"swap.plant = '.*a.fmu#cs': .*no such file"),
+        ({"observer.filter_rat": [1.0]}, r"\Aobserver.filter_rat = 1.0: .*'filter_rate'"),
+        ({RATE: [1.0, 2.0, "a"]}, f"{RATE} = 'a': .*'a'"),
+        ({**OTHER, RATE: {"choice": [1.0, -1.0, 2.0]}}, rf"\A{RATE} = -1.0: "),
+        ({"observer.L": [[4.0, 0.0], [-50.0, 0.0]]}, r"L = \[-50.0, 0.0\]: .*Hurwitz"),
+        ({"plant": ["a.fmu#cs"]}, r"swap.plant = '.*a.fmu#cs': .*no such file"),
     ],
 )
-def test_values_that_the_scenario_refuses_are_refused(vary, options, message):
+def test_values_that_the_scenario_refuses_are_refused(vary, message):
     """The message has the key, the value and the reason."""
     with pytest.raises(UsageError, match=message):
-        check(vary=vary, **options)
+        check(vary=vary, samples=9 if OTHER.items() <= vary.items() else None)
 
 
-@pytest.mark.slow
-def test_members_with_refused_draws_will_fail():
+def test_of_many_numbers_the_extremes_are_checked(small):
+    """Almost all of these steps do not fit the end."""
+    with pytest.raises(UsageError, match=r"\Ascenario.step = 0.7: [^\n]*\Z"):
+        check(*small, vary={"scenario.step": {"linear": [0.1, 0.7], "points": 3000}})
+
+
+def test_members_with_refused_draws_will_fail(small):
     """Their share is told, of all samples or of fifty, and one is named with its key."""
-    vary = {
-        "u.rate": {"normal": [1.0, 0.1]},
-        RATE: {"normal": [10.0, 10.0]},
-        "sensor.noise": {"triangular": [-1e-3, 0.0, 2e-3]},
-    }
+    study, scenario = small
+    key = "a.time_constant"
     for samples in (20, 200):
-        study = EMPTY.with_options(vary=vary, samples=samples, seeds=2)
-        design = plan_design(study, SCENARIO)
-        checked = check_design(design, SCENARIO)
-        assert checked.trial == StudyMember(0, {"sensor.seed": design.member(0).set["sensor.seed"]})
+        vary = {"u.value": {"normal": [1.0, 0.1]}, key: {"normal": [10.0, 10.0]}}
+        design = plan_design(study.with_options(vary=vary, samples=samples), scenario)
+        checked = check_design(design, scenario)
+        assert checked.trial == StudyMember(0)
         [notice] = checked.notices
-        is_wrong = (design.column(RATE) <= 0.0) | (design.column("sensor.noise") < 0.0)
         tried = np.unique(np.linspace(0, samples - 1, 50).astype(int))
-        assert notice.startswith(f"{is_wrong[::2][tried].sum()} of {len(tried)} samples ")
-        number, key, value = re.search(r"member (\d+): (\S+) = (-\S+): ", notice).groups()
+        count = (design.column(key)[tried] <= 0.0).sum()
+        assert notice.startswith(f"{count} of {len(tried)} samples ")
+        number, value = re.search(rf"member (\d+): {key} = (-\S+): ", notice).groups()
         assert design.member(int(number)).set[key] == float(value)
-    [notice] = check(vary={RATE: {"normal": [10.0, 3.5]}}, samples=1000).notices
+    [notice] = check(*small, vary={key: {"normal": [10.0, 3.5]}}, samples=1000).notices
     assert notice.startswith("fewer than 1 of 50 samples that were tried, of 1000, ")
+    with pytest.raises(UsageError, match=rf"\Aall 50 samples .* member 0: {key} = -.*got -"):
+        check(*small, vary={key: {"normal": [-9.0, 1.0]}}, samples=100)
 
 
 @pytest.mark.parametrize(
-    ("text", "problems"),
+    "rows",  # behind " !", the keys that a row is refused for
     [
-        (f"{RATE}\n1.0\n2.0\n-3.0\n4.0\n", [(3, f"{RATE} = -3.0: ")]),
-        ("u.rate\n1.0\nnan\n", [(2, "u.rate = nan: ")]),
-        ("u.rate,note\n1.0,good\n", [(1, "swap.note = '.*good': .*'note'")]),
-        (
-            'u.amplitude,u.rate\n1.0,"2,5"\n-,3.5\n3.0,abc\n1,\n2,"[1"\n',
-            [
-                (1, "u.rate = '2,5': .*'2,5'"),
-                (2, "u.amplitude = '-': "),
-                (3, "u.rate = 'abc': .*'abc'"),
-                (5, r"u.rate = '\[1': "),
-            ],
-        ),
-        (
-            "u.amplitude,u.rat\na,1.0\n",
-            [(1, "u.amplitude = 'a': "), (1, "u.rat = 1.0: .*'rat'; ")],
-        ),
+        "a.time_constant\n1.0\n2.0\n-3.0 !a.time_constant\n4.0\n",
+        "u.value\n1.0\nnan !u.value\n",
+        "u.value,note\n1.0,good !swap.note\n",
+        'u.value,a.initial\n1.0,"2,5" !a.initial\n-,3.5 !u.value\n1,\n2,"[1" !a.initial\n',
+        "u.value,a.initia\na,1.0 !a.initia !u.value\n",
+        "scenario.step,scenario.stop\n0.3,0.9\n0.4,0.9 !scenario.step !scenario.stop\n",
     ],
-    ids=["extremes", "nan", "swap", "several", "two"],
 )
-def test_values_of_cases_are_refused_by_their_rows(tmp_path, text, problems):
-    """Every word, of numbers the extremes; no key is blamed for another."""
-    path = tmp_path / "cases.csv"
-    path.write_text(text)
+def test_values_of_cases_are_refused_by_their_rows(small, tmp_path, rows):
+    """Every word, of numbers the extremes, what does not go together; no key for another."""
+    (tmp_path / "cases.csv").write_text(re.sub(r" !\S+", "", rows))
     with pytest.raises(UsageError) as refused:
-        check(cases=path)
-    lines = sorted(line.partition(", row ")[2] for line in str(refused.value).split("\n"))
-    for line, (row, problem) in zip(lines, problems, strict=True):
-        assert re.match(f"{row}: {problem}", line), line
-
-
-def test_the_values_of_a_row_are_checked_together(tmp_path):
-    """Each of these steps fits its own end alone."""
-    text = 'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
-    (tmp_path / "x.toml").write_text(text + 'u = { kind = "constant", value = 1.0 }\n')
-    path = tmp_path / "cases.csv"
-    path.write_text("scenario.step,scenario.stop\n0.3,0.9\n0.4,0.8\n")
-    study, scenario = read_study(tmp_path / "x.toml"), cosim.load(tmp_path / "x.toml")
-    check(study, scenario, cases=path)
-    path.write_text("scenario.step,scenario.stop\n0.3,0.9\n0.4,0.9\n")
-    with pytest.raises(UsageError, match=r"row 2: scenario.step = 0.4: .*\n.*scenario.stop = 0.9"):
-        check(study, scenario, cases=path)
+        check(*small, cases=tmp_path / "cases.csv")
+    found = re.findall(r", row (\d+): (\S+) = ", str(refused.value))
+    lines = enumerate(rows.splitlines())
+    expected = [(str(row), key) for row, line in lines for key in re.findall(r" !(\S+)", line)]
+    assert sorted(found) == expected
 
 
 def test_code_of_others_is_run_in_a_worker(tmp_path, monkeypatch):
     """Of the first member, and the first with each text; the schema is checked of all."""
     (tmp_path / "mine.py").write_text("raise SystemExit('this is run')\n")
     monkeypatch.syspath_prepend(tmp_path)
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
-        'own = { kind = "python", class = "mine:Own", gain = 1.0 }\n'
-        'u = { kind = "constant", value = 1.0 }\n'
-    )
+    path = tmp_path / "x.toml"
+    path.write_text(CONSTANT + 'own = { kind = "python", class = "mine:Own" }\n')
+    study, scenario = read_study(path), cosim.load(path)
     run = []
 
     def in_worker(_, members, function):
@@ -141,7 +128,6 @@ def test_code_of_others_is_run_in_a_worker(tmp_path, monkeypatch):
         return [(member, MemberSources()) for member in members]
 
     monkeypatch.setattr(LocalExecutor, "run", in_worker)
-    study, scenario = read_study(path), cosim.load(path)
     check(study, scenario, vary={"own.gain": [1.0, 2.0], "own.mode": ["a", "b", "c"]})
     assert [member.number for member in run] == [0, 1, 2]
     with pytest.raises(UsageError, match=r"u.valu = 1.0: .*'valu'; did you mean"):
@@ -152,11 +138,9 @@ def test_fmus_are_code_of_others():
     """Also those that an observer is designed from."""
     assert is_own_code(SCENARIO)
     tables = SCENARIO.tree["components"]
-    fmu = {"kind": "fmu", "path": "x.FMU"}
     model = {**tables["observer"], "model": {"fmu": "x.fmu", "disturbance": "d"}}
-    for changed in ({"plant": fmu}, {"observer": model}):
-        tree = {**SCENARIO.tree, "components": {**tables, **changed}}
-        assert not is_own_code(replace(SCENARIO, tree=tree))
+    for changed in ({"plant": {"kind": "fmu", "path": "x.FMU"}}, {"observer": model}):
+        assert not is_own_code(replace(SCENARIO, tree={"components": {**tables, **changed}}))
 
 
 # --- replays ---
@@ -207,8 +191,7 @@ def test_a_scenario_that_has_changed_since_its_log_is_refused(logs, tmp_path):
         check(read_study(path), cosim.load(path), replay=log)
     path.write_text(f"# the same\n{text}[study]\nsamples = 3\n")
     check(scenario=cosim.load(path), replay=log)
-    of_log = read_study(log)
-    scenario = load_scenario(log)
+    of_log, scenario = read_study(log), load_scenario(log)
     check(of_log, scenario, replay=str(logs / "a-*.mcap"))
     with pytest.raises(UsageError, match=r"b.mcap: .*'closed-loop'.*'academic-noisy'"):
         check(of_log, scenario, replay=[log, str(logs / "b.mcap")])

@@ -23,37 +23,32 @@ from cosim.studies.measuring import MetricRecorder
 from cosim.studies.metrics import KINDS, parse_metrics
 
 STEP_NS = 10**6
-
-
 SIGNALS = {
     "plant": (Signal("y"), Signal("u"), Signal("gap", optional=True), Signal("v", 2)),
     "my-part": (Signal("der(x)"),),
     "slow": (Signal("y"),),
 }
 PARTS = {name: SimpleNamespace(interface=Interface((), of)) for name, of in SIGNALS.items()}
-LAYOUT = layout_of(PARTS, {"slow": 4})
-PLAN = Plan(LAYOUT, STEP_NS, {}, {}, ())
-COLUMNS = {"y": 0, "u": 1, "gap": 2, "v0": 3, "v1": 4, "part": 5, "slow": 6}
+PLAN = Plan(layout_of(PARTS, {"slow": 4}), STEP_NS, {}, {}, ())
+COLUMNS = ("y", "u", "gap", "v0", "v1", "part", "slow")
 
 
 def columns(**values):
     """Return rows with these values; all else is 0."""
-    rows = np.zeros((len(next(iter(values.values()))), LAYOUT.width))
+    rows = np.zeros((len(next(iter(values.values()))), len(COLUMNS)))
     for name, column in values.items():
-        rows[:, COLUMNS[name]] = column
+        rows[:, COLUMNS.index(name)] = column
     return rows
 
 
 def write(recorder, rows, sizes=()):
     """Write rows of a run in blocks of some steps, and the rest in one."""
     recorder.begin(PLAN)
-    ends = np.minimum(np.cumsum([0, *sizes, len(rows)]), len(rows) - 1)
-    for index, end in pairwise(ends.tolist()):
+    ends = np.minimum(np.cumsum([0, *sizes, len(rows)]), len(rows) - 1).tolist()
+    for index, end in pairwise(dict.fromkeys(ends) if len(rows) > 1 else (0, 0)):
         time_ns = np.arange(index, end + 1) * STEP_NS
         block = Block(index, time_ns, time_ns / 1e9, STEP_NS / 1e9)
         recorder.write(block, rows[index : end + 1].copy())
-        if end == len(rows) - 1:
-            break
     return recorder
 
 
@@ -63,35 +58,33 @@ def value(text, rows):
 
 
 numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
-gaps = st.one_of(numbers, st.just(math.nan))
-ALL = {
-    text: text
-    for text in (
-        *("last(plant.gap)", "initial(plant.gap)", "max(plant.gap)", "min(plant.gap, plant.u > 0)"),
-        *("mean(plant.gap)", "rms(plant.gap - plant.u, plant.u >= 0)", "std(plant.gap)"),
-        *("integral(plant.gap)", "count(plant.gap, plant.u > 0)", "share(plant.gap > 0 for 1 ms)"),
-        *("first(t, plant.gap > 0 for 2 ms)", "settling(plant.gap)", "overshoot(plant.gap)"),
-        "settling(plant.gap, 0.1*max(abs(plant.gap)), plant.u > 0)",
-        *("mean(slow.y)", "integral(slow.y - plant.u)"),
-        "max(last(t), 2.0) - sqrt(abs(mean(plant.u)))**2/3",
-    )
-}
+rows_of = st.lists(
+    st.tuples(st.one_of(numbers, st.just(math.nan)), numbers), min_size=1, max_size=300
+)
+ALL = (
+    *("last(plant.gap)", "initial(plant.gap)", "max(plant.gap)", "min(plant.gap, plant.u > 0)"),
+    *("mean(plant.gap)", "rms(plant.gap - plant.u, plant.u >= 0)", "std(plant.gap)"),
+    *("integral(plant.gap)", "count(plant.gap, plant.u > 0)", "share(plant.gap > 0 for 1 ms)"),
+    *("first(t, plant.gap > 0 for 2 ms)", "settling(plant.gap)", "overshoot(plant.gap)"),
+    "settling(plant.gap, 0.1*max(abs(plant.gap)), plant.u > 0)",
+    *("mean(slow.y)", "integral(slow.y - plant.u)"),
+    "max(last(t), 2.0) - sqrt(abs(mean(plant.u)))**2/3",
+)
 
 
 def bits(values):
-    return {name: None if v is None else v.hex() for name, v in values.items()}
+    return [None if v is None else v.hex() for v in values.values()]
 
 
-@given(st.lists(st.tuples(gaps, numbers), min_size=1, max_size=300), st.data())
+@given(rows_of, st.lists(st.integers(1, 150), max_size=10))
 @settings(max_examples=40)
-def test_values_have_the_same_bits_however_the_run_is_cut(pairs, data):
+def test_values_have_the_same_bits_however_the_run_is_cut(pairs, sizes):
     """And are those of the recorded run; a recorder takes one run after the other."""
     gap, u = np.array(pairs).T
     rows = columns(gap=gap, u=u, slow=u + 1.0)
-    metrics = parse_metrics(ALL)
+    metrics = parse_metrics({text: text for text in ALL})
     recorder = MetricRecorder(metrics)
     whole = bits(write(recorder, rows).values())
-    sizes = data.draw(st.lists(st.integers(1, 150), max_size=10))
     assert bits(write(recorder, rows, sizes).values()) == whole
     assert bits(write(recorder, rows, [1] * len(rows)).values()) == whole
     assert bits(metrics.of(write(Memory(), rows))) == whole
@@ -101,7 +94,7 @@ REFERENCES = {"last": lambda x: x[-1], "max": np.max, "min": np.min, "mean": np.
 REFERENCES |= {"rms": lambda x: np.sqrt(np.mean(x * x)), "std": np.std}
 
 
-@given(pairs=st.lists(st.tuples(gaps, numbers), min_size=1, max_size=300))
+@given(rows_of)
 @settings(max_examples=40)
 def test_a_reduction_is_that_of_the_rows_that_have_a_value(pairs):
     """Where the condition is true; numpy's pairwise sums differ by n roundings of 1e3 at most.
@@ -127,12 +120,8 @@ def test_settling_is_where_a_lag_comes_within_its_band():
     t = np.arange(10_001) * STEP_NS / 1e9
     rows = columns(y=5.0 + 3.0 * (1.0 - np.exp(-t / 0.7)))
     end = math.exp(-10.0 / 0.7)
-    for written, band in {
-        "": 0.02 * (1.0 - end),
-        ", 0.3": 0.1,
-        ", 3*0.05": 0.05,
-        ", 0.1*(last(plant.y) - 5)": 0.1 * (1.0 - end),
-    }.items():
+    bands = {"": 0.02 * (1.0 - end), ", 0.3": 0.1, ", 0.1*(last(plant.y) - 5)": 0.1 * (1.0 - end)}
+    for written, band in bands.items():
         instant = math.ceil(-0.7 * math.log(band + end) * 1e3) / 1e3
         assert value(f"settling(plant.y{written})", rows) == instant
     assert value("settling(plant.y, 0.3, t >= 6) - first(t, t >= 6)", rows) == 0.0
@@ -158,12 +147,10 @@ VALUES = [
     ({"y": Y}, "share(plant.y > 0 for 1 ms, t > 0.004 for 2 ms)", 1 / 2),
     # components of several rates have the rows that all have
     (RAMP, "count(slow.y)", 3.0),
-    (RAMP, "count(plant.y + slow.y)", 3.0),
     (RAMP, "max(plant.y, slow.y < 50)", 4.0),
     # what is made of no values, or infinite, is none
     (NONE, "1 + max(last(plant.gap), 2)", None),
     (NONE, "count(plant.gap)", 0.0),
-    (NONE, "1/min(plant.y)", None),
     (NONE, "share(plant.gap > 0, plant.y > 5)", None),
     (NONE, "settling(plant.y, last(plant.gap))", None),
     # an overshoot is a share of the change, up and down
@@ -185,7 +172,6 @@ def test_metrics_have_the_values_of_their_definition():
 
 
 REFUSED = {
-    "rms(": r"'rms\(': not a metric",
     "": r"'': not a metric.*rms\(observer\.delta - delta\.y\)",
     "3 + pi": r"at least one reduction.*last\(plant\.y\)",
     "plant.y": r"last\(plant\.y\), got 'plant\.y'",
@@ -193,13 +179,10 @@ REFUSED = {
     "max(plant.y, plant.u)": r"'max\(plant\.y, plant\.u\)'.*max\(max\(plant\.y, plant\.u\)\)",
     "rsm(plant.y)": r"'rsm'; did you mean 'rms'\?",
     "rms(plant.y > 1)": r"rms\(EXPRESSION\) or.*got 'rms\(plant\.y > 1\)'",
-    "first(t)": r"first\(EXPRESSION, CONDITION\), got 'first\(t\)'",
     "initial(plant.y, t > 1)": r"initial\(EXPRESSION\) or first\(EXPRESSION, CONDITION\)",
-    "settling(plant.y, 1, 2)": r"settling\(EXPRESSION\) or settling\(EXPRESSION, BAND\) or",
     "settling(plant.y, -1)": r"band >= 0, got '-1'",
     "first(t, plant.y > last(plant.y))": r"inside first\(\.\.\.\), got 'last\(plant\.y\)'",
     "rms(plant.y, x=3)": r"'rms\(plant\.y, x=3\)'.*: numbers, pi, e, reductions such as",
-    "sqrt(last(plant.y), 2)": "sqrt.*2 arguments",
     "first(t, plant.y > 1 for 1 parsec)": "'1 parsec'.*'for'.*'parsec'",
     "first(t for 1 s, plant.y > 1)": r"'for' after a condition.*first\(t, plant\.y < 1 for 1 s\)",
     "first(t, plant.y > 1 for 1 s and plant.u > 1)": r"'1 s and plant\.u > 1'.*'for'",
@@ -212,8 +195,7 @@ def test_a_text_that_is_no_metric_is_refused():
     with pytest.raises(UsageError) as error:
         parse_metrics({**{text or "empty": text for text in REFUSED}, "good": "last(t)", "d": 3})
     *lines, last = str(error.value).splitlines()
-    assert last.startswith("metrics.d: ")
-    assert last.endswith("got 3")
+    assert re.fullmatch(r"metrics\.d: .*got 3", last)
     for line, (text, pattern) in zip(lines, REFUSED.items(), strict=True):
         assert line.startswith(f"metrics.{text or 'empty'}: ")
         assert re.search(pattern, line.removeprefix(f"metrics.{text}: ")), (line[:150], pattern)
@@ -222,18 +204,14 @@ def test_a_text_that_is_no_metric_is_refused():
 def test_all_signals_that_are_not_there_are_named():
     """With the nearest, and of a signal with several elements these."""
     texts = {"a": "rms(plnt.y - plant.yy) + last(plant.y)", "b": "max(plant.v)"}
-    metrics = parse_metrics({**texts, "d": "last(plant.v[2])"})
     with pytest.raises(UsageError) as error:
-        metrics.check(PLAN.channels)
-    lines = str(error.value).splitlines()
-    assert len(lines) == 4
-    assert re.match(r"metrics\.a: .*component 'plnt'; did you mean 'plant'\?", lines[0])
-    assert lines[1].startswith("metrics.a: the run has no 'plant.yy': 'plant' has no signal 'yy'; ")
-    listed = "has 2 elements; expected one of: plant.v[0], plant.v[1]"
-    assert lines[2] == f"metrics.b: 'plant.v' {listed}"
-    assert lines[3].startswith("metrics.d: the run: 'plant.v[2]'")
-    assert metrics.names == ("a", "b", "d")
-    assert metrics.signals == ("plnt.y", "plant.yy", "plant.y", "plant.v", "plant.v[2]")
+        parse_metrics(texts).check(PLAN.channels)
+    needed = (
+        r"metrics\.a: .*component 'plnt'; did you mean 'plant'\?.*",
+        r"metrics\.a: the run has no 'plant\.yy': 'plant' has no signal 'yy'; .*",
+        r"metrics\.b: 'plant\.v' has 2 elements; expected one of: plant\.v\[0\], plant\.v\[1\]",
+    )
+    assert re.fullmatch("\n".join(needed), str(error.value))
 
 
 def test_the_document_shows_every_reduction_as_it_is_written():

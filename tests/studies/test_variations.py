@@ -24,23 +24,25 @@ def test_a_grid_has_its_values_in_order():
     """Of a list, or from one end to the other, which are exact; a logarithmic one has a factor."""
     for value, values in (
         ([1.0, 2, "a", [1, 2]], (1.0, 2, "a", [1, 2])),
-        (np.array([1.0, 2.0]), (1.0, 2.0)),
-        ({"values": [True]}, (True,)),
+        ({"values": np.array([True])}, (True,)),
         ({"linear": [2, -2], "points": 5}, (2.0, 1.0, 0.0, -1.0, -2.0)),
     ):
         assert read_variation("a.x", value) == GridVariation("a.x", values)
     values = read_variation("a.x", {"log": [10.0, 1e4], "points": 25}).values
-    assert (values[0], values[-1], len(values)) == (10.0, 1e4, 25)
+    assert (values[0], values[-1]) == (10.0, 1e4)
     # pow and the division round by a few units in the last place
     np.testing.assert_allclose(np.divide(values[1:], values[:-1]), 1000 ** (1 / 24), rtol=1e-14)
 
 
-def test_a_choice_has_values_of_any_type_and_weights():
-    """The weights are equal where there are none."""
-    equal = read_variation("a.x", {"choice": ["a", 2]})
-    assert equal == SampledVariation("a.x", "choice", (1.0, 1.0), ("a", 2))
-    weighted = read_variation("swap.a", {"choice": ["a.fmu", "b.fmu"], "weights": [3, 0]})
-    assert weighted == SampledVariation("swap.a", "choice", (3.0, 0.0), ("a.fmu", "b.fmu"))
+def test_a_choice_follows_its_weights():
+    """Its values take parts of the unit interval as long as their weights, in order."""
+    equal = SampledVariation("a.x", "choice", (1.0, 1.0), ("a", 2))
+    assert read_variation("a.x", {"choice": ["a", 2]}) == equal
+    variation = read_variation("a.x", {"choice": list("abcde"), "weights": [1, 0, 2, 1, 0]})
+    p = np.array([2.0**-54, 0.2499, 0.25, 0.7499, 0.75, 1.0 - 2.0**-53])
+    assert chosen(variation, p).tolist() == [0, 0, 2, 2, 3, 3]
+    many = read_variation("a.x", {"choice": [*range(10)], "weights": [0.1] * 10})
+    assert chosen(many, p[-1:]).tolist() == [9]  # where the sum of the weights rounds to below 1
 
 
 CUT_NORMAL = {"normal": [2, 0.5], "lower": 1.5, "upper": 4}
@@ -72,37 +74,27 @@ def test_a_distribution_has_its_quantiles(text, table, reference):
     assert (np.diff(found) >= 0).all()
 
 
-@pytest.mark.parametrize(
-    ("table", "lower", "upper"),
-    [
-        ({"uniform": [-1e308, 1e308]}, -1e308, 1e308),
-        ({"log-uniform": [0.1, 0.3]}, 0.1, 0.3),
-        ({"normal": [0.0, 1.0], "lower": 40.0, "upper": 41.0}, 40.0, 41.0),
-        ({"beta": [0.5, 0.5], "lower": 0.1, "upper": 0.3}, 0.1, 0.3),
-    ],
-)
-def test_no_rounding_leads_out_of_the_bounds(table, lower, upper):
+def test_no_rounding_leads_out_of_the_bounds():
     """Where a parameter of a scenario may have a limit."""
-    found = quantiles(read_variation("a.x", table), P, 1.0)
-    assert lower <= found.min()
-    assert found.max() <= upper
+    for lower, upper, table in (
+        (-1e308, 1e308, {"uniform": [-1e308, 1e308]}),
+        (0.03, 0.12, {"log-uniform": [0.03, 0.12]}),
+        (40.0, 41.0, {"normal": [0.0, 1.0], "lower": 40.0, "upper": 41.0}),
+        (0.1, 0.3, {"beta": [0.5, 0.5], "lower": 0.1, "upper": 0.3}),
+    ):
+        found = quantiles(read_variation("a.x", table), P, 1.0)
+        assert lower <= found.min() <= found.max() <= upper
 
 
-def test_a_choice_follows_its_weights():
-    """Its values take parts of the unit interval as long as their weights, in order."""
-    variation = SampledVariation("a.x", "choice", (1.0, 0.0, 2.0, 1.0, 0.0), tuple("abcde"))
-    p = np.array([2.0**-54, 0.2499, 0.25, 0.7499, 0.75, 1.0 - 2.0**-53])
-    assert chosen(variation, p).tolist() == [0, 0, 2, 2, 3, 3]
-    many = SampledVariation("a.x", "choice", (0.1,) * 10, tuple(range(10)))
-    assert chosen(many, np.array([1.0 - 2.0**-53])).tolist() == [9]
+WRONG = {"uniform": [1.0, 1.0], "log-uniform": [0.0, 1.0], "normal": [0.0, 0.0], "log": [0, 1]}
+WRONG |= {"lognormal": [-1.0, 1.0], "triangular": [1.0, 1.0, 1.0], "exponential": [0.0]}
+WRONG |= {"beta": [0.0, 1.0], "weibull": [1.0, 0.0], "tolerance": 5, "linear": [1, 1]}
 
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (3.0, "got 3.0"),
         ([], "got none"),
-        ([object()], "<object .*>"),
         ({"uniform": [0, 1], "log": [1, 2]}, "got 'log' and 'uniform'"),
         ({"uniform": ["a", math.inf]}, "uniform.0: .*'a'.*uniform.1: .*inf"),
         ({"normal": [0.0, 1.0], "lower": 1, "upper": 1}, "got 1.0 and 1.0"),
@@ -112,6 +104,7 @@ def test_a_choice_follows_its_weights():
         ({"linear": [0.0, 1.0]}, "'points'.*'linear'"),
         (["a.fmu", 3], "1: .*got 3"),
         ({"uniform": [0, 1], "lower": 0}, "lower: .*'normal' or 'beta'.*'uniform'"),
+        *(({form: numbers}, f"^{form}: expected ") for form, numbers in WRONG.items()),
     ],
 )
 def test_wrong_tables_are_refused(value, message):
@@ -120,41 +113,17 @@ def test_wrong_tables_are_refused(value, message):
         read_variation("swap.a" if "fmu" in str(value) else "a.x", value)
 
 
-def test_wrong_numbers_are_refused():
-    """Of every form, with what was found."""
-    wrong = {"uniform": [1.0, 1.0], "log-uniform": [0.0, 1.0], "normal": [0.0, 0.0], "log": [0, 1]}
-    wrong |= {"lognormal": [-1.0, 1.0], "triangular": [1.0, 1.0, 1.0], "exponential": [0.0]}
-    wrong |= {"beta": [0.0, 1.0], "weibull": [1.0, 0.0], "tolerance": 5, "linear": [1, 1]}
-    for form, numbers in wrong.items():
-        with pytest.raises(TableProblems, match=f"^{form}: expected "):
-            read_variation("a.x", {form: numbers})
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("1e3,1e6", [1e3, 1e6]),
-        ("[0,2],[0,4]", [[0, 2], [0, 4]]),
-        ("'a:1',b:c", ["a:1", "b:c"]),
-        ("[a.fmu,b.fmu#cs]", ["a.fmu", "b.fmu#cs"]),
-        ("['a.fmu', \"b.fmu\"]", [["a.fmu", "b.fmu"]]),
-        ("log:10:1e4:25", {"log": [10.0, 1e4], "points": 25}),
-        ("choice:1,2,a", {"choice": [1, 2, "a"]}),
-    ],
-)
-def test_an_option_is_what_a_file_has(text, value):
-    assert read_vary_option(text) == value
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("unifrm:0:1", "'unifrm' in 'unifrm:0:1'; did you mean 'uniform'"),
-        ("uniform:0:a", "'uniform:0:a'"),
-        ("log:1:10", "FIRST:LAST:POINTS, got 'log:1:10'"),
-        ("1,,2", "empty one in '1,,2'"),
-    ],
-)
-def test_options_that_name_no_variation_are_refused(text, message):
-    with pytest.raises(UsageError, match=message):
-        read_vary_option(text)
+def test_an_option_is_what_a_file_has():
+    """Or it is refused."""
+    for text, value in {
+        "1e3,1e6": [1e3, 1e6],
+        "'a:1',b:c": ["a:1", "b:c"],
+        "[a.fmu,b.fmu#cs]": ["a.fmu", "b.fmu#cs"],
+        "['a.fmu', \"b.fmu\"]": [["a.fmu", "b.fmu"]],
+        "log:10:1e4:25": {"log": [10.0, 1e4], "points": 25},
+        "choice:1,2,a": {"choice": [1, 2, "a"]},
+    }.items():
+        assert read_vary_option(text) == value
+    for text in ("unifrm:0:1", "uniform:0:a", "log:1:10", "log:1:10:2.5", "1,,2"):
+        with pytest.raises(UsageError, match=f"'{text}'"):
+            read_vary_option(text)
