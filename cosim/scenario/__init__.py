@@ -19,7 +19,7 @@ In the order in which a file passes through it::
                    what is asked of a log or a scenario beside its run
     library/       the shipped scenarios
 
-Below them all stand ``recorded_tables`` and ``recorded_metadata``, what a recording keeps beside
-its signals and how it is read back, and ``session``, what advances a scenario by hand. A
+Below them all stand ``record``, the documents that a recording keeps beside
+its signals and how they are read back, and ``session``, what advances a scenario by hand. A
 room imports only those above it in this list (``tests/test_architecture.py``).
 """
