@@ -30,7 +30,7 @@ from cosim.documents import plain
 from cosim.errors import CosimError, LogError, UsageError, command, flag, listing
 from cosim.log import Log, open_log
 from cosim.log.comparison.diff import diff
-from cosim.log.comparison.difference import ElementDifference, LogDifference
+from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
 from cosim.report.statements import NOT_COMPARED, Contradiction, Statements
 from cosim.scenario.record import (
@@ -372,11 +372,12 @@ def _components(
     source: Log, again: Log | Memory, difference: LogDifference, origin: ReplayOrigin
 ) -> Iterator[ComponentVerification]:
     """Yield what is proven of every component."""
-    names = dict.fromkeys(row.signal.partition(".")[0] for row in difference.rows)
+    rows_of: dict[str, list[SignalDifference]] = {}
     if source.partial is not None:
-        names = dict.fromkeys([*source.partial.declared, *names])
-    for name in names:
-        rows = [row for row in difference.rows if row.signal.startswith(f"{name}.")]
+        rows_of = {name: [] for name in source.partial.declared}
+    for row in difference.rows:
+        rows_of.setdefault(row.signal.partition(".")[0], []).append(row)
+    for name, rows in rows_of.items():
         elements = [row.first for row in rows if row.first is not None]
         first = min(elements, key=lambda element: element.time_ns, default=None)
         status, reason = _status(source, again, name, origin)
