@@ -55,8 +55,8 @@ class CouplingShare:
         text = f"error {self.error:+.3g} at the end"
         if self.coupling is None:
             return f"{text}; the share of the coupling is not known"
-        part = 100.0 * self.coupling / self.error
-        return f"{text}, of which {self.coupling:+.3g} ({part:.2g} %) is coupling error"
+        percent = float(f"{100.0 * self.coupling / self.error:.2g}")
+        return f"{text}, of which {self.coupling:+.3g} ({percent:g} %) is coupling error"
 
 
 @dataclass(frozen=True)

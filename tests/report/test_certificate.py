@@ -6,6 +6,7 @@ import re
 import pytest
 
 import cosim
+from cosim.report.certificate import CouplingShare
 from cosim.report.tables.run import print_summary
 from tests.scenario import certified
 from tests.scenario.certified import write
@@ -116,3 +117,17 @@ def test_wrong_use_is_refused(tmp_path, call, options, message):
     code, _, errors = call("run", write(tmp_path, certified.SPRING), *options)
     assert code == 2
     assert re.search(message, errors)
+
+
+@pytest.mark.parametrize(
+    ("error", "coupling", "text"),
+    [
+        (-2e-3, -2e-3, "error -0.002 at the end, of which -0.002 (100 %) is coupling error"),
+        (1e-2, 1.234e-3, "error +0.01 at the end, of which +0.00123 (12 %) is coupling error"),
+        (1e-2, None, "error +0.01 at the end; the share of the coupling is not known"),
+        (0.0, 0.0, "no error at the end"),
+    ],
+)
+def test_the_share_of_the_coupling_has_two_digits(error, coupling, text):
+    """Never as a power of ten."""
+    assert str(CouplingShare("identifier.theta[0]", error, coupling)) == text
