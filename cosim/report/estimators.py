@@ -30,7 +30,6 @@ from cosim.scenario.record import (
 )
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.assessment.documents import ParameterVerdict, Verdict
-from cosim.theory.compensation.activation import Activation
 from cosim.theory.disturbances.excitation import describe_excitation, information
 from cosim.theory.reconstruction.filters import Bias
 
@@ -363,6 +362,8 @@ def summarize_compensation(
 
 def _reason(recording: Recording, name: str, record: Compensation, label: str) -> str:
     """Return why the internal model stayed out, by the last estimate."""
+    from cosim.theory.compensation.activation import Activation  # rarely needed
+
     if not record.internal_model:
         return "internal_model = false"
     ends: Matrix = np.array(record.interval, np.float64).reshape(-1, 2)

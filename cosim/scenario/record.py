@@ -22,7 +22,7 @@ from cosim.core.recording import INNER_STEP, Recording
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
-from cosim.errors import LogError, quoted
+from cosim.errors import LogError, quoted, shortened
 from cosim.scenario.document.schema import truth_ports
 from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError
 from cosim.theory.reconstruction.filters import Bias
@@ -372,7 +372,7 @@ class RecordedCertificate:
     step: float
     finer_steps: tuple[float, ...]
     ends: tuple[float, ...] = ()
-    every: int = 1
+    every: int = field(kw_only=True)
     problem: str = ""
     solvers: tuple[str, ...] = ()
     signals: Mapping[str, StepError] = field(default_factory=dict)
@@ -500,11 +500,17 @@ def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     gains = _of_run(recording, "loop_gains", tuple[LoopGain, ...]) or ()
     label = record_label(recording, "loop_gains")
     for number, gain in enumerate(gains):
-        if (gain.rho or 0.0) < 0.0 or not 0 <= gain.steps < 2**63:
-            raise LogError(
-                f"{label} cannot be understood: {number}: expected a rho and steps that are not "
-                f"negative, got {quoted(gain.rho)} and {quoted(gain.steps)}"
-            )
+        is_right = {
+            "h": gain.h > 0.0,
+            "steps": 1 <= gain.steps < 2**63,
+            "rho": gain.rho is None or gain.rho >= 0.0,
+            "parts": gain.parts >= 1,
+        }
+        for key, holds in is_right.items():
+            if not holds:
+                got = shortened(str(getattr(gain, key)))
+                where = f"{label} cannot be understood: {number}.{key}"
+                raise LogError(f"{where}: expected a positive number, got {got}")
     return gains
 
 
@@ -540,7 +546,11 @@ def recorded_lateness(recording: Recording) -> Lateness | None:
 
 def recorded_substep_counts(recording: Recording) -> tuple[SubstepCounts, ...]:
     """Return how many substeps the loops of a run took; empty: they took none."""
-    return _result(recording, SUBSTEP_COUNTS, tuple[SubstepCounts, ...]) or ()
+    counts = _result(recording, SUBSTEP_COUNTS, tuple[SubstepCounts, ...]) or ()
+    if not all(own.components for own in counts):
+        what = record_label(recording, SUBSTEP_COUNTS)
+        raise LogError(f"{what} cannot be understood: expected the components of loops, got none")
+    return counts
 
 
 def until_came_true(recording: Recording) -> bool | None:
@@ -635,9 +645,9 @@ def _of_run(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
 
 def _result(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:
     """Return an entry of the results of a run; None: there is none."""
-    value = recording.results.get(key)
-    if value is None:
+    if key not in recording.results:
         return None
+    value = recording.results[key]
     what = record_label(recording, key)
     try:
         text = json.dumps(value)

@@ -75,7 +75,9 @@ def test_a_row_has_an_estimate_or_an_upper_bound(capsys, error, row):
     run = cosim.run(certified.parsed(certified.EXACT))
     name = next(iter(run))
     signals = {name: error}
-    run.result({"certificate": {"step": 0.1, "finer_steps": [0.05, 0.025], "signals": signals}})
+    run.result(
+        {"certificate": {"step": 0.1, "finer_steps": [0.05, 0.025], "every": 1, "signals": signals}}
+    )
     print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
     _, _, table = capsys.readouterr().out.partition("error of the communication step")
     cells = {line.split("\t")[0]: line.split("\t")[1:] for line in table.splitlines()[1:]}

@@ -331,3 +331,21 @@ def test_of_lists_the_first_difference_is_shown(found, expected, texts):
     """Long ones are shortened where they begin to differ otherwise."""
     shown = str(Contradiction("what", found, expected))
     assert all(text in shown for text in texts)
+
+
+def test_a_log_without_an_estimate_is_not_contradicted_by_a_replay_without_verdicts(tmp_path):
+    """There is nothing in it that the replay should have found."""
+    short = {"scenario.stop": 0.1, "scenario.step": 0.02}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=short)
+    assert log.results["identification"]["identifier"].keys() == {"problem"}
+    again = cosim.replay(log, set={"scenario.verdicts": False})
+    assert verify(open_log(log.path), again).contradictions == ()
+
+
+def test_a_number_beyond_all_others_is_another_eigenvalue(valid, tmp_path):
+    """One that no float holds, too."""
+    content = take_apart(valid)
+    items = dict(content.metadata)["cosim.component.observer"]
+    items["metadata"] = json.dumps({**json.loads(items["metadata"]), "eigenvalues": [10**400]})
+    forgery = put_together(content, tmp_path / "a.mcap")
+    assert "eigenvalues of 'observer'" in contradicted(forgery)

@@ -152,7 +152,7 @@ def noise_of_y(deviation: Sequence[float], noise: str) -> str:
 
 def chance_text(part: IrregularPart) -> str:
     """Return with which probability guaranteed intervals hold, where that is not certain."""
-    if part.confidence == 1.0:
+    if part.confidence >= 1.0:
         return ""
     return f", noise within its bounds with probability {part.confidence:g}"
 

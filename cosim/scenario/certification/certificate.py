@@ -117,9 +117,9 @@ class Subject:
             step,
             tuple(step / finer for finer in FINER),
             tuple(run.end_ns / NANOSECONDS for run in runs),
-            self.every,
             problem,
             tuple(self.solvers),
+            every=self.every,
         )
 
 

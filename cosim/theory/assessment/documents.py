@@ -17,6 +17,9 @@ class Verdict(StrEnum):
     INCONSISTENT = "INCONSISTENT"
     NO_ESTIMATE = "NO_ESTIMATE"
 
+    def __repr__(self) -> str:
+        return repr(self.value)
+
     @property
     def has_value(self) -> bool:
         """Whether there is a number."""
