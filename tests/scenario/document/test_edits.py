@@ -54,12 +54,13 @@ def test_a_swap_names_its_component_in_both_forms(tmp_path):
         cosim.load("pair").edit(swap={"components.load": log, "load": log})
 
 
-def test_a_study_varies_components_of_any_name(tables):
+def test_a_study_varies_components_of_any_name(tables, tmp_path):
     """The grid of two components, one of them named like the prefix of a swap."""
     study = cosim.study(
         tables.document.source,
         vary={"components.record.value": [1.0, 2.0], "components.swap.value": [3.0, 4.0]},
         metrics={"sum": "last(record.y) + last(swap.y)"},
+        out=tmp_path / "out",
     )
     assert study.table(["sum"])["sum"].to_pylist() == [4.0, 5.0, 5.0, 6.0]
 
