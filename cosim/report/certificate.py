@@ -12,7 +12,7 @@ from cosim.core.recording import Recording
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
 from cosim.report.summary import Summary, summarize
 from cosim.scenario.record import StepSearch, StepTrial, recorded_certificate
-from cosim.theory.richardson import StepError
+from cosim.theory.documents import StepError
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.replay import replay
 from cosim.temporary import TemporaryFolder
-from cosim.theory.assessment.documents import ParameterVerdict
+from cosim.theory.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
 ALL: Final = "all"  # estimators

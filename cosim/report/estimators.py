@@ -29,9 +29,8 @@ from cosim.scenario.record import (
     recorded_start,
 )
 from cosim.theory.assessment.consistency import NOTHING_ELSE
-from cosim.theory.assessment.documents import ParameterVerdict, Verdict
 from cosim.theory.disturbances.excitation import describe_excitation, information
-from cosim.theory.reconstruction.filters import Bias
+from cosim.theory.documents import Bias, ParameterVerdict, Verdict
 
 LAST_PART: Final = 0.25  # of an active time, over which the error that is left is averaged
 _OfTheta = TypeVar("_OfTheta", ParameterVerdict, IrregularEffect)

@@ -37,7 +37,6 @@ from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError
 from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.validation import Validation, validate
@@ -45,6 +44,7 @@ from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.bounded.feasible_program import Watch
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.documents import ParameterVerdict, UndetectedError
 
 
 @dataclass(frozen=True, eq=False)

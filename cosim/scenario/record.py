@@ -24,9 +24,7 @@ from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
 from cosim.errors import LogError, quoted, shortened
 from cosim.scenario.document.schema import truth_ports
-from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError
-from cosim.theory.reconstruction.filters import Bias
-from cosim.theory.richardson import StepError
+from cosim.theory.documents import Bias, ParameterVerdict, StepError, UndetectedError
 from cosim.units import Unit, conversions_between, units_text
 from cosim.version import __version__
 

@@ -11,7 +11,6 @@ from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
     from cosim.theory.assessment.assessing import assess
-    from cosim.theory.assessment.documents import Verdict
     from cosim.theory.assessment.fitted_model import FittedModel
     from cosim.theory.assessment.problem import OutputErrorProblem
     from cosim.theory.assessment.smoothing import smoothed_signals
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     )
     from cosim.theory.disturbances.regression import Term, chi, eta, expand, mu
     from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+    from cosim.theory.documents import Verdict
     from cosim.theory.estimators.least_squares import (
         Recovery,
         least_squares,
@@ -98,7 +98,7 @@ _HOMES = {
     "Term": "cosim.theory.disturbances.regression",
     "trapezoid_weights": "cosim.theory.estimators.least_squares",
     "validate": "cosim.theory.assessment.validation",
-    "Verdict": "cosim.theory.assessment.documents",
+    "Verdict": "cosim.theory.documents",
 }
 
 __all__ = [

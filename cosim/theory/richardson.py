@@ -42,7 +42,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.documents import document
+from cosim.theory.documents import StepError
 
 STEADY: Final = 0.3  # by which an order may differ from a whole number, and over time
 MOST_RESIDUAL: Final = 2.0**STEADY - 1.0  # of d1 - 2^p d2, over d1: the same in amplitudes
@@ -54,40 +54,6 @@ SMALL: Final = 0.05  # part of the largest difference
 FEWEST: Final = 2 * PARTS  # instants
 COMMON: Final = 0.9  # of the instants with values: those where all runs have one
 ROUNDING: Final = 1e3 * np.finfo(np.float64).eps  # of the largest value, over a run
-
-
-@document
-class StepError:
-    """The error of a signal by its step, as far as three runs show it.
-
-    Parameters
-    ----------
-    largest : float or None
-        Its largest amount; 0: the three runs are equal, bit for bit; None: there is no estimate.
-    time : float or None
-        When it is largest [s].
-    last : float or None
-        At the last instant, with its sign, by the last part of the run; None: not known.
-    order : float or None
-        Observed order; None: there is none.
-    reason : str
-        Why there is no estimate; empty where there is one.
-    grows : bool
-        The differences grow as the step is made smaller, by more than rounding does.
-    is_rounding : bool
-        The differences are those of rounding: a smaller step shows no more.
-    bound : float or None
-        What the error is within where there is no estimate, if that is known.
-    """
-
-    largest: float | None = None
-    time: float | None = None
-    last: float | None = None
-    order: float | None = None
-    reason: str = ""
-    grows: bool = False
-    is_rounding: bool = False
-    bound: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

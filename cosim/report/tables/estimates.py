@@ -11,7 +11,7 @@ from cosim.report.estimators import numbers_text
 from cosim.report.summary import Summary, ValueOutcome
 from cosim.report.tables.console import new_table
 from cosim.scenario.record import IrregularEffect, IrregularPart
-from cosim.theory.assessment.documents import ParameterVerdict
+from cosim.theory.documents import ParameterVerdict
 
 _IN_TERM: Final = "in "  # begins the reason of an amplitude that names its term
 IF_WRONG: Final = "if it is wrong"  # the model, behind the sentence that says "if it is right"

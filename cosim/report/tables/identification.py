@@ -27,9 +27,9 @@ from cosim.scenario.identification.run_verdicts import verdicts_of
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.scenario.record import IrregularPart
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
-from cosim.theory.assessment.documents import ParameterVerdict
 from cosim.theory.assessment.validation import Validation, ValidationVerdict
 from cosim.theory.bounded.feasible_program import MOST_PROGRAMS_IN_ALL, Watch
+from cosim.theory.documents import ParameterVerdict
 
 _TESTS: Final = ("residual test", "statistic", "limit", "outcome")
 

@@ -36,7 +36,7 @@ from cosim.report.tables.estimates import (
 )
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
-from cosim.theory.assessment.documents import Verdict
+from cosim.theory.documents import Verdict
 
 ORDINALS: Final = {1: "first", 2: "second", 3: "third"}
 

@@ -45,7 +45,8 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.recording import Progress, run_into
-from cosim.theory.richardson import StepError, step_error
+from cosim.theory.documents import StepError
+from cosim.theory.richardson import step_error
 
 MOST_VALUES: Final = 2**24  # that are kept of a run: 128 MB
 FINER: Final = (2, QUARTERS)  # steps of the other runs in one of this

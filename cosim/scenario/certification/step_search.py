@@ -29,7 +29,8 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.record import StepSearch, StepTrial
 from cosim.scenario.recordings.recording import Progress, run_into
-from cosim.theory.richardson import FEWEST, StepError
+from cosim.theory.documents import StepError
+from cosim.theory.richardson import FEWEST
 
 MOST_STEPS: Final = 10**7  # of the finest run
 MOST_FINER: Final = 16  # times as fine as its own step a scenario may be run all the same

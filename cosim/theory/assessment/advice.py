@@ -19,10 +19,10 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.estimation.output_error import ParameterState, ResponseRecord
 from cosim.theory.assessment.consistency import MARGIN
-from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.record_information import information_of
 from cosim.theory.assessment.verdicts import LARGEST_PROFILE, Assessment, growth_of_squares
 from cosim.theory.disturbed_plant import DataSet, sample_plant
+from cosim.theory.documents import Verdict
 from cosim.theory.estimators.output_error import squares_at
 
 LONGEST: Final = 32  # times as long as the data

@@ -9,8 +9,8 @@ import numpy as np
 
 from cosim.theory.assessment.amplitudes import ComponentConstants, component_constants
 from cosim.theory.assessment.consistency import MARGIN
-from cosim.theory.assessment.documents import ParameterVerdict, Verdict
 from cosim.theory.assessment.verdicts import Assessment
+from cosim.theory.documents import ParameterVerdict, Verdict
 
 # from the best verdict to the worst, for what rests on several
 _ORDER: Final = {verdict: place for place, verdict in enumerate(Verdict)}

@@ -17,7 +17,6 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, StartError
 from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
-from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
 from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise, residual_size
@@ -32,6 +31,7 @@ from cosim.theory.assessment.verdicts import (
     is_settled,
 )
 from cosim.theory.disturbed_plant import NoiseModel
+from cosim.theory.documents import Verdict
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
     excess_squares,

@@ -23,10 +23,10 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.theory.assessment.amplitude_verdicts import constants_of
 from cosim.theory.assessment.consistency import LEAST_REMAINDER, ErrorTraces, TestedFit
-from cosim.theory.assessment.documents import ParameterVerdict, UndetectedError, Verdict
 from cosim.theory.assessment.linearized_fit import pseudo_inverse
 from cosim.theory.assessment.model_errors import ModelError, missing_parts
 from cosim.theory.assessment.verdicts import Assessment
+from cosim.theory.documents import ParameterVerdict, UndetectedError, Verdict
 
 LEAST_MOVE: Final = 0.5  # half widths, from which on it is told
 LARGEST_ERROR: Final = 0.1  # over the effect of the disturbance, of an alpha over its variation

@@ -35,11 +35,11 @@ from cosim.theory.assessment.consistency import (
     MARGIN,
     Consistency,
 )
-from cosim.theory.assessment.documents import ParameterVerdict, Verdict
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import StandingOutput
 from cosim.theory.disturbed_plant import NoiseModel
+from cosim.theory.documents import ParameterVerdict, Verdict
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
     presence_threshold,

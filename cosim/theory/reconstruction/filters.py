@@ -44,29 +44,11 @@ from typing import ClassVar, Final, Protocol
 import numpy as np
 
 from cosim.arrays import Vector, frozen
-from cosim.documents import document
 from cosim.errors import AssumptionError
+from cosim.theory.documents import Bias
 
 HIGHEST_ORDER: Final = 10  # of a fitted polynomial: beyond it noise is all that it follows
 MOST_SAMPLES: Final = 100_000  # on each side of a window
-
-
-@document
-class Bias:
-    """The leading error of a reconstruction: ``coefficient`` times a derivative of a signal.
-
-    Parameters
-    ----------
-    coefficient : float
-        [s] to that power which makes the error one of delta.
-    derivative : int
-    of : str
-        ``delta``, at the instant that the reconstruction belongs to, or ``G w``.
-    """
-
-    coefficient: float
-    derivative: int
-    of: str
 
 
 class DisturbanceFilter(Protocol):

@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import lfilter
 
 from cosim.theory.assessment.assessing import assess_near
-from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.noise_color import (
     ColoredRecord,
     Criterion,
@@ -20,6 +19,7 @@ from cosim.theory.assessment.noise_color import (
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
+from cosim.theory.documents import Verdict
 from cosim.theory.quantiles import chi_square_above, ratio_above
 from tests.theory.straight_lines import simulate_lines
 

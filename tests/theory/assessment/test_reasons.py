@@ -10,7 +10,6 @@ import pytest
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_near
-from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import judge
 from cosim.theory.disturbances.families import (
@@ -21,6 +20,7 @@ from cosim.theory.disturbances.families import (
     TExponential,
 )
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, white_noise
+from cosim.theory.documents import Verdict
 from cosim.theory.estimators.output_error import fit_records
 from cosim.theory.estimators.start_grid import ITERATIONS, STARTS
 

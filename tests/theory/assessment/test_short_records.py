@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.theory.assessment.documents import Verdict
+from cosim.theory.documents import Verdict
 from tests.theory.first_order import sine
 
 

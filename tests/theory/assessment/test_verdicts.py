@@ -13,11 +13,11 @@ import cosim.theory.assessment.consistency
 import cosim.theory.assessment.problem
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess, assess_near
-from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import judge
 from cosim.theory.disturbances.families import Exponential, TExponential
 from cosim.theory.disturbed_plant import DataSet
+from cosim.theory.documents import Verdict
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (

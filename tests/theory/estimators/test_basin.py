@@ -7,11 +7,11 @@ import pytest
 
 import cosim
 from cosim.theory.assessment.assessing import assess_near
-from cosim.theory.assessment.documents import Verdict
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import alpha_products, expand
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.documents import Verdict
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.estimators.start_grid import search_start

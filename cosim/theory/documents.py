@@ -1,4 +1,7 @@
-"""What is said of an estimate, as a log keeps it: verdicts, and errors that tests do not see."""
+"""What a log keeps of what is found here: verdicts on estimates, errors of runs and of filters.
+
+They stand apart from what finds them, which readers of logs do not need.
+"""
 
 from __future__ import annotations
 
@@ -101,3 +104,55 @@ class UndetectedError:
 
     def __str__(self) -> str:
         return self.text
+
+
+@document
+class Bias:
+    """The leading error of a reconstruction: ``coefficient`` times a derivative of a signal.
+
+    Parameters
+    ----------
+    coefficient : float
+        [s] to that power which makes the error one of delta.
+    derivative : int
+    of : str
+        ``delta``, at the instant that the reconstruction belongs to, or ``G w``.
+    """
+
+    coefficient: float
+    derivative: int
+    of: str
+
+
+@document
+class StepError:
+    """The error of a signal by its step, as far as three runs show it.
+
+    Parameters
+    ----------
+    largest : float or None
+        Its largest amount; 0: the three runs are equal, bit for bit; None: there is no estimate.
+    time : float or None
+        When it is largest [s].
+    last : float or None
+        At the last instant, with its sign, by the last part of the run; None: not known.
+    order : float or None
+        Observed order; None: there is none.
+    reason : str
+        Why there is no estimate; empty where there is one.
+    grows : bool
+        The differences grow as the step is made smaller, by more than rounding does.
+    is_rounding : bool
+        The differences are those of rounding: a smaller step shows no more.
+    bound : float or None
+        What the error is within where there is no estimate, if that is known.
+    """
+
+    largest: float | None = None
+    time: float | None = None
+    last: float | None = None
+    order: float | None = None
+    reason: str = ""
+    grows: bool = False
+    is_rounding: bool = False
+    bound: float | None = None
