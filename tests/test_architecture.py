@@ -177,7 +177,11 @@ ROOMS = {
         "plots",
     ],
     "scenario": [
-        "document",
+        "places",
+        "schema",
+        "problems",
+        "swaps",
+        "text",
         "data_files",
         "user_kinds",
         "record",

@@ -117,7 +117,7 @@ def _bounds(text: str | None, record: IdentifierRecord) -> dict[int, tuple[float
     """Read --bounds, a row for each parameter of the identifier; None: those of the scenario."""
     if text is None:
         return None
-    from cosim.scenario.document.edits import parse_value
     from cosim.scenario.identification.model import bounds_of
+    from cosim.scenario.text import parse_value
 
     return bounds_of(parse_value(text), record.identified.parameters)

@@ -16,12 +16,12 @@ def read_variations(texts: list[str]) -> dict[str, list[Any]]:
         If there is no '=', a value is empty, or a key is given twice.
     """
     from cosim.cli.options import read_unique_pairs
-    from cosim.scenario.document.value_lists import read_values
+    from cosim.scenario.text import parse_values
 
     variations = {}
     for key, text in read_unique_pairs(texts, "vary").items():
         try:
-            variations[key] = read_values(text)
+            variations[key] = parse_values(text)
         except UsageError as error:
             raise UsageError(f"{option('vary', key)}: {error}") from error
     return variations

@@ -23,9 +23,6 @@ from cosim.files import file_type
 from cosim.log import Log, open_log
 from cosim.report.recorded_rows import difference, has_signal, rows_of, stacked_rows_of
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.document.edits import component_in, short
-from cosim.scenario.document.schema import truth_ports
-from cosim.scenario.document.swap import PortNames, component_table, marked_path, port_names
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.variants import foreign_keys
@@ -34,6 +31,14 @@ from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.replay import replay
+from cosim.scenario.schema import truth_ports
+from cosim.scenario.swaps import (
+    PortNames,
+    component_table,
+    marked_path,
+    port_names,
+)
+from cosim.scenario.text import component_in, short
 from cosim.temporary import TemporaryFolder
 from cosim.theory.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided

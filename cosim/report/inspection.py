@@ -27,9 +27,6 @@ from cosim.report.summary import summarize
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.building.coupling_check import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
-from cosim.scenario.document.action_tables import effect_of, signals_of
-from cosim.scenario.document.document import find
-from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.record import (
     component_table,
     recorded_certificate,
@@ -40,6 +37,8 @@ from cosim.scenario.record import (
     replay_origin,
     run_metadata,
 )
+from cosim.scenario.schema import ActionTable
+from cosim.scenario.text import find
 from cosim.units import units_text
 
 if TYPE_CHECKING:
@@ -392,9 +391,9 @@ def describe_scenario(name: str) -> Section:
 
 def _action_row(action: ActionTable) -> Section:
     """Return an action as its table has it."""
-    effect = effect_of(action)
+    effect = action.effects[0]
     value = getattr(action, effect)
-    signals = ", ".join(signals_of(action) or action.set or action.swap or ())
+    signals = ", ".join(action.signals or action.set or action.swap or ())
     if effect in ("set", "swap"):
         value = ", ".join(map(str, value.values()))
     t = action.when if action.at is None else action.at

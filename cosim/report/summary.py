@@ -35,7 +35,7 @@ from cosim.report.recorded_rows import (
     rows_of,
 )
 from cosim.scenario import record
-from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.schema import truth_ports
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -15,19 +15,20 @@ from cosim.arguments import mapping_argument, swap_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
-from cosim.scenario.document.action_tables import validate_actions
-from cosim.scenario.document.document import Document
-from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
-from cosim.scenario.document.recorded_inputs import RecordedInput, with_recorded_inputs
-from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
-from cosim.scenario.document.swap import (
+from cosim.scenario.kinds import KINDS, Kind
+from cosim.scenario.places import Key, Problem
+from cosim.scenario.problems import TableProblems, problems_of
+from cosim.scenario.schema import ActionTable, ConnectionTable, File
+from cosim.scenario.swaps import (
     MapEntry,
     PortNames,
+    RecordedInput,
     ports_in,
     resolve_maps,
     swapped_components,
+    with_recorded_inputs,
 )
-from cosim.scenario.kinds import KINDS, Kind
+from cosim.scenario.text import Document
 
 if TYPE_CHECKING:
     from cosim.scenario.session import Session
@@ -179,7 +180,7 @@ class Scenario:
         """Replace components: by an FMU (.fmu), a recorded one (.mcap), samples (.csv, ...).
 
         ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
-        :mod:`cosim.scenario.document.swap`.
+        :mod:`cosim.scenario.swaps`.
         """
         return self.edit(swap=paths, map=map)
 
@@ -249,7 +250,7 @@ def read(
     connection_problems += given_twice
     for key, _ in connection_problems:
         invalid.add(key)
-    actions, action_problems = validate_actions(file.actions)
+    actions, action_problems = _validate_actions(file.actions)
     problems += file_problems + map_problems + component_problems + connection_problems
     problems += action_problems
     scenario = Scenario(
@@ -266,6 +267,26 @@ def read(
         recorded_inputs=tuple(recorded_inputs),
     )
     return scenario, problems
+
+
+def _validate_actions(
+    tables: Sequence[Mapping[str, Any]],
+) -> tuple[dict[int, ActionTable], list[Problem]]:
+    """Return the actions that are right by themselves, by their numbers, and the problems."""
+    actions: dict[int, ActionTable] = {}
+    problems: list[Problem] = []
+    for number, table in enumerate(tables):
+        key: Key = ("actions", number)
+        try:
+            action = ActionTable.model_validate(table)
+        except ValidationError as error:
+            problems += problems_of(error, ActionTable, table, key)
+            continue
+        own = [((*key, *inner), text) for inner, text in action.problems()]
+        problems += own
+        if not own:
+            actions[number] = action
+    return actions, problems
 
 
 def _validate_tables(tree: Mapping[str, Any]) -> tuple[File, list[Problem], set[Key]]:

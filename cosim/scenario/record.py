@@ -23,7 +23,7 @@ from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
 from cosim.errors import LogError, quoted, shortened
-from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.schema import truth_ports
 from cosim.theory.documents import Bias, ParameterVerdict, StepError, UndetectedError
 from cosim.units import Unit, conversions_between, units_text
 from cosim.version import __version__

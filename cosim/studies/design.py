@@ -22,10 +22,16 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, option, quoted
 from cosim.files import file_type
-from cosim.scenario.document.edits import ACTIONS, COMPONENTS, FLAT, component_in, short
-from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.places import PORTS
 from cosim.scenario.recordings.replaying import texts_in
+from cosim.scenario.text import (
+    ACTIONS,
+    COMPONENTS,
+    component_in,
+    parts_of,
+    short,
+)
 from cosim.studies.cases import packed, read_cases
 from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember, member_of
 from cosim.studies.layout import SampleKind, StudyLayout
@@ -206,12 +212,12 @@ def _check_sampling(study: StudyFile) -> None:
 
 def _check_keys(study: StudyFile, varied: Iterable[tuple[str, str]]) -> None:
     """Check that no key is given twice, or inside another one; each has where it comes from."""
-    given = [(address(name), how, name) for name, how in varied]
-    given += [(address(short(key)), "set", short(key)) for key in study.settings.set]
-    given += [(f"{SWAP}{name}", "set", f"{SWAP}{name}") for name in study.settings.swap]
-    given.sort(key=lambda item: item[0].split("."))
+    given = [(parts_of(name), how, name) for name, how in varied]
+    given += [(parts_of(short(key)), "set", short(key)) for key in study.settings.set]
+    given += [(parts_of(f"{SWAP}{name}"), "set", f"{SWAP}{name}") for name in study.settings.swap]
+    given.sort(key=lambda item: item[0])
     for (one, how, first), (other, again, second) in pairwise(given):
-        is_inside = other.startswith(f"{one}.") and how != "set"
+        is_inside = other[: len(one)] == one and how != "set"
         if one == other or is_inside:
             raise UsageError(
                 f"expected one of {first!r} ({how}) and {second!r} ({again}), got both"
@@ -295,11 +301,11 @@ def _own_number(scenario: Scenario, key: str) -> float:
 def own_value(scenario: Scenario, key: str) -> Any:
     """Return what the scenario has for a key, a default included; None: nothing."""
     first, _, rest = key.removeprefix(f"{COMPONENTS}.").partition(".")
-    parts = address(rest).split(".")
+    parts = parts_of(rest)
     if component_in(key) is not None:
         value = _inner(scenario.tree, (COMPONENTS, first, *parts))
         return _inner(scenario.specs.get(first), parts) if value is None else value
-    if first in FLAT:
+    if first in PORTS:
         return scenario.tree.get(first, {}).get(rest)
     value = _inner(scenario.tree, (first, *parts))
     if value is None and first == "scenario":

@@ -22,16 +22,20 @@ from cosim.errors import UsageError, nearest, option, quoted
 from cosim.files import expanded, file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
-from cosim.scenario.document.document import Document, find, shipped
-from cosim.scenario.document.edits import COMPONENTS, plain, short
-from cosim.scenario.document.lines import key_lines
-from cosim.scenario.document.places import Places
-from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
-from cosim.scenario.document.schema import LARGEST_SEED, Flag, Number, TomlTable, Whole
-from cosim.scenario.document.schema import Name as NameOfStudy
 from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.places import Key, Problem, report
+from cosim.scenario.problems import TableProblems, problems_of
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.running.execution import load
+from cosim.scenario.schema import (
+    LARGEST_SEED,
+    Flag,
+    Number,
+    TomlTable,
+    Whole,
+)
+from cosim.scenario.schema import Name as NameOfStudy
+from cosim.scenario.text import COMPONENTS, Document, find, plain, shipped, short
 from cosim.studies.contracts import SWAP, StudySubject
 from cosim.studies.variations import (
     FORMS,
@@ -440,9 +444,7 @@ def read_study(name: str | Path) -> StudyFile:
         return study_of(normal, document.source, own_name, [*problems, *twice])
     except TableProblems as error:
         written = [(_written(key, places, is_inside), text) for key, text in error.problems]
-        lines = key_lines(document.text)
-        report = Places(document.source, lines, changes=(), swaps=(), maps=(), swapped=()).report
-        raise UsageError(report(written)) from error
+        raise UsageError(report(written, document.source, document.text)) from error
 
 
 def _set_scenario(settings: dict[str, Any], document: Document, is_inside: bool) -> list[Problem]:

@@ -30,10 +30,15 @@ from pydantic import Field, ValidationError
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError, nearest, quoted
-from cosim.scenario.document.edits import plain
-from cosim.scenario.document.problems import Key, TableProblems, problems_of
-from cosim.scenario.document.schema import Number, NumberRow, TomlTable, Whole
-from cosim.scenario.document.value_lists import read_values
+from cosim.scenario.places import Key
+from cosim.scenario.problems import TableProblems, problems_of
+from cosim.scenario.schema import (
+    Number,
+    NumberRow,
+    TomlTable,
+    Whole,
+)
+from cosim.scenario.text import parse_values, plain
 from cosim.studies.contracts import SWAP
 
 
@@ -341,16 +346,16 @@ def read_vary_option(text: str) -> Any:
     name, rest = match.groups() if match is not None else ("", "")
     parts = rest.split(":")
     if name == "choice":
-        return {"choice": read_values(rest)}
+        return {"choice": parse_values(rest)}
     if name in FORMS and name != "values":
         distribution = {"distribution": parts.pop()} if name == "tolerance" and parts[1:] else {}
         return _table(name, parts, text) | distribution
     if name and all(map(_NUMBERS.fullmatch, parts)):
         raise UsageError(f"no form {quoted(name)} in {quoted(text)}; {nearest(name, FORMS[1:])}")
-    values = read_values(text.strip())
+    values = parse_values(text.strip())
     only = values[0] if len(values) == 1 else None
     if isinstance(only, str) and only.startswith("[") and only.endswith("]"):
-        return read_values(only[1:-1])  # a list whose entries are no TOML
+        return parse_values(only[1:-1])  # a list whose entries are no TOML
     return values
 
 

@@ -22,9 +22,9 @@ from cosim.report.plots.runs import (
     limit_to_settled,
 )
 from cosim.report.recorded_rows import stacked_rows_of, units_of
-from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.scenario.record import truth_of
+from cosim.scenario.schema import truth_ports
 from cosim.theory.assessment.spectrum import whiteness_spectrum
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.documents import Verdict

@@ -39,8 +39,8 @@ from cosim.report.recorded_rows import (
     time_ns_of,
     units_of,
 )
-from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.record import run_metadata, truth_of
+from cosim.scenario.schema import truth_ports
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 from cosim.units import units_text, with_unit
 

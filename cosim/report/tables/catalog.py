@@ -22,10 +22,15 @@ KINDS_TITLE = "component kinds ([optional] parameters; details: cosim list KIND)
 
 def print_catalog(*, as_json: bool) -> None:
     """Print the shipped scenarios and the component kinds with their parameters."""
-    from cosim.scenario.document.document import find, shipped
-    from cosim.scenario.document.schema import ActionTable, ModelTable, RecordTable, Settings
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
+    from cosim.scenario.schema import (
+        ActionTable,
+        ModelTable,
+        RecordTable,
+        Settings,
+    )
+    from cosim.scenario.text import find, shipped
     from cosim.scenario.user_kinds.installed_kinds import installed_classes, refusal
 
     scenarios = {}

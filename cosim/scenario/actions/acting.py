@@ -29,9 +29,9 @@ from cosim.errors import ClockError, CosimError, GraphError, UsageError, listing
 from cosim.scenario.actions.settings import SettingBuilder
 from cosim.scenario.actions.stopping import condition_problem
 from cosim.scenario.actions.timed_swaps import SwapBuilder
-from cosim.scenario.document.action_tables import effect_of, signals_of
-from cosim.scenario.document.problems import Key, Problem, TableProblems
-from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.places import Key, Problem
+from cosim.scenario.problems import TableProblems
+from cosim.scenario.schema import ActionTable
 
 Place: TypeAlias = tuple[int, Key]  # of a value: the number of the action, and its key there
 
@@ -101,7 +101,7 @@ class ActionChecker:
         # Those at conditions first: what they may have done decides what others may release.
         for number in sorted(instants, key=lambda number: (instants[number], number)):
             table = actions[number]
-            for text in signals_of(table):
+            for text in table.signals:
                 try:
                     self._check(number, instants[number], table, text)
                 except TableProblems as error:
@@ -154,7 +154,8 @@ class ActionChecker:
                 other = together.add(number, index, text, value)
                 if other is not None:
                     problem = (
-                        f"is also set by actions.{other} at the same instant; remove one of the two"
+                        f"is also set by actions[{other}] at the same instant; "
+                        "remove one of the two"
                     )
                     self._add(number, [(("set", text), problem)])
         for index, name, values, places in together.in_order():
@@ -164,7 +165,7 @@ class ActionChecker:
                 other = together.another(index, name)
                 if other is not None and other < number and not builder.is_fmu(name):
                     raise GraphError(
-                        f"{name!r} is also set by actions.{other}, in an order that depends on a "
+                        f"{name!r} is also set by actions[{other}], in an order that depends on a "
                         "condition; set it in one action, or at fixed times"
                     )
                 self._take(number, index, builder.action(name, values))
@@ -194,7 +195,7 @@ class ActionChecker:
                     self._check_component(name)
                     if name in changed:
                         raise GraphError(
-                            f"{name!r} is also changed by actions.{changed[name]}; expected one "
+                            f"{name!r} is also changed by actions[{changed[name]}]; expected one "
                             "action"
                         )
                     changed[name] = number
@@ -285,7 +286,7 @@ class _Overridden:
                 raise GraphError(f"'{end.port}' is listed twice")
             if other is not None and other[1] == index:
                 raise GraphError(
-                    f"'{end.port}' is also changed by actions.{other[0]} at the same instant; "
+                    f"'{end.port}' is also changed by actions[{other[0]}] at the same instant; "
                     "remove one of the two, or choose another time"
                 )
         if index < 0:
@@ -367,7 +368,7 @@ def _action_of(table: ActionTable, to: str, end: ConnectionEnd, clock: Clock) ->
     TableProblems
         If the values of the table do not fit the input.
     """
-    effect = effect_of(table)
+    effect = table.effects[0]
     if effect == "release":
         return Release(to)
     try:

@@ -26,9 +26,10 @@ from cosim.errors import LogError, RunError, UsageError, listing, nearest, quote
 from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.scenario.context.build_context import ScenarioBuildContext
-from cosim.scenario.document.problems import Problem, TableProblems, problems_of
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.places import Problem
+from cosim.scenario.problems import TableProblems, problems_of
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu

@@ -13,7 +13,7 @@ from cosim.core.structure.ports import layout_of
 from cosim.errors import CosimError, UsageError
 from cosim.instants import StepNs
 from cosim.native.numerics.expression import compile_condition
-from cosim.scenario.document.problems import Problem
+from cosim.scenario.places import Problem
 
 UNTIL = ("scenario", "until")
 

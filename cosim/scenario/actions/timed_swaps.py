@@ -19,9 +19,9 @@ from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Swap
 from cosim.errors import UsageError, listing
 from cosim.scenario.context.build_context import ScenarioBuildContext
-from cosim.scenario.document.swap import component_table
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.swaps import component_table
 
 if TYPE_CHECKING:
     from cosim.fmi.driving.model_exchange import ModelExchange

@@ -19,8 +19,8 @@ from cosim.scenario.building.changed_loops import changed_loops
 from cosim.scenario.building.coupling_check import CouplingReport, report_behind, report_on
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.context.build_context import DependsOnInvalid
-from cosim.scenario.document.problems import Problem
 from cosim.scenario.kinds.initial_states import change_text, changed_states
+from cosim.scenario.places import Problem
 
 BEGINNING: Final = "beginning of the run"
 

@@ -34,14 +34,15 @@ from cosim.scenario.context.build_context import DependsOnInvalid, ScenarioBuild
 from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
 from cosim.scenario.context.models import form_problems
 from cosim.scenario.context.user_classes import NotImported
-from cosim.scenario.document.document import Document
-from cosim.scenario.document.problems import Key, Problem, TableProblems
-from cosim.scenario.document.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.places import Key, Problem
+from cosim.scenario.problems import TableProblems
 from cosim.scenario.record import component_record
+from cosim.scenario.swaps import MapEntry, ports_in, unknown_ports
+from cosim.scenario.text import Document
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap

@@ -22,9 +22,8 @@ from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION
 from cosim.errors import CosimError
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.action_tables import effect_of, signals_of
-from cosim.scenario.document.problems import Key
-from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.places import Key
+from cosim.scenario.schema import ActionTable
 
 NOT_LINEARIZED: Final = ("delay", "drop")  # actions on an input that leave the loop closed
 
@@ -175,7 +174,7 @@ class _Changes:
                 linearizations[name] = found
         all_factors = dict(before.factors)
         all_faults = dict(before.faults)
-        for signal in signals_of(action):
+        for signal in action.signals:
             port = Port.parse(signal)
             if not self._is_inside(port):
                 continue
@@ -240,7 +239,7 @@ def _set_fault(
 ) -> bool:
     """Set what an action makes of faults without a linearization; return whether that changed."""
     before = dict(faults)
-    effect = effect_of(action)
+    effect = action.effects[0]
     opens_loop = action.drop is True or action.drop == 1.0  # no sample arrives any more
     for element in elements:
         key = (port.component, element)

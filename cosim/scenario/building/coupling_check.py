@@ -26,9 +26,9 @@ from cosim.errors import CosimError, listing
 from cosim.instants import step_value
 from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.problems import Key, Problem
-from cosim.scenario.document.schema import Settings
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.places import Key, Problem
+from cosim.scenario.schema import Settings
 
 COUPLING: Final = "coupling"  # whose warnings these are
 STEP: Final = "scenario.step"

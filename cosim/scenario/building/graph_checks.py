@@ -8,8 +8,8 @@ from typing import Final
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.instants import StepNs, step_seconds
-from cosim.scenario.document.problems import Problem
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.places import Problem
 
 _HELD_IN_LOOP: Final = (
     "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold, on the "

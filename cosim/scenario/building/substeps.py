@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from cosim.core.clock import Clock, nanoseconds
 from cosim.core.graph import Graph
 from cosim.core.stages.substep_control import SubstepTolerance
-from cosim.scenario.document.schema import Settings
+from cosim.scenario.schema import Settings
 
 
 def substep_tolerance(settings: Settings) -> SubstepTolerance | None:

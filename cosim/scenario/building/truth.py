@@ -12,8 +12,8 @@ from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.core.structure.connection_checks import unknown_units
 from cosim.errors import GraphError, nearest
-from cosim.scenario.document.problems import Problem
-from cosim.scenario.document.schema import File, truth_ports
+from cosim.scenario.places import Problem
+from cosim.scenario.schema import File, truth_ports
 from cosim.units import Unit, conversion
 
 

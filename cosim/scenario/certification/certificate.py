@@ -38,13 +38,12 @@ from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError
 from cosim.instants import NANOSECONDS, StepNs, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
-from cosim.scenario.document.action_tables import signals_of
-from cosim.scenario.document.edits import short
-from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.recording import Progress, run_into
+from cosim.scenario.schema import ActionTable
+from cosim.scenario.text import short
 from cosim.theory.documents import StepError
 from cosim.theory.richardson import step_error
 
@@ -234,7 +233,7 @@ def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
     for action in scenario.actions.values():
         if action.when is None:
             continue
-        names = [Port.parse(signal).component for signal in signals_of(action)]
+        names = [Port.parse(signal).component for signal in action.signals]
         names += [key.partition(".")[0] for key in action.set or {}]
         names += action.swap or {}
         for name in names:

@@ -29,13 +29,13 @@ from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu, ScenarioFmus
 from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.context.scenario_models import ScenarioModels
 from cosim.scenario.context.user_classes import UserClasses
-from cosim.scenario.document.problems import Key
-from cosim.scenario.document.swap import ports_in
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import AnyKind, KnownSignal, Spectrum
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.places import Key
 from cosim.scenario.record import component_record
+from cosim.scenario.swaps import ports_in
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Final
 
 from cosim.arrays import Matrix
 from cosim.errors import AssumptionError, UsageError
-from cosim.scenario.document.schema import ModelTable, matrix
+from cosim.scenario.schema import ModelTable, matrix
 from cosim.theory.plants.descriptor import DescriptorSystem
 from cosim.theory.plants.foreign_model import disturbance_columns, state_space_matrices
 

@@ -11,8 +11,8 @@ from cosim.documents import plain
 from cosim.errors import UsageError, nearest
 from cosim.scenario.context.models import LETTERS, system_of, system_of_file
 from cosim.scenario.context.named_files import NamedFiles
-from cosim.scenario.document.schema import ModelTable
 from cosim.scenario.record import recorded_models
+from cosim.scenario.schema import ModelTable
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 

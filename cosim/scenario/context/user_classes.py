@@ -10,10 +10,10 @@ from cosim.core.recording import Recording
 from cosim.errors import UsageError, option
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.context.named_files import NamedFiles
-from cosim.scenario.document.edits import short
-from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.kinds import Kind
+from cosim.scenario.problems import TableProblems
 from cosim.scenario.record import CodeRecord, component_record
+from cosim.scenario.text import short
 
 if TYPE_CHECKING:
     from cosim.scenario.user_kinds.user_code import UserClass

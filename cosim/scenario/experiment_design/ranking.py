@@ -14,7 +14,6 @@ import numpy as np
 from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
-from cosim.scenario.document.edits import short
 from cosim.scenario.experiment_design.designs import (
     ExperimentDesign,
     OmittedDesigns,
@@ -25,6 +24,7 @@ from cosim.scenario.experiment_design.trial import Trial, trial_of
 from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
+from cosim.scenario.text import short
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.predictions import PredictedEstimate, RegressionExperiment
 

@@ -20,9 +20,9 @@ from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit, Signal
 from cosim.instants import StepNs
-from cosim.scenario.document.schema import AnyUnit, StepTime, TomlTable
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.schema import AnyUnit, StepTime, TomlTable
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:

@@ -15,8 +15,15 @@ from cosim.core.contracts import Component
 from cosim.core.signals import samples_of
 from cosim.errors import UsageError
 from cosim.instants import StepNs
-from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, StepTime, Whole
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
+from cosim.scenario.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    Size,
+    StepTime,
+    Whole,
+)
 
 EACH = ", one number or one per element"
 

@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import Field
 
 from cosim.errors import UsageError
-from cosim.scenario.document.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.scenario.kinds.alphas import ALPHA_KEY, TermAlpha, naming
+from cosim.scenario.schema import (
+    Number,
+    NumberRow,
+    NumberRows,
+    TomlTable,
+    Whole,
+    matrix,
+)
 from cosim.theory.disturbances.families import (
     FAMILIES,
     SETTINGS,

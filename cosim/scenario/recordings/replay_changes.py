@@ -14,12 +14,11 @@ from cosim.errors import ScenarioError, UsageError, command, flag, option
 from cosim.instants import step_value
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.document import Document
-from cosim.scenario.document.edits import ACTIONS, short
-from cosim.scenario.document.swap import PortNames, component_table
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recordings.recorded_span import check_end
+from cosim.scenario.swaps import PortNames, component_table
+from cosim.scenario.text import ACTIONS, Document, short
 
 EVERYWHERE = {  # what matters to all inputs
     "scenario.input_interpolation",

@@ -27,9 +27,9 @@ from cosim.core.signals import Channel
 from cosim.core.structure.cycles import strongly_connected
 from cosim.errors import LogError
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.outputs_of_log import OutputsOfLog, RecordedColumns
+from cosim.scenario.schema import truth_ports
 
 _NOT_RECORDED: Final = "which is neither computed nor recorded at each step"
 _OF_OUTPUTS: Final = ("jump", "follow")  # causes of events that change no input

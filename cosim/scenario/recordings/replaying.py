@@ -24,7 +24,6 @@ from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
-from cosim.scenario.document.swap import is_map_key
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.record import MEANS, CodeRecord, component_metadata, component_record
@@ -33,6 +32,7 @@ from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
 from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps, replay_changes
 from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
+from cosim.scenario.swaps import is_map_key
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus

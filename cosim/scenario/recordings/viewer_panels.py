@@ -14,7 +14,7 @@ from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel
 from cosim.errors import UnknownSignalError
 from cosim.log.contents.viewer_layout import ViewerPanel, output_panels
-from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.schema import truth_ports
 
 # Estimates that are shown where no truth is given; of the others there are only some beside these.
 _SHOWN: Final = ("delta", "theta")

@@ -27,8 +27,6 @@ from cosim.log.mcap_file.rotation import Rotation, read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.document import Document, find
-from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
@@ -42,6 +40,8 @@ from cosim.scenario.recordings.recording import (
     run_into,
     shown,
 )
+from cosim.scenario.swaps import PortNames
+from cosim.scenario.text import Document, find
 
 if TYPE_CHECKING:
     from cosim.scenario.certification.certificate import Certification

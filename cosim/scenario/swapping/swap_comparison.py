@@ -27,11 +27,10 @@ from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
-from cosim.scenario.document.schema import truth_ports
-from cosim.scenario.document.swap import ports_in
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.record import component_metadata, component_record
+from cosim.scenario.schema import truth_ports
 from cosim.scenario.swapping.port_comparison import (
     ComparedComponent,
     ComponentCapabilities,
@@ -40,6 +39,7 @@ from cosim.scenario.swapping.port_comparison import (
     propose,
 )
 from cosim.scenario.swapping.swap_report import SwapReport, SwapReports
+from cosim.scenario.swaps import ports_in
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message

@@ -30,8 +30,8 @@ from pydantic import Field, StrictStr, ValidationError, create_model
 from cosim.core.arguments import checked_components
 from cosim.core.contracts import Component
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.document.problems import TableProblems, described, problems_of
-from cosim.scenario.document.schema import (
+from cosim.scenario.problems import TableProblems, described, problems_of
+from cosim.scenario.schema import (
     Flag,
     Number,
     NumberRow,

@@ -154,135 +154,138 @@ def test_actions_are_set_from_outside(write):
 CASES = {
     "no time": (
         'signal = "x.u"\noffset = 1.0',
-        r":32: actions\.0: expected .*'at' .*'when' .*, got neither$",
+        r":32: actions\[0\]: expected .*'at' .*'when' .*, got neither$",
     ),
     "time and condition": (
         'at = 1.0\nwhen = "s.y > 1"\nsignal = "x.u"\noffset = 1.0',
-        r":32: actions\.0: expected .*'at' .*'when' .*, got both$",
+        r":32: actions\[0\]: expected .*'at' .*'when' .*, got both$",
     ),
     "condition on an unknown signal": (
         'when = "s.z > 1"\nsignal = "x.u"\noffset = 1.0',
-        r":33: actions\.0\.when: condition 's\.z > 1': .*'s\.z'",
+        r":33: actions\[0\]\.when: condition 's\.z > 1': .*'s\.z'",
     ),
     "no condition": (
         'when = "s.y + 1"\nsignal = "x.u"\noffset = 1.0',
-        r"actions\.0\.when: ",
+        r"actions\[0\]\.when: ",
     ),
-    "no signal": ("at = 1.0\noffset = 1.0", r"actions\.0: 'signal' is missing; expected an input"),
+    "no signal": (
+        "at = 1.0\noffset = 1.0",
+        r"actions\[0\]: 'signal' is missing; expected an input",
+    ),
     "nothing that happens": (
         'at = 1.0\nsignal = "x.u"',
-        r"actions\.0: expected .* one of override, freeze, offset, .*, got none$",
+        r"actions\[0\]: expected .* one of override, freeze, offset, .*, got none$",
     ),
     "two things": (
         'at = 1.0\nsignal = "x.u"\noffset = 1.0\nfreeze = true',
-        r"actions\.0: expected .* one of override, .*, got freeze and offset$",
+        r"actions\[0\]: expected .* one of override, .*, got freeze and offset$",
     ),
     "unknown key": (
         'at = 1.0\nsignal = "x.u"\nofset = 1.0',
-        r":35: actions\.0\.ofset: unknown key 'ofset'; did you mean 'offset'\? Available: at, ",
+        r":35: actions\[0\]\.ofset: unknown key 'ofset'; did you mean 'offset'\? Available: at, ",
     ),
     "unknown signal": (
         'at = 1.0\nsignal = "x.v"\noffset = 1.0',
-        r":34: actions\.0\.signal: 'x\.v': 'x' has no input 'v'; available: u$",
+        r":34: actions\[0\]\.signal: 'x\.v': 'x' has no input 'v'; available: u$",
     ),
     "unknown component": (
         'at = 1.0\nsignal = "xx.u"\noffset = 1.0',
-        r"actions\.0\.signal: 'xx\.u': .*no component 'xx'; did you mean 'x'\?",
+        r"actions\[0\]\.signal: 'xx\.u': .*no component 'xx'; did you mean 'x'\?",
     ),
     "output": (
         'at = 1.0\nsignal = "s.y"\noffset = 1.0',
-        r"actions\.0\.signal: 's\.y': expected an input of 's', got an output; available: none; "
+        r"actions\[0\]\.signal: 's\.y': expected an input of 's', got an output; available: none; "
         r"'s\.y' drives x\.u, log\.u$",
     ),
     "element": (
         'at = 1.0\nsignal = "g.u[2]"\noffset = 1.0',
-        r"actions\.0\.signal: 'g\.u\[2\]': 'g\.u' has 2 elements, numbered from 0",
+        r"actions\[0\]\.signal: 'g\.u\[2\]': 'g\.u' has 2 elements, numbered from 0",
     ),
     "after the end": (
         'at = 4.0\nsignal = "x.u"\noffset = 1.0',
-        r":33: actions\.0\.at: expected a time < 4\.0 s .*, got 4\.0 s",
+        r":33: actions\[0\]\.at: expected a time < 4\.0 s .*, got 4\.0 s",
     ),
     "before the start": (
         'at = -1.0\nsignal = "x.u"\noffset = 1.0',
-        r"actions\.0\.at: expected a time >= 0\.0 s .*, got -1\.0 s",
+        r"actions\[0\]\.at: expected a time >= 0\.0 s .*, got -1\.0 s",
     ),
     "between communication points": (
         'at = 1.05\nsignal = "x.u"\noffset = 1.0',
-        r"actions\.0\.at: 1\.05 s is not a whole number of 0\.1 s steps; nearest: 1\.0 s",
+        r"actions\[0\]\.at: 1\.05 s is not a whole number of 0\.1 s steps; nearest: 1\.0 s",
     ),
     "size of an override": (
         'at = 1.0\nsignal = "g.u"\noverride = [1.0, 2.0, 3.0]',
-        r"actions\.0\.override: override of 'g\.u': expected 2 values.*, got 3 values$",
+        r"actions\[0\]\.override: override of 'g\.u': expected 2 values.*, got 3 values$",
     ),
     "true in place of a number": (
         'at = 1.0\nsignal = "x.u"\noverride = true',
-        r":35: actions\.0\.override: override of 'x\.u': expected numbers, got true or false",
+        r":35: actions\[0\]\.override: override of 'x\.u': expected numbers, got true or false",
     ),
     "size of an offset": (
         'at = 1.0\nsignal = "g.u"\noffset = [1.0, 2.0, 3.0]',
-        r"actions\.0\.offset: expected 2 values .*, got 3$",
+        r"actions\[0\]\.offset: expected 2 values .*, got 3$",
     ),
     "delay off the grid": (
         'at = 1.0\nsignal = "x.u"\ndelay = 0.25',
-        r"actions\.0\.delay: 0\.25 s is not a whole number of 0\.1 s steps; nearest: 0\.2 s$",
+        r"actions\[0\]\.delay: 0\.25 s is not a whole number of 0\.1 s steps; nearest: 0\.2 s$",
     ),
     "no delay": (
         'at = 1.0\nsignal = "x.u"\ndelay = 0.0',
-        r"actions\.0\.delay: expected .* \(0\.1 s\), got 0\.0 s$",
+        r"actions\[0\]\.delay: expected .* \(0\.1 s\), got 0\.0 s$",
     ),
     "negative delay": (
         'at = 1.0\nsignal = "x.u"\ndelay = -0.2',
-        r"actions\.0\.delay: expected .* \(0\.1 s\), got -0\.2 s$",
+        r"actions\[0\]\.delay: expected .* \(0\.1 s\), got -0\.2 s$",
     ),
     "delay that is too small": (
         'at = 1.0\nsignal = "x.u"\ndelay = 1e-12',
-        r"actions\.0\.delay: expected .* \(0\.1 s\), got 1e-12 s$",
+        r"actions\[0\]\.delay: expected .* \(0\.1 s\), got 1e-12 s$",
     ),
     "delay beyond all times": (
         'at = 1.0\nsignal = "x.u"\ndelay = 1e300',
-        r"actions\.0\.delay: 1e\+300 s does not fit into 64-bit nanoseconds",
+        r"actions\[0\]\.delay: 1e\+300 s does not fit into 64-bit nanoseconds",
     ),
     "negative deviation": (
         'at = 1.0\nsignal = "x.u"\nnoise = -0.5',
-        r"actions\.0\.noise: .*>= 0, got -0\.5$",
+        r"actions\[0\]\.noise: .*>= 0, got -0\.5$",
     ),
     "seed that no number of the log has": (
         'at = 1.0\nsignal = "x.u"\nnoise = 0.5\nseed = 9007199254740993',
-        r"actions\.0\.seed: expected a number <= 9007199254740992, got 9007199254740993$",
+        r"actions\[0\]\.seed: expected a number <= 9007199254740992, got 9007199254740993$",
     ),
     "probability": (
         'at = 1.0\nsignal = "x.u"\ndrop = 1.5',
-        r"actions\.0\.drop: .*> 0 and <= 1, got 1\.5",
+        r"actions\[0\]\.drop: .*> 0 and <= 1, got 1\.5",
     ),
     "seed of nothing": (
         'at = 1.0\nsignal = "x.u"\noffset = 1.5\nseed = 3',
-        r"actions\.0\.seed: .*random numbers \(noise, drop\)",
+        r"actions\[0\]\.seed: .*random numbers \(noise, drop\)",
     ),
     "release of nothing": (
         'at = 1.0\nsignal = "x.u"\nrelease = true',
-        r"actions\.0\.signal: 'x\.u' is not overridden as a whole at that time",
+        r"actions\[0\]\.signal: 'x\.u' is not overridden as a whole at that time",
     ),
     "release that is false": (
         'at = 1.0\nsignal = "x.u"\nrelease = false',
-        r"actions\.0\.release: expected true, got False$",
+        r"actions\[0\]\.release: expected true, got False$",
     ),
     "two at once": (
         'at = 1.0\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nat = 1.0\nsignal = "g.u[1]"\n'
         "offset = 1.0",
-        r":38: actions\.1\.signal: 'g\.u' is also changed by actions\.0 ",
+        r":38: actions\[1\]\.signal: 'g\.u' is also changed by actions\[0\] ",
     ),
     "two at one condition": (
         'when = "t > 1"\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nwhen = "t > 1"\n'
         'signal = "g.u[1]"\noffset = 1.0',
-        r":38: actions\.1\.signal: 'g\.u' is also changed by actions\.0 ",
+        r":38: actions\[1\]\.signal: 'g\.u' is also changed by actions\[0\] ",
     ),
     "one signal twice": (
         'at = 1.0\nsignal = ["g.u", "g.u[1]"]\noverride = 1.0',
-        r"actions\.0\.signal: 'g\.u' is listed twice$",
+        r"actions\[0\]\.signal: 'g\.u' is listed twice$",
     ),
     "wrong type": (
         'at = 1.0\nsignal = "x.u"\noffset = "much"',
-        r"actions\.0\.offset: expected a number or a list of numbers, got 'much'",
+        r"actions\[0\]\.offset: expected a number or a list of numbers, got 'much'",
     ),
 }
 
@@ -320,9 +323,9 @@ signal = "x.u"
     places = [line.split(": ")[1] for line in str(caught.value).splitlines()]
     assert places == [
         "components.s.rat",
-        "actions.2",
-        "actions.0.at",
-        "actions.1.signal",
+        "actions[2]",
+        "actions[0].at",
+        "actions[1].signal",
     ]
 
 
@@ -334,17 +337,18 @@ def test_actions_that_are_no_list_are_refused(write):
 
 def test_an_unknown_action_cannot_be_set(write):
     """There are those of the file."""
-    with pytest.raises(ScenarioError, match=r"unknown action '7'; available: 0 to 4"):
+    with pytest.raises(ScenarioError, match=r"actions has no element '7'; available: 0 to 4"):
         cosim.run(write(), set={"actions.7.at": 1.0})
     with pytest.raises(
-        ScenarioError, match=r"set\['actions\.0\.at'\]: unknown action '0'; none is available"
+        ScenarioError,
+        match=r"set\['actions\.0\.at'\]: actions has no element '0'; none is available",
     ):
         cosim.run(write(""), set={"actions.0.at": 1.0})
 
 
 def test_a_stop_before_an_action_is_refused(write):
     """Also where it was set from outside."""
-    with pytest.raises(ScenarioError, match=r"actions\.4\.at: expected .* got 3\.0 s"):
+    with pytest.raises(ScenarioError, match=r"actions\[4\]\.at: expected .* got 3\.0 s"):
         cosim.run(write(), set={"scenario.stop": 3.0})
 
 
@@ -426,7 +430,7 @@ def test_a_session_meets_the_conditions_too(write, tmp_path):
 def test_a_component_is_set_at_a_condition_or_at_times(write):
     """What it would be else depends on which comes first."""
     actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
-    with pytest.raises(ScenarioError, match=r"actions\.4\..*'log' is also set by actions\.3"):
+    with pytest.raises(ScenarioError, match=r"actions\[4\]\..*'log' is also set by actions\[3\]"):
         cosim.run(write(actions))
 
 

@@ -170,7 +170,9 @@ x = {{ kind = "lag", time_constant = 0.5 }}
     assert [(e.cause, e.signal, e.values) for e in log.events()] == [("set", "fmu.p", (1.5,))]
     verification = verify(log, cosim.replay(log))
     assert verification.passed, verification.lines()
-    with pytest.raises(ScenarioError, match=r"actions\.0\.set\.fmu\.q: 'fmu' has no tunable .*'q'"):
+    with pytest.raises(
+        ScenarioError, match=r"actions\[0\]\.set\.fmu\.q: 'fmu' has no tunable .*'q'"
+    ):
         cosim.run(write(actions.replace("fmu.p", "fmu.q"), base))
 
 
@@ -197,7 +199,7 @@ def test_a_setting_is_set_from_outside(write):
 CASES = {
     "unknown component": (
         'set = { "h.K" = 1.0 }',
-        r":27: actions\.0\.set\.h\.K: .*no component 'h'; available: s, c",
+        r":27: actions\[0\]\.set\.h\.K: .*no component 'h'; available: s, c",
     ),
     "not tunable": (
         'set = { "x.initial" = 1.0 }',
@@ -217,11 +219,11 @@ CASES = {
     ),
     "another size": (
         'set = { "c.value" = [1.0, 2.0, 3.0] }',
-        r"actions\.0\.set\.c\.value: .*signals or the direct feedthrough of 'c'",
+        r"actions\[0\]\.set\.c\.value: .*signals or the direct feedthrough of 'c'",
     ),
     "beside a signal": (
         'signal = "x.u"\nset = { "g.K" = 1.0 }',
-        r"actions\.0\.signal: not allowed with 'set'",
+        r"actions\[0\]\.signal: not allowed with 'set'",
     ),
     "true for a number": (
         'set = { "c.value" = true }',
@@ -237,25 +239,25 @@ CASES = {
     ),
     "twice": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
-        r"actions\.1\.set\.g\.K: is also set by actions\.0 at the same instant",
+        r"actions\[1\]\.set\.g\.K: is also set by actions\[0\] at the same instant",
     ),
     "before or after a condition": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }',
-        r"actions\.1\.set\.g\.K: 'g' is also set by actions\.0, .*condition",
+        r"actions\[1\]\.set\.g\.K: 'g' is also set by actions\[0\], .*condition",
     ),
     "at two conditions": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 2"\nset = { "g.K" = 3.0 }',
-        r"actions\.2\.set\.g\.K: 'g' is also set by actions\.1, .*condition",
+        r"actions\[2\]\.set\.g\.K: 'g' is also set by actions\[1\], .*condition",
     ),
     "twice at one condition": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 3.0 }',
-        r"actions\.2\.set\.g\.K: is also set by actions\.1 at the same instant",
+        r"actions\[2\]\.set\.g\.K: is also set by actions\[1\] at the same instant",
     ),
     "no parameter": (
         'set = { "g" = 1.0 }',
-        r"actions\.0\.set\.g: expected a tunable parameter of 'g', got none; available: K$",
+        r"actions\[0\]\.set\.g: expected a tunable parameter of 'g', got none; available: K$",
     ),
     "matrix that is not tunable": (
         'set = { "k.A" = [[1.0]] }',
@@ -267,7 +269,7 @@ CASES = {
     ),
     "matrix of an unknown component": (
         'set = { "h.K" = [[1.0]] }',
-        r"actions\.0\.set\.h\.K: .*no component 'h'; available: s, c",
+        r"actions\[0\]\.set\.h\.K: .*no component 'h'; available: s, c",
     ),
     "matrix for a number": (
         'set = { "x.time_constant" = [[1.0]] }',
@@ -284,11 +286,11 @@ CASES = {
     "infinity": ('set = { "g.K" = inf }', r"set\.g\.K: expected a finite number, got inf"),
     "nothing": (
         "set = {}",
-        r"actions\.0\.set: expected a parameter and its value, got an empty table$",
+        r"actions\[0\]\.set: expected a parameter and its value, got an empty table$",
     ),
     "no swap": (
         "swap = {}",
-        r"actions\.0\.swap: expected a component and its \.fmu, got an empty table$",
+        r"actions\[0\]\.swap: expected a component and its \.fmu, got an empty table$",
     ),
 }
 

@@ -93,7 +93,7 @@ def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
     assert re.search(r"swap\.plant: .*none\.fmu", message)
     actions = [{"at": at, "swap": {"plant": str(folder / "plant3.fmu")}} for at in (1.0, 1.5)]
     message = refusal({**STOP, "actions": actions})
-    assert re.search(r"actions\.1\.swap\.plant: 'plant' is also changed by actions\.0", message)
+    assert re.search(r"actions\[1\]\.swap\.plant: 'plant' is also changed by actions\[0\]", message)
 
 
 def test_a_co_simulation_fmu_has_no_states_to_hand_over(tmp_path):

@@ -336,7 +336,7 @@ def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(
     with pytest.raises(ScenarioError) as caught:
         cosim.run(path)
     text = str(caught.value)
-    begin = f"{path}:3: actions.0: after the action at 4.0 s, the loop of pid, plant: coupling"
+    begin = f"{path}:3: actions[0]: after the action at 4.0 s, the loop of pid, plant: coupling"
     assert text.startswith(begin)
     assert ", by 1e18 over the rest of the run, more than 10; use step" in text
     assert 'use step = 0.05 or coupling = "newton"; coupling_check = "warn" runs it' in text
@@ -459,7 +459,7 @@ def test_a_fault_that_multiplies_an_input_is_checked_as_another_gain_is(setting)
     assert behind.rho == pytest.approx(own.rho, rel=1e-12)
     assert released.rho == pytest.approx(first.rho, rel=1e-12)
     faults[2]["gain"] = 30.0
-    with pytest.raises(ScenarioError, match=r"actions\.2: after the action at 4\.0 s, the loop"):
+    with pytest.raises(ScenarioError, match=r"actions\[2\]: after the action at 4\.0 s, the loop"):
         cosim.run(path, set={"actions": faults})
 
 
@@ -494,5 +494,5 @@ def test_the_action_that_changes_a_loop_is_the_one_that_is_named(setting):
         {"at": 4.0, "signal": "pid.setpoint", "offset": 1.0},
         {"at": 4.0, "set": {"pid.gain": 60.0}},
     ]
-    with pytest.raises(ScenarioError, match=r"actions\.1: after the action at 4\.0 s, the loop"):
+    with pytest.raises(ScenarioError, match=r"actions\[1\]: after the action at 4\.0 s, the loop"):
         cosim.run(setting("at = 4.0", 2.0), set={"actions": actions})

@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
-from cosim.scenario.document.elements import address, split_elements, written
+from cosim.scenario.places import written
+from cosim.scenario.text import parts_of
 from tests.scenario.refusals import check_refused
 
 THETA = [-0.1, -0.3]
@@ -160,7 +161,7 @@ def test_an_action_is_found_by_either_spelling(tmp_path):
     edited = scenario.set({"actions[0].override": 3.0})
     assert edited.document.changes == {"actions.0.override": 3.0}
     assert edited.actions[0].override == 3.0
-    with pytest.raises(ScenarioError, match=r"unknown action '1'; available: 0 to 0"):
+    with pytest.raises(ScenarioError, match=r"actions has no element '1'; available: 0 to 0"):
         scenario.set({"actions[1].override": 3.0})
     log = cosim.run(path, out=tmp_path / "x.mcap")
     with pytest.raises(UsageError, match="actions"):
@@ -173,12 +174,8 @@ PARTS = st.tuples(NAMES, st.lists(st.integers(0, 99), max_size=3))
 
 @given(st.lists(PARTS, min_size=1, max_size=4))
 def test_keys_are_read_as_they_are_written(parts):
-    """Names and indices come back, and the address has each as a part."""
+    """Names and indices come back, and the parts_of has each as a part."""
     key = []
     for name, indices in parts:
         key += [name, *indices]
-    text = written(tuple(key))
-    assert [split_elements(part) for part in text.split(".")] == [
-        (name, [str(index) for index in indices]) for name, indices in parts
-    ]
-    assert address(text) == ".".join(map(str, key))
+    assert parts_of(written(tuple(key))) == list(map(str, key))

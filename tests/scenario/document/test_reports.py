@@ -13,7 +13,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.document.document import Document, find
+from cosim.scenario.text import Document, find
 from cosim.theory.disturbances import regression
 from cosim.theory.observers import observer
 

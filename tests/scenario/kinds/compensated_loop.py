@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from cosim.scenario.building.build import parse
-from cosim.scenario.document.document import Document
+from cosim.scenario.text import Document
 
 LOOP = """
 [scenario]

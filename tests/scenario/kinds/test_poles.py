@@ -50,9 +50,9 @@ def test_complex_numbers_of_python_are_those_texts():
 IMPOSSIBLE_POLES = [
     ("observer", ["-6+2j", -7.0], r"come in conjugate pairs, and -6-2j is missing"),
     ("compensator", ["-6+2j", "-6+2j", "-6-2j", -1], r"in conjugate pairs, and -6-2j is miss"),
-    ("observer", ["-6+2i", -1.0], r"poles.0: expected a finite number, .*got '-6\+2i'"),
-    ("compensator", ["nan", -1.0], r"poles.0: expected a finite number, .*got 'nan'"),
-    ("compensator", [True, -1.0], r"poles.0: expected a finite number, .*got True"),
+    ("observer", ["-6+2i", -1.0], r"poles\[0\]: expected a finite number, .*got '-6\+2i'"),
+    ("compensator", ["nan", -1.0], r"poles\[0\]: expected a finite number, .*got 'nan'"),
+    ("compensator", [True, -1.0], r"poles\[0\]: expected a finite number, .*got True"),
     ("observer", "-6+2j", r"poles'?\]?: expected a list of numbers, .*got '-6\+2j'"),
 ]
 

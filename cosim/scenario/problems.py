@@ -6,15 +6,13 @@ import sys
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from types import UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from cosim.errors import UsageError, nearest, quoted
-
-Key: TypeAlias = tuple[str | int, ...]  # where a value stands in the tables of a scenario
-Problem: TypeAlias = tuple[Key, str]
+from cosim.scenario.places import Key, Problem
 
 TYPES = {
     "string_type",

@@ -18,22 +18,24 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface
 from cosim.errors import GraphError, UsageError, nearest, option
 from cosim.files import file_type
-from cosim.scenario.document.problems import Key, Problem
-from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.places import Key, Problem
+from cosim.scenario.schema import truth_ports
 
 if TYPE_CHECKING:
     from cosim.blocks.renaming import Renaming
 
 Tables: TypeAlias = dict[str, Any]
+Connections: TypeAlias = Mapping[Port, Connection]
 PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
 
 SAMPLES = "#samples"  # behind the path of an MCAP of another tool
@@ -61,7 +63,7 @@ class MapEntry:
 
 def swapped_components(tree: Mapping[str, Any]) -> list[str]:
     """Return the names of the components that [swap] replaces."""
-    components = _table(tree, "components")
+    components = table_of(tree, "components")
     return [name for name in _paths(tree) if name in components]
 
 
@@ -75,14 +77,14 @@ def replace_components(tree: Tables, paths: Mapping[str, str]) -> list[Problem]:
     paths : mapping of component name to path
         Swaps from outside, which take the place of entries in [swap], their maps too.
     """
-    entries = {**_table(tree, "swap"), **paths}
+    entries = {**table_of(tree, "swap"), **paths}
     if entries:
         tree["swap"] = entries
         for name, entry in entries.items():
             if isinstance(entry, str):
                 entries[name] = {"path": entry}
     problems: list[Problem] = []
-    components = _table(tree, "components")
+    components = table_of(tree, "components")
     for name, path in _paths(tree).items():
         if name not in components:
             text = f"unknown component {name!r}; {nearest(name, components)}"
@@ -95,7 +97,8 @@ def replace_components(tree: Tables, paths: Mapping[str, str]) -> list[Problem]:
     return problems
 
 
-def _table(tree: Mapping[str, Any], name: str) -> Tables:
+def table_of(tree: Mapping[str, Any], name: str) -> Tables:
+    """Return a table of a scenario; empty where there is none, or something else."""
     table = tree.get(name)
     return table if isinstance(table, dict) else {}
 
@@ -103,7 +106,7 @@ def _table(tree: Mapping[str, Any], name: str) -> Tables:
 def _paths(tree: Mapping[str, Any]) -> dict[str, str]:
     """Return the path of every entry in [swap]; the schema names the entries without one."""
     paths: dict[str, str] = {}
-    for name, entry in _table(tree, "swap").items():
+    for name, entry in table_of(tree, "swap").items():
         path = entry.get("path") if isinstance(entry, dict) else entry
         if isinstance(path, str):
             paths[name] = path
@@ -192,7 +195,7 @@ def resolve_maps(
     problems: list[Problem] = []
     written: dict[str, dict[str, PortNames]] = {}
     for name in swapped:
-        written[name] = _table(_table(tree, "swap")[name], "map")
+        written[name] = table_of(table_of(tree, "swap")[name], "map")
     for port, names in maps.items():
         owner = ports.owner(port, swapped)
         if owner is None:
@@ -331,9 +334,9 @@ class WrittenPorts:
     """
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
-        self._components = list(_table(tree, "components"))
+        self._components = list(table_of(tree, "components"))
         self._sources: dict[Port, list[Port]] = {}  # by input
-        for to, connection in _table(tree, "connections").items():
+        for to, connection in table_of(tree, "connections").items():
             source = connection.get("from") if isinstance(connection, dict) else connection
             sources = source if isinstance(source, list) else [source]
             for port in ports_in([to]):
@@ -342,7 +345,7 @@ class WrittenPorts:
         for ports in self._sources.values():
             self._outputs += ports
         self._compared: list[Port] = []
-        for estimate, true in _table(tree, "truth").items():
+        for estimate, true in table_of(tree, "truth").items():
             self._compared += ports_in([estimate, *truth_ports(true)])
 
     def of(self, component: str) -> list[str]:
@@ -446,3 +449,146 @@ def ports_in(values: Iterable[Any]) -> list[Port]:
             with suppress(GraphError):
                 ports.append(Port.parse(value))
     return ports
+
+
+# --- recorded inputs ---
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedInput:
+    """An input of a recorded component that its map names: an output, in the place of its source.
+
+    ``plant.u`` of samples from the field is what the plant was driven with. An observer that takes
+    the same signal, ``u.y``, has to take what was recorded too, else it would see the difference as
+    a disturbance: ``"plant.u" = "u.y"`` and ``"observer.u" = "u.y"`` become
+    ``"observer.u" = "plant.u"``.
+
+    Parameters
+    ----------
+    port : Port
+        Of the recorded component, an output of it now.
+    replaced : tuple of Port
+        Outputs that drove it.
+    followers : tuple of Port
+        Inputs that took one of these and take the recorded values now.
+    """
+
+    port: Port
+    replaced: tuple[Port, ...]
+    followers: tuple[Port, ...]
+
+    def text(self) -> str:
+        """Return what that means, in words."""
+        drivers = ", ".join(map(str, self.replaced))
+        if not self.followers:
+            return f"'{self.port}' is recorded; nothing else takes {drivers}"
+        followers = ", ".join(map(str, self.followers))
+        takes = "takes" if len(self.followers) == 1 else "take"
+        return f"'{self.port}' is recorded: {followers} {takes} it in the place of {drivers}"
+
+
+def with_recorded_inputs(
+    without_inputs: Iterable[str],
+    maps: Mapping[str, list[MapEntry]],
+    connections: Connections,
+    written: Connections,
+) -> tuple[dict[str, list[MapEntry]], dict[Port, Connection], list[RecordedInput], list[Problem]]:
+    """Return maps and connections in which recorded inputs are outputs.
+
+    Parameters
+    ----------
+    without_inputs : iterable of str
+        The components that follow no inputs.
+    maps : mapping of component name to list of MapEntry
+    connections : mapping of Port to Connection
+        Without those to these components.
+    written : mapping of Port to Connection
+        With them.
+
+    Returns
+    -------
+    maps, connections
+    list of RecordedInput
+    list of Problem
+        Of entries whose values nobody else can take.
+    """
+    changed_maps = dict(maps)
+    changed = dict(connections)
+    inputs: list[RecordedInput] = []
+    problems: list[Problem] = []
+    for name in without_inputs:
+        entries = []
+        for entry in maps.get(name, []):
+            if entry.renaming.causality == "input":
+                try:
+                    replacements = _replacements(entry, written)
+                except GraphError as error:
+                    problems.append((entry.key, str(error)))
+                    continue
+                followers = _replace(changed, replacements)
+                port = entry.renaming.port
+                inputs.append(RecordedInput(port, tuple(replacements), tuple(followers)))
+                entry = replace(entry, renaming=replace(entry.renaming, causality="output"))
+            entries.append(entry)
+        if name in maps:
+            changed_maps[name] = entries
+    return changed_maps, changed, inputs, problems
+
+
+def _replacements(entry: MapEntry, written: Connections) -> dict[Port, Port]:
+    """Return which port takes the place of each of those that drive an input.
+
+    Raises
+    ------
+    GraphError
+        If what drives it is not what was recorded.
+    """
+    port = entry.renaming.port
+    connection = written.get(port)
+    if connection is None:
+        drivers = [str(to) for to in written if to.whole == port.whole]
+        raise GraphError(
+            f"'{port}' is connected by its elements; expected the ports of [connections]: "
+            f"{', '.join(drivers)}"
+        )
+    label = connection.label
+    gain = connection.matrix
+    if gain.ndim or gain != 1.0 or connection.offset or connection.unit is not None:
+        raise GraphError(
+            f"'{port}' takes {label} with a gain, an offset or a unit, so its recorded values are "
+            f"not those of {label}; swap {connection.sources[0].component!r}, too, and map "
+            f"'{connection.sources[0]}'"
+        )
+    sources = connection.sources
+    if len(sources) == 1:
+        return {sources[0]: port}
+    names = entry.renaming.sources
+    if len(names) != len(sources):
+        raise GraphError(
+            f"'{port}' takes {len(sources)} signals, {label}; expected one name for each in its "
+            f"map, got {len(names)}"
+        )
+    return {source: replace(port, element=index) for index, source in enumerate(sources)}
+
+
+def _replace(connections: dict[Port, Connection], replacements: Mapping[Port, Port]) -> list[Port]:
+    """Replace sources of connections; return the inputs whose sources were replaced."""
+    followers = []
+    for to, connection in connections.items():
+        sources = [_replaced(source, replacements) for source in connection.sources]
+        if sources != list(connection.sources):
+            followers.append(to)
+            connections[to] = Connection(
+                sources, connection.gain, connection.offset, connection.unit
+            )
+    return followers
+
+
+def _replaced(source: Port, replacements: Mapping[Port, Port]) -> Port:
+    """Return what takes the place of a source, also where it is an element of what is replaced."""
+    if source in replacements:
+        return replacements[source]
+    whole = replacements.get(source.whole)
+    if whole is not None and whole.element is None:
+        return replace(whole, element=source.element)
+    return source

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Annotated, Any, Final, Literal
 
@@ -312,6 +313,49 @@ class ActionTable(TomlTable):
         description='components and the .fmu that replaces them: { plant = "other.fmu" }; the '
         "continuous states are kept",
     )
+
+    @property
+    def effects(self) -> list[str]:
+        """The keys of what happens: one, of an action that is right."""
+        return [name for name in EFFECTS if getattr(self, name) is not None]
+
+    @property
+    def signals(self) -> list[str]:
+        """The names of the signals that it is about; none where it sets parameters."""
+        if self.signal is None:
+            return []
+        return [self.signal] if isinstance(self.signal, str) else self.signal
+
+    def problems(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Yield what is wrong with it by itself."""
+        if (self.at is None) == (self.when is None):
+            found = "neither" if self.at is None else "both"
+            yield (), f"expected either 'at' (a time [s]) or 'when' (a condition), got {found}"
+        of_components = [name for name in ("set", "swap") if getattr(self, name) is not None]
+        if of_components and self.signal is not None:
+            yield ("signal",), f"not allowed with '{of_components[0]}'; write a separate action"
+        if not of_components and not self.signals:
+            yield (), "'signal' is missing; expected an input, such as plant.u"
+        if len(self.effects) != 1:
+            found = " and ".join(self.effects) or "none"
+            yield (), f"expected exactly one of {', '.join(EFFECTS)}, got {found}"
+        contents = {"set": "a parameter and its value", "swap": "a component and its .fmu"}
+        for name, content in contents.items():
+            if getattr(self, name) == {}:
+                yield (name,), f"expected {content}, got an empty table"
+        for name in ("freeze", "drop", "release"):
+            if getattr(self, name) is False:
+                yield (name,), "expected true, got False"
+        is_random = self.noise is not None or (
+            self.drop is not None and not isinstance(self.drop, bool)
+        )
+        if self.seed is not None and not is_random:
+            yield ("seed",), "allowed only with random numbers (noise, drop)"
+
+
+EFFECTS: Final = tuple(
+    name for name in ActionTable.model_fields if name not in ("at", "when", "signal", "seed")
+)  # keys of what happens; an action has one of them
 
 
 class RecordTable(TomlTable):
