@@ -35,7 +35,7 @@ def main() -> None:
 
     Numpy's linear algebra gets one thread, unless the environment says otherwise: matrices here are
     so narrow that its threads wait for each other longer than they compute. The garbage collector
-    is off until a command starts it (:mod:`cosim.cli.collecting`).
+    is off until a command starts it (:mod:`cosim.cli.command`).
     """
     last_handler = _LastHandler()
     atexit.register(last_handler)  # the first to be registered is the last to be called

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.errors import UsageError, command, flag, option, quoted
+from cosim.errors import UsageError, command, flag, named_keys, option, quoted
 from cosim.files import check_writable, expanded, file_type
 
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
@@ -128,6 +129,37 @@ def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
         if not isinstance(key, str):
             raise UsageError(f"{option(name)}: expected strings as keys, got {quoted(key)}")
     return value
+
+
+@contextmanager
+def setting_arguments(
+    changes: object,
+    *,
+    stop: float | None = None,
+    step: float | str | None = None,
+    verdicts: bool | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Yield ``set`` with the settings that are arguments, too; inside, messages name these.
+
+    Raises
+    ------
+    UsageError
+        If ``set`` is no mapping, or sets one of them itself.
+    """
+    merged = dict(mapping_argument("set", changes))
+    names = {}
+    for name, value in {"stop": stop, "step": step, "verdicts": verdicts}.items():
+        if value is None:
+            continue
+        key = f"scenario.{name}"
+        names[key] = flag(name, value) if isinstance(value, bool) else option(name)
+        if key in merged:
+            raise UsageError(
+                f"{names[key]} and {option('set', key)} set the same; omit one of them"
+            )
+        merged[key] = value
+    with named_keys(names):
+        yield merged
 
 
 def swap_argument(value: object) -> dict[str, Any]:

@@ -36,7 +36,7 @@ import signal
 import sys
 import unicodedata
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
@@ -46,8 +46,9 @@ MOST_NAMES: Final = 100  # that a message about an unknown name lists
 
 MOST_CHARACTERS: Final = 120  # of a value that a message quotes
 
-# In the shell: the options that set keys of a scenario there, by the keys
-_in_shell: ContextVar[dict[str, str] | None] = ContextVar("in_shell", default=None)
+_in_shell: ContextVar[bool] = ContextVar("in_shell", default=False)
+# What sets keys of a scenario beside ``set``, by the keys
+_names_of_keys: ContextVar[Mapping[str, str] | None] = ContextVar("names_of_keys", default=None)
 
 
 class CosimError(Exception):
@@ -196,7 +197,7 @@ def warn(texts: Iterable[str]) -> None:
 
     In the shell there is nothing to do: what a command prints has them.
     """
-    if _in_shell.get() is not None:
+    if _in_shell.get():
         return
     level = 1
     frame = sys._getframe()
@@ -259,18 +260,21 @@ def shortened(text: str, most: int = MOST_CHARACTERS) -> str:
 @contextmanager
 def shell_language() -> Iterator[None]:
     """Name arguments as options of the shell, in every message made inside."""
-    token = _in_shell.set({})
+    token = _in_shell.set(True)
     try:
         yield
     finally:
         _in_shell.reset(token)
 
 
-def name_option(key: str, name: str) -> None:
-    """Name a key of the scenario by the option of the shell that set it: ``--stop``."""
-    given = _in_shell.get()
-    if given is not None:
-        given[key] = name
+@contextmanager
+def named_keys(names: Mapping[str, str]) -> Iterator[None]:
+    """Name keys of the scenario by the arguments that set them, as ``stop``, in every message."""
+    token = _names_of_keys.set({**(_names_of_keys.get() or {}), **names})
+    try:
+        yield
+    finally:
+        _names_of_keys.reset(token)
 
 
 def flag(name: str, value: bool = True) -> str:
@@ -278,7 +282,7 @@ def flag(name: str, value: bool = True) -> str:
 
     ``allow_code=True`` is ``--allow-code`` there.
     """
-    if _in_shell.get() is not None:
+    if _in_shell.get():
         words = name.replace("_", "-")
         return f"--{words}" if value else f"--no-{words}"
     return f"{name}={value}"
@@ -286,19 +290,19 @@ def flag(name: str, value: bool = True) -> str:
 
 def command(name: str) -> str:
     """Name a function of the package: ``cosim.run``, in the shell ``'cosim run'``."""
-    return f"'cosim {name}'" if _in_shell.get() is not None else f"cosim.{name}"
+    return f"'cosim {name}'" if _in_shell.get() else f"cosim.{name}"
 
 
 def option(name: str, key: str | None = None, value: str | None = None) -> str:
     """Name an argument, an entry of it, or an entry with its value.
 
     ``stop``, ``set['plant.x']``, ``map={'plant.u': 'force'}``; in the shell ``--stop``,
-    ``--set plant.x``, ``--map plant.u=force``, or the option that :func:`name_option` names.
+    ``--set plant.x``, ``--map plant.u=force``. A key that :func:`named_keys` names has that name.
     """
-    given = _in_shell.get()
-    if given is not None:
-        if name == "set" and key in given and value is None:
-            return given[key]
+    names = _names_of_keys.get() or {}
+    if name == "set" and key is not None and key in names and value is None:
+        return names[key]
+    if _in_shell.get():
         name = name.replace("_", "-")
         entry = "" if key is None else f" {shortened(key)}"
         return f"--{name}{entry}" if value is None else f"--{name}{entry}={value}"

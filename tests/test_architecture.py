@@ -26,6 +26,7 @@ BASE = {
     "units",
     "version",
     "lazy",
+    "options",
 }
 ALLOWED = {
     "errors": set(),
@@ -42,6 +43,7 @@ ALLOWED = {
     "units": set(),
     "version": set(),
     "lazy": set(),
+    "options": {"errors"},
     "native": BASE,
     "theory": BASE | {"native"},
     "core": BASE | {"native"},
@@ -62,6 +64,7 @@ ALLOWED = {
         "errors",
         "files",
         "lazy",
+        "options",
         "processes",
         "version",
         "scenario",

@@ -12,12 +12,11 @@ import os
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Annotated
+from typing import Annotated, Final, NoReturn
 
 import typer
 
-from cosim.cli.collecting import start_collecting
-from cosim.cli.once import OnceCommand
+from cosim.cli.command import OnceCommand, start_collecting
 from cosim.errors import CosimError, shell_language
 from cosim.lazy import LazyMapping
 from cosim.report.printable import printable
@@ -25,35 +24,18 @@ from cosim.terminal import ended_by_signals, keep_stdout, open_standard_streams,
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 
-COMMANDS = LazyMapping[Callable[..., None] | typer.Typer](
-    "cosim.cli",
-    {  # in the order of the help
-        "run": "running.run",
-        "replay": "replaying.replay",
-        "diff": "comparing.diff",
-        "hash": "hashing.hash_",
-        "study": "studying.study",
-        "metrics": "measuring.metrics",
-        "compare": "comparing.compare",
-        "tune": "tuning.tune",
-        "identify": "identifying.identify",
-        "design": "designing.design",
-        "info": "contents.info",
-        "check": "checking.check",
-        "cache": "fmus.cache",
-        "plot": "contents.plot",
-        "play": "playing.play",
-        "cat": "converting.cat",
-        "convert": "converting.convert",
-        "cut": "editing.cut",
-        "merge": "editing.merge",
-        "recover": "editing.recover",
-        "list": "contents.list_",
-        "show": "contents.show",
-        "compile": "fmus.compile_",
-        "export": "fmus.export",
-        "linearize": "fmus.linearize",
-    },
+# by file, in the order of the help; a name that Python has itself ends with an underscore there
+_FILES: Final = {
+    "runs": "run replay compare",
+    "studies": "study tune",
+    "logs": "diff hash_ metrics plot play cat convert cut merge recover",
+    "contents": "info list_ show",
+    "fmus": "check cache compile_ export linearize",
+    "identification": "identify design",
+}
+_HOMES: Final = [(file, name) for file, names in _FILES.items() for name in names.split()]
+COMMANDS: Final = LazyMapping[Callable[..., None] | typer.Typer](
+    "cosim.cli", {name.rstrip("_"): f"{file}.{name}" for file, name in _HOMES}
 )
 
 
@@ -112,20 +94,21 @@ def main(arguments: list[str] | None = None) -> None:
             finally:
                 sys.stdout.flush()  # a reader that is gone is found here, or when Python ends
     except CosimError as error:
-        lines = printable(str(error)).splitlines() or [type(error).__name__]
-        for note in getattr(error, "__notes__", ()):
-            lines.append(printable(note))
-        lines += _lost_folder()
-        sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
-        sys.exit(error.exit_code)
+        notes = getattr(error, "__notes__", ())
+        _exit(error.exit_code, str(error) or type(error).__name__, *notes, *_lost_folder())
     except OSError as error:  # stdout on a full disk, a folder that is gone
-        place = printable(str(error.filename or "output"))
-        lines = _lost_folder() or [f"{place}: {error.strerror or error}"]
-        sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
         if stdout is not None:  # the rest of its buffer cannot be written either
             with suppress(OSError):
                 stdout.close()
-        sys.exit(2)  # 1 says that a check or the run failed
+        found = f"{error.filename or 'output'}: {error.strerror or error}"
+        _exit(2, *(_lost_folder() or [found]))  # 1 says that a check or the run failed
+
+
+def _exit(code: int, *texts: str) -> NoReturn:
+    for text in texts:
+        for line in printable(text).splitlines():
+            sys.stderr.write(f"cosim: {line}\n")
+    sys.exit(code)
 
 
 def _lost_folder() -> list[str]:

@@ -1,22 +1,57 @@
-"""The commands on FMUs: cache, export and linearize."""
+"""The commands on FMUs: check, cache, compile, export and linearize."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
-from cosim import completion
-from cosim.cli.options import JsonOption, ScenarioArgument, SetOption, read_edits
+from cosim.cli.command import Given, command
+from cosim.cli.options import print_notice, print_text, prints_to_stderr, run_in_child, shared
 from cosim.errors import UsageError
+from cosim.options import Rule
 from cosim.report.printable import printable
 
 
-def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove all entries.")] = False,
-    as_json: JsonOption = False,
-) -> None:
+@command(
+    {
+        "subject FMU|SCENARIO : checked": "An FMU (.fmu), or a scenario by name or as .toml.",
+        "--strict": "FMU: exit 1 also for warnings (violations of the standard that run here).",
+        "--set NAME=VALUE : values": "FMU: start value for the trial runs. Scenario: a value, "
+        "such as observer.filter_rate=500. Repeatable.",
+        **shared("json"),
+    }
+)
+def check(given: Given) -> bool:
+    """Report problems of an FMU, or the assumptions of a scenario.
+
+    FMU: archive, schema, structure, binaries and trial runs. Scenario: each assumption with the
+    number that decides it. The scenario is not run, but FMUs are loaded and Python classes
+    imported, which runs their code, in a separate process. Exit 1 if there is an error or an
+    assumption fails.
+    """
+    from cosim.arguments import fmu_argument, is_scenario
+
+    if is_scenario(given.subject):
+        if given.strict:
+            raise UsageError("--strict is for FMUs; omit it")
+        run_in_child(given.arguments)
+        from cosim.report.tables.assumptions import print_assumptions
+        from cosim.scenario.assumptions.report import check_assumptions
+
+        with prints_to_stderr():
+            report = check_assumptions(str(given.subject), set=given.set)
+        print_assumptions(report, as_json=given.json)
+        return not report.fulfilled
+    from cosim.fmi.checking.check import check as check_fmu
+    from cosim.report.fmu import print_check
+
+    findings = check_fmu(fmu_argument(given.subject), start=given.set)
+    print_check(str(given.subject), findings, as_json=given.json)
+    refused = ("error", "warning") if given.strict else ("error",)
+    return any(finding.level in refused for finding in findings)
+
+
+@command({"--clear": "Remove all entries.", **shared("json")})
+def cache(given: Given) -> None:
     """Show or clear the cache of FMU trials and compiled files.
 
     Entries are identified by content.
@@ -26,19 +61,17 @@ def cache(
     """
     from cosim.report.fmu import print_cache
 
-    print_cache(clear=clear, as_json=as_json)
+    print_cache(clear=given.clear, as_json=given.json)
 
 
-def compile_(
-    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU with sources (.fmu).")],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="FMU to write; default: fmus/<name>-<platform>.fmu"
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
-) -> None:
+@command(
+    {
+        "fmu FMU : Path": "An FMU with sources (.fmu).",
+        "--out -o FILE : Path": "FMU to write; default: fmus/<name>-<platform>.fmu",
+        **shared("force-file"),
+    }
+)
+def compile_(given: Given) -> None:
     """Compile an FMU's own sources for this machine, with CMake.
 
     Write a copy with the binary. Nothing else compiles them: they are a stranger's code.
@@ -46,126 +79,55 @@ def compile_(
     from cosim.arguments import check_fmu_to_write, fmu_argument
     from cosim.fmi.building import compile_fmu, compiled_path
 
-    path = fmu_argument(fmu)
-    out = out or compiled_path(path)
-    check_fmu_to_write(out, force=force)
-    platform = compile_fmu(path, out)
-    typer.echo(printable(f"{out}: binary for {platform}"))
+    path = fmu_argument(given.fmu)
+    out = given.out or compiled_path(path)
+    check_fmu_to_write(out, force=given.force)
+    print_text(f"{out}: binary for {compile_fmu(path, out)}")
 
 
-def export(
-    scenario: ScenarioArgument,
-    component: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="The component to export.",
-            autocompletion=completion.complete_component,
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="PATH",
-            help="FMU to write; default: fmus/<scenario>-<component>.fmu",
-        ),
-    ] = None,
-    fmi: Annotated[str, typer.Option(metavar="2|3", help="FMI version: 2 (2.0) or 3 (3.0).")] = "2",
-    platform: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Cross-compile: x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, "
-            "aarch64-darwin.",
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
-    dae: Annotated[
-        bool,
-        typer.Option(
-            "--dae",
-            help="Include the algebraic equations of a descriptor plant (FMI 3, draft FMI-LS-DAE).",
-        ),
-    ] = False,
-    changes: SetOption = None,
-) -> None:
+@command(
+    {
+        **shared("scenario"),
+        "--component NAME : component = ...": "The component to export.",
+        "--out -o PATH : Path": "FMU to write; default: fmus/<scenario>-<component>.fmu",
+        "--fmi 2|3 : str = '2'": "FMI version: 2 (2.0) or 3 (3.0).",
+        "--platform NAME,... : str": "Cross-compile: x86_64-linux, aarch64-linux, x86_64-windows, "
+        "x86_64-darwin, aarch64-darwin.",
+        **shared("force-file"),
+        "--dae": "Include the algebraic equations of a descriptor plant (FMI 3, draft FMI-LS-DAE).",
+        **shared("set"),
+    }
+)
+def export(given: Given) -> None:
     """Export a component as an FMU, C source and binary.
 
     The FMU has both interface types; that of a discrete component is for co-simulation only.
     """
     from cosim.scenario.exporting import export_component
 
-    platforms = [] if platform is None else [name.strip() for name in platform.split(",")]
-    edits = read_edits(changes)
-    for line in export_component(
-        scenario, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae, set=edits
-    ):
-        typer.echo(printable(line))
+    options = given.only("component out fmi force dae set")
+    platforms = [] if given.platform is None else given.platform.split(",")
+    options["platforms"] = [name.strip() for name in platforms]
+    for line in export_component(given.scenario, **options):
+        print_text(line)
 
 
-TimeOption = Annotated[
-    float,
-    typer.Option(
-        metavar="T", help="Time of the operating point [s], reached with constant inputs."
-    ),
-]
-
-StartOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Start value of an input, a parameter or a state. Repeatable.",
-    ),
-]
-
-InputsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--input", metavar="NAME", help="Use these inputs only, in this order. Repeatable."
-    ),
-]
-
-OutputsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--output", metavar="NAME", help="Use these outputs only, in this order. Repeatable."
-    ),
-]
-
-DisturbancesOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--disturbance", metavar="NAME", help="With --toml: an unknown input. Repeatable."
-    ),
-]
-
-DifferencesOption = Annotated[
-    bool,
-    typer.Option(
-        "--differences",
-        help="Use central differences even where the FMU has directional derivatives.",
-    ),
-]
-
-TomlOption = Annotated[
-    bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")
-]
-
-
-def linearize(
-    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU for model exchange (.fmu).")],
-    at: TimeOption = 0.0,
-    values: StartOption = None,
-    inputs: InputsOption = None,
-    outputs: OutputsOption = None,
-    disturbances: DisturbancesOption = None,
-    differences: DifferencesOption = False,
-    as_toml: TomlOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@command(
+    {
+        "fmu FMU : Path": "An FMU for model exchange (.fmu).",
+        "--at T : float = 0.0": "Time of the operating point [s], reached with constant inputs.",
+        "--set NAME=VALUE : values": "Start value of an input, a parameter or a state. Repeatable.",
+        "--input NAME : list[str]": "Use these inputs only, in this order. Repeatable.",
+        "--output NAME : list[str]": "Use these outputs only, in this order. Repeatable.",
+        "--disturbance NAME : list[str]": "With --toml: an unknown input. Repeatable.",
+        "--differences": "Use central differences even where the FMU has directional derivatives.",
+        "--toml": "Print a table for [models] of a scenario.",
+        **shared("json"),
+    },
+    Rule("toml", "prints a table for a scenario", excludes="json"),
+    Rule("disturbance", "separates an unknown input in a table of [models]", needs="toml"),
+)
+def linearize(given: Given) -> None:
     """Linearize an FMU at an operating point.
 
     Print A, B, C and D, the poles and the static gain.
@@ -175,24 +137,17 @@ def linearize(
     from cosim.report.fmu import print_linearization
     from cosim.scenario.kinds.linearizing import model_toml
 
-    if as_toml and as_json:
-        raise UsageError("--toml and --json: give one of them")
-    if disturbances and not as_toml:
-        raise UsageError(
-            "--disturbance NAME goes with --toml: "
-            "a table of [models] separates known inputs from unknown ones"
-        )
     request = LinearizationRequest(
-        at=at,
-        start=read_edits(values),
-        inputs=inputs,
-        outputs=outputs,
-        method="central differences" if differences else None,
+        at=given.at,
+        start=given.set,
+        inputs=given.input,
+        outputs=given.output,
+        method="central differences" if given.differences else None,
     )
-    linearization = linearize_file(fmu, request)
-    if as_toml:
-        for note in linearization.notes:
-            typer.echo(printable(f"note: {note}"), err=True)
-        typer.echo(printable(model_toml(linearization, disturbances or [])), nl=False)
-    else:
-        print_linearization(linearization, as_json=as_json)
+    linearization = linearize_file(given.fmu, request)
+    if not given.toml:
+        print_linearization(linearization, as_json=given.json)
+        return
+    for note in linearization.notes:
+        print_notice(f"note: {note}")
+    typer.echo(printable(model_toml(linearization, given.disturbance or [])), nl=False)

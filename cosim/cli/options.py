@@ -1,97 +1,110 @@
-"""Arguments and options that several commands have, and how their values are read."""
+"""Options that several commands have, and what commands do for them."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Final
 
 import typer
 
-from cosim import completion
-from cosim.errors import RunError, UsageError, name_option, option, quoted
+from cosim.cli.command import Given, OptionTable
+from cosim.errors import RunError, UsageError, option
 from cosim.files import file_type
 from cosim.report.printable import printable
 from cosim.unanswered import limit_calls
 
-ScenarioArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENARIO",
-        help="A shipped scenario by name, or a path to a .toml file.",
-        autocompletion=completion.complete_scenario,
-    ),
-]
+if TYPE_CHECKING:
+    from cosim.live import LiveServer
+    from cosim.studies.measuring import Assertions
 
-LogArgument = Annotated[
-    Path, typer.Argument(metavar="LOG", help="A log written by 'cosim run' (.mcap).")
-]
+SHARED: Final[Mapping[str, OptionTable]] = {
+    "scenario": {
+        "scenario SCENARIO : scenario": "A shipped scenario by name, or a path to a .toml file."
+    },
+    "log": {"log LOG : Path": "A log written by 'cosim run' (.mcap)."},
+    "out": {"--out -o PATH : Path": "Log to write (.mcap)."},
+    "new-log": {"--out -o PATH : Path = ...": "Log to write (.mcap)."},
+    "force": {"--force": "Replace an existing log."},
+    "force-file": {"--force": "Replace an existing file."},
+    "json": {"--json": "Print JSON instead of a table."},
+    "quiet": {
+        "--quiet -q": "Print errors only, and what times and units are taken for.",
+    },
+    "set": {
+        "--set COMPONENT.PARAMETER=VALUE : edits": "Set a value, such as observer.filter_rate=500 "
+        "or, in a list, delta.terms[0].theta=-0.2. Repeatable.",
+    },
+    "swap": {
+        "--swap COMPONENT=PATH : swaps": "Replace a component by an FMU (x.fmu, x.fmu#me, "
+        "x.fmu#cs), a recorded component (.mcap) or time-stamped samples (.csv, .xlsx, ..., .mcap "
+        "of other tools). Repeatable.",
+    },
+    "map": {
+        "--map PORT=NAME : maps": "Map ports to those of the replacing component: "
+        "observer.y=out1, plant.x=[s1,s2]. Repeatable.",
+    },
+    "stop": {"--stop : float": "End of the run [s]; the same as --set scenario.stop=..."},
+    "plot": {
+        "--plot FILE : Path": "Plot estimates with truth and errors, or outputs, to a file (.png, "
+        ".svg, .pdf).",
+    },
+    "picture": {"--out -o FILE : Path = ...": "Picture to write (.png, .svg, .pdf)."},
+    "size": {"--size WIDTHxHEIGHT : size": "Size of the picture [cm], such as 16x9."},
+    "title": {"--title TEXT : str": "Title of the picture."},
+    "signals": {
+        "--signals NAMES : list[str]": "Signals, elements or patterns: "
+        "'plant.*,observer.x_a[0]'. All by default. Repeatable.",
+    },
+    "span": {"--from T : float": "First time [s].", "--to T : float": "Last time [s]."},
+    "viewers": {
+        "--host ADDRESS : str": "Address for viewers; default: 127.0.0.1, this machine only.",
+        "--port NUMBER : int": "Port for viewers; default: 8765. 0: any free port.",
+        "--allow-host NAME : list[str]": "Further host whose pages may connect as viewers, or "
+        "further name of this machine. Repeatable; default: programs, pages of this machine, "
+        "app.foxglove.dev.",
+    },
+    "failing": {
+        "--fail-on WHAT,... : failures": "Exit 1 if an estimate is inconsistent with the data "
+        "(inconsistent), has no value (no-estimate), or the run warns of something (warning). "
+        "Repeatable.",
+        "--assert CONDITION : list[str]": "Exit 1 unless this holds, such as 'rms(plant.y) < "
+        "0.1': metrics as of 'cosim metrics', compared and joined by 'and'. Repeatable.",
+    },
+    "no-verdicts": {
+        "--no-verdicts": "Do not judge estimates by a fit at the end; the same as --set "
+        "scenario.verdicts=false.",
+    },
+    "dataset": {"place DIR : str": "The dataset of a study: a folder, or a URL."},
+    "new": {"--new": "Delete the existing dataset and start again."},
+    "workers": {"--workers : int": "Parallel processes. [default: one per processor]"},
+}
+# what fails a verdict of a study, by the words in it
+BAD_VERDICTS: Final = {
+    "inconsistent": ("INCONSISTENT", "no verdict"),
+    "no-estimate": ("NO_ESTIMATE", "NOT_IDENTIFIABLE", "no verdict"),
+}
 
-PAIRS = {"set": "COMPONENT.PARAMETER=VALUE", "swap": "COMPONENT=PATH", "map": "PORT=NAME"}
 
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar=PAIRS["set"],
-        autocompletion=completion.complete_setting,
-        help="Set a value, such as observer.filter_rate=500 or, in a list, "
-        "delta.terms[0].theta=-0.2. Repeatable.",
-    ),
-]
+def shared(names: str) -> dict[str, str]:
+    """Return the table of some options that several commands have, in this order."""
+    table: dict[str, str] = {}
+    for name in names.split():
+        table |= SHARED[name]
+    return table
 
-SwapOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--swap",
-        metavar=PAIRS["swap"],
-        autocompletion=completion.complete_swap,
-        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded "
-        "component (.mcap) or time-stamped samples (.csv, .xlsx, ..., .mcap of other "
-        "tools). Repeatable.",
-    ),
-]
 
-MapOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--map",
-        metavar=PAIRS["map"],
-        autocompletion=completion.complete_map,
-        help="Map ports to those of the replacing component: observer.y=out1, "
-        "plant.x=[s1,s2]. Repeatable.",
-    ),
-]
+def print_notice(text: str) -> None:
+    """Print a message, to stderr."""
+    typer.echo(printable(text), err=True)
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
-QuietOption = Annotated[
-    bool,
-    typer.Option(
-        "--quiet", "-q", help="Print errors only, and what times and units are taken for."
-    ),
-]
-
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing log.")]
-
-OutOption = Annotated[
-    Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap).")
-]
-
-StopOption = Annotated[
-    float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")
-]
-
-PlotOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Plot estimates with truth and errors, or outputs, to a file (.png, .svg, .pdf).",
-    ),
-]
+def print_text(text: object) -> None:
+    """Print a line of data, to stdout."""
+    typer.echo(printable(str(text)))
 
 
 @contextmanager
@@ -101,10 +114,8 @@ def prints_to_stderr() -> Iterator[None]:
         yield
 
 
-def run_in_child(
-    command: Sequence[str], options: Mapping[str, Sequence[str] | None], *, as_json: bool
-) -> None:
-    """Do this command in a child process, as it runs the code of FMUs, and exit as that does.
+def run_in_child(arguments: Sequence[str]) -> None:
+    """Run a command line in a child process, as it runs the code of FMUs, and exit as that does.
 
     In the child itself return, to do it; there it ends where a call of an FMU hangs, after as long
     as a trial of an FMU may take.
@@ -114,28 +125,16 @@ def run_in_child(
     RunError
         If the child crashes, or code that it runs ends it.
     """
-    from cosim.fmi import child_process
-    from cosim.processes import (
-        COMMAND_VARIABLE,
-        call_limit,
-        end_with_parent,
-        note_own_end,
-        run_command,
-    )
+    from cosim import processes
+    from cosim.fmi.child_process import TIMEOUT
     from cosim.report.tables.console import terminal_width
 
-    if COMMAND_VARIABLE in os.environ:
-        end_with_parent()
-        note_own_end()
-        limit_calls(call_limit())
+    if processes.COMMAND_VARIABLE in os.environ:
+        processes.end_with_parent()
+        processes.note_own_end()
+        limit_calls(processes.call_limit())
         return
-    arguments = [*command]
-    for name, values in options.items():
-        for value in values or ():
-            arguments += [name, value]
-    if as_json:
-        arguments.append("--json")
-    result = run_command(arguments, columns=terminal_width(), limit=child_process.TIMEOUT)
+    result = processes.run_command(arguments, columns=terminal_width(), limit=TIMEOUT)
     typer.echo(result.messages, nl=False, err=True)
     if result.failure:
         raise RunError(f"the process that loaded FMUs and classes {result.failure}")
@@ -143,76 +142,7 @@ def run_in_child(
     raise typer.Exit(result.exit_code)
 
 
-def given_values(values: Mapping[str, float | str | None]) -> dict[str, float | str]:
-    """Return the values of the options that were given."""
-    return {key: value for key, value in values.items() if value is not None}
-
-
-def read_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
-    """Read the pairs KEY=VALUE of an option."""
-    pairs = {}
-    for text in texts or []:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip():
-            missing = "no name" if equals else "no '='"
-            expected = PAIRS.get(name, "NAME=VALUE")
-            raise UsageError(f"{option(name)} {quoted(text)}: expected {expected}, got {missing}")
-        pairs[key.strip()] = value.strip()
-    return pairs
-
-
-def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
-    """Read pairs of which each key may be given once."""
-    pairs = read_pairs(texts, name)
-    keys = [text.partition("=")[0].strip() for text in texts or []]
-    for key in keys:
-        count = keys.count(key)
-        if count > 1:
-            remedy = "; 'cosim compare' runs several plants" if name == "swap" else ""
-            raise UsageError(f"{option(name, key)}: expected once, given {count} times{remedy}")
-    return pairs
-
-
-def read_numbers(texts: list[str] | None, name: str) -> dict[str, float] | None:
-    """Read pairs of a signal and a number, each signal once; None: there are none."""
-    if not texts:
-        return None
-    numbers = {}
-    for signal, text in read_unique_pairs(texts, name).items():
-        try:
-            numbers[signal] = float(text)
-        except ValueError as error:
-            raise UsageError(
-                f"{option(name, signal)}: expected a number, got {quoted(text)}"
-            ) from error
-    return numbers
-
-
-def read_edits(
-    texts: list[str] | None, options: Mapping[str, float | str | None] | None = None
-) -> dict[str, Any]:
-    """Read the pairs of --set, whose values are TOML where they can be, and add those of options.
-
-    ``options`` are the values of --stop and --step, by the keys that they set.
-    """
-    from cosim.scenario.text import parse_value
-
-    edits = {}
-    for key, text in read_pairs(texts, "set").items():
-        try:
-            edits[key] = parse_value(text)
-        except UsageError as error:
-            raise UsageError(f"{option('set', key)}: {error}") from error
-    for key, value in given_values(options or {}).items():
-        name = f"--{key.removeprefix('scenario.').replace('verdicts', 'no-verdicts')}"
-        if key in edits:
-            raise UsageError(f"{name} and --set {key} set the same; omit one of them")
-        name_option(key, name)
-        edits[key] = value
-    return edits
-
-
-def check_plot(plot: Path | None, out: Path | None) -> None:
+def check_plot(plot: Path | None, out: Path | None = None) -> None:
     """Refuse a picture that could not be drawn, before the run whose logs go to ``out``."""
     if plot is None:
         return
@@ -227,21 +157,49 @@ def check_plot(plot: Path | None, out: Path | None) -> None:
         raise UsageError(f"--plot {plot}: is the path of the log, --out {out}; choose another")
 
 
-def check_out(place: str | None) -> None:
-    """Check that a dataset is there when the command has ended.
+def live_server(
+    given: Given, signals: Sequence[str] | None, notice: Callable[[str], None] | None = None
+) -> LiveServer:
+    """Return the server that shows a run to viewers."""
+    from cosim.live import LiveServer
+
+    address = given.only("host port allow_host")
+    chosen = {name: value for name, value in address.items() if value is not None}
+    return LiveServer(signals=signals or (), notice=notice, **chosen)
+
+
+# --- what makes a command that ran fail ---
+
+
+def check_verdicts(fail_on: Collection[str], made: bool, remedy: str) -> None:
+    """Refuse to fail on verdicts where none are made."""
+    asked = sorted(BAD_VERDICTS.keys() & fail_on)
+    if asked and not made:
+        raise UsageError(f"{option('fail-on', ','.join(asked))} needs {remedy}")
+
+
+def read_assertions(
+    texts: Iterable[str] | None, known: Mapping[str, str] | None = None
+) -> Assertions | None:
+    """Return what a run must fulfil; None: nothing.
+
+    ``known``: metrics of a study by name, which may stand for their texts.
 
     Raises
     ------
     UsageError
-        If it is not.
+        If a text is no assertion.
     """
-    if place is not None and place.startswith("memory://"):
-        raise UsageError(
-            f"{option('out')}: expected a folder, or a URL such as s3://bucket/x; {quoted(place)} "
-            "is lost when this command ends"
-        )
+    if not texts:
+        return None
+    from cosim.studies.measuring import Assertions
+
+    return Assertions(texts, known or {})
 
 
-def print_notice(text: str) -> None:
-    """Print a message, to stderr."""
-    typer.echo(printable(text), err=True)
+def has_failed(lines: Iterable[str]) -> bool:
+    """Print why a command fails, if it does."""
+    reasons = list(lines)
+    for line in reasons:
+        print_notice(f"cosim: {line}")
+    return bool(reasons)

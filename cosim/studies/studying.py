@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from cosim.arguments import truth_argument, whole_argument
+from cosim.arguments import setting_arguments, truth_argument, whole_argument
 from cosim.errors import UsageError, option, warn
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, MetricValue
 from cosim.studies.dataset import StudyDataset
@@ -53,6 +53,7 @@ def study(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, str | list[str]] | None = None,
+    stop: float | None = None,
     replay: str | Sequence[str] | None = None,
     allow_code: bool | None = None,
     cases: str | Path | None = None,
@@ -83,6 +84,8 @@ def study(
 timeout, keep, results : optional
         In addition to what the file says; see
         :meth:`cosim.studies.study_file.StudyFile.with_options`.
+    stop : float, optional
+        End of all members [s], as ``set={"scenario.stop": ...}``.
     workers : int, optional
         Processes at a time; left out: one a processor.
     scheduler : str or distributed.Client, optional
@@ -111,15 +114,16 @@ timeout, keep, results : optional
     given = locals()
     new = truth_argument("new", new)
     count = worker_count(workers)
-    file = source if isinstance(source, StudyFile) else read_study(source)
-    options = signature(file.with_options).parameters
-    file = file.with_options(**{name: given[name] for name in options})
-    place = default_place(file) if out is None else out
-    plan = plan_study(file)
     notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
-    for text in plan.notices:
-        notice(text)
     with ExitStack() as resources:
+        given["set"] = resources.enter_context(setting_arguments(set, stop=stop))
+        file = source if isinstance(source, StudyFile) else read_study(source)
+        options = signature(file.with_options).parameters
+        file = file.with_options(**{name: given[name] for name in options})
+        place = default_place(file) if out is None else out
+        plan = plan_study(file)
+        for text in plan.notices:
+            notice(text)
         executor = executor_of(plan, count, scheduler, notice)
         resources.enter_context(executor)  # before the dataset that is there is removed
         dataset = resources.enter_context(open_dataset(plan, place, new=new))

@@ -9,7 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.arguments import mapping_argument, path_argument, truth_argument, whole_argument
+from cosim.arguments import (
+    mapping_argument,
+    path_argument,
+    setting_arguments,
+    truth_argument,
+    whole_argument,
+)
 from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted, warn
 from cosim.files import file_type
@@ -89,6 +95,7 @@ def tune(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, str | list[str]] | None = None,
+    stop: float | None = None,
     progress: MembersDone | None = None,
     notice: Callable[[str], None] | None = None,
 ) -> TuningResult:
@@ -133,7 +140,7 @@ def tune(
         members at a time. The first member runs on this machine.
     timeout : float, optional
         Wall time that a run may take [s].
-    set, swap, map
+    set, swap, map, stop
         What all members have, as of :func:`cosim.run`.
     progress : callable, optional
         Called with how many members are done, of how many, and how many of these failed.
@@ -177,16 +184,17 @@ def tune(
         metrics[SAMPLES] = f"count{expression.strip().removeprefix('rms')}"
     with _objective_named(search):
         parse_metrics(metrics)
-    study = _base(str(path_argument("scenario", scenario))).with_options(
-        metrics=metrics,
-        set=set,
-        swap=swap,
-        map=map,
-        replay=replay,
-        allow_code=truth_argument("allow_code", allow_code) or None,
-        timeout=timeout,
-    )
-    plan = plan_tuning(study, search)
+    with setting_arguments(set, stop=stop) as changes:
+        study = _base(str(path_argument("scenario", scenario))).with_options(
+            metrics=metrics,
+            set=changes,
+            swap=swap,
+            map=map,
+            replay=replay,
+            allow_code=truth_argument("allow_code", allow_code) or None,
+            timeout=timeout,
+        )
+        plan = plan_tuning(study, search)
     notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
     for text in plan.study.warnings:
         notice(f"warning: {text}")

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from cosim.cli.collecting import start_collecting
+from cosim.cli.command import start_collecting
 
 CODE = """
 import gc, sys

@@ -59,7 +59,7 @@ def test_a_run_imports_no_part_of_cosim_for_what_it_has_not(tmp_path):
         "cosim.blocks.kalman_identifier",
         "cosim.blocks.pid",
         "cosim.blocks.renamed",
-        "cosim.cli.comparing",
+        "cosim.cli.logs",
         "cosim.fmi.exporting",
         "cosim.fmi.reading",
         "cosim.report.verification",

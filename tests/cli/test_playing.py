@@ -178,7 +178,7 @@ def test_options_of_viewers_need_live(call, option):
     """They would say nothing without --live."""
     code, _, err = call("run", "academic", "--stop", "0.01", *option)
     assert code == 2
-    assert re.fullmatch(rf"cosim: {option[0]} .*--live\n", err)
+    assert re.fullmatch(rf"cosim: {option[0]} .*--live, too\n", err)
 
 
 @pytest.mark.slow

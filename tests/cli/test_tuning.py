@@ -6,7 +6,7 @@ import re
 import pytest
 
 from cosim.cli.app import main
-from cosim.cli.stopping import stopped_text
+from cosim.cli.studies import stopped_text
 from tests.studies.test_tuning import GOAL, LAG
 
 pytestmark = pytest.mark.usefixtures("members_in_this_process")
@@ -82,7 +82,7 @@ def test_a_tuning_that_is_interrupted_says_how_to_go_on(call, tmp_path, monkeypa
         ([OBJECTIVE, "--vary=plant.time_constant=1,2"], "'cobyqa'.*'optuna'"),
         ([OBJECTIVE, VARY, "--stop=1", "--set=scenario.stop=2"], r"--stop and --set scenario"),
         ([OBJECTIVE, VARY, "--scheduler=tcp://127.0.0.1:1"], "--scheduler: .*'cobyqa'"),
-        ([OBJECTIVE, VARY, "--quiet"], "--quiet without --out"),
+        ([OBJECTIVE, VARY, "--quiet"], "--quiet .*--out or --json"),
         ([OBJECTIVE, VARY, "--standard-errors"], "--standard-errors: .* rms "),
     ],
 )

@@ -716,10 +716,10 @@ def test_a_recorder_of_ones_own_is_left_where_a_component_cannot_be_prepared():
 
 def test_a_run_has_one_recorder(tmp_path):
     out = tmp_path / "a.mcap"
-    with pytest.raises(UsageError, match=r"got out='.*a\.mcap' and a recorder"):
+    with pytest.raises(UsageError, match=r"^recorder .* out$"):
         cosim.run("academic", out=out, recorder=Extremes())
     assert not out.exists()
-    with pytest.raises(UsageError, match="expected a notice or a recorder, got both"):
+    with pytest.raises(UsageError, match=r"^recorder .* notice$"):
         cosim.run("academic", recorder=Extremes(), notice=print)
 
 

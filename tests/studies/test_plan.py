@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.cli.app import main
-from cosim.cli.options import read_edits, read_unique_pairs
+from cosim.cli.command import read_edits, read_unique_pairs
 from cosim.errors import RunError, UsageError
 from cosim.scenario.swaps import port_names
 from cosim.studies.checking import check_design

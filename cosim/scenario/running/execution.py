@@ -14,6 +14,7 @@ from cosim.arguments import (
     fillable_argument,
     mapping_argument,
     number_argument,
+    setting_arguments,
     truth_argument,
     whole_argument,
 )
@@ -21,10 +22,11 @@ from cosim.core.arguments import check_recorder
 from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
-from cosim.errors import UsageError, flag, option, warn
+from cosim.errors import UsageError, option, warn
 from cosim.log import Log
-from cosim.log.mcap_file.rotation import Rotation, read_rotation
+from cosim.log.mcap_file.rotation import read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
+from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
@@ -85,6 +87,9 @@ def run(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
+    stop: float | None = None,
+    step: float | str | None = None,
+    verdicts: bool | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
@@ -108,6 +113,9 @@ def run(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
+    stop: float | None = None,
+    step: float | str | None = None,
+    verdicts: bool | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
@@ -128,6 +136,9 @@ def run(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
+    stop: float | None = None,
+    step: float | str | None = None,
+    verdicts: bool | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
@@ -165,6 +176,10 @@ def run(
         Ports of the scenario that have another name in the replacement, such as
         ``{"observer.y": "out1"}``, or consist of several ports, such as
         ``{"plant.x_a": ["s1", "s2"]}``.
+    stop, step, verdicts : optional
+        End of the run [s], communication step [s] or a fraction such as ``"1/60"``, and whether
+        estimates are judged by a fit at the end: the settings of these names, as
+        ``set={"scenario.stop": ...}``.
     block : int, optional
         Communication steps in a block; the result does not depend on it.
     progress : callable, optional
@@ -223,23 +238,25 @@ def run(
     numbered = truth_argument("numbered", numbered)
     embed = truth_argument("embed", embed)
     certify = truth_argument("certify", certify)
+    sync = truth_argument("sync", sync)
     block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
     fillable_argument("profile", profile)
+    check_rules((OF_A_RECORDER, OF_A_LOG, STEP_IS_CHOSEN), locals())
     if recorder is not None:
         check_recorder(recorder)
-        _check_unaccompanied(out, notice, embed=embed)
     check_target(out, force=force, numbered=numbered)
-    sync = truth_argument("sync", sync)
-    interval = _flush_interval(flush, sync=sync, is_logged=out is not None)
-    rotation = _rotation_of(rotate, is_logged=out is not None)
+    interval = _flush_interval(flush)
+    rotation = None if rotate is None else read_rotation(rotate)
     pace = None if realtime is None else _pace_of(realtime)
-    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    edited = loaded.edit(swap=swap, map=map, set=set)
-    edited, certification = _certified(edited, find_step, progress, certify=certify)
-    beside: Beside | None = None if certification is None else certification.beside
     with ExitStack() as resources:
+        settings = setting_arguments(set, stop=stop, step=step, verdicts=verdicts)
+        changes = resources.enter_context(settings)
+        loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+        edited = loaded.edit(swap=swap, map=map, set=changes)
+        edited, certification = _certified(edited, find_step, progress, certify=certify)
+        beside: Beside | None = None if certification is None else certification.beside
         experiment = build_experiment(edited, resources, block)
         if pace is not None:
             experiment, beside = _paced(experiment, pace, beside)
@@ -272,38 +289,20 @@ def run(
     return recorded
 
 
-def _flush_interval(flush: float | None, *, sync: bool, is_logged: bool) -> float:
+def _flush_interval(flush: float | None) -> float:
     """Return the flush interval of a log [s].
 
     Raises
     ------
     UsageError
-        If it is not positive, or there is no log.
+        If it is not positive.
     """
-    for name, is_given in (("flush", flush is not None), ("sync", sync)):
-        if is_given and not is_logged:
-            raise UsageError(f"{flag(name)} applies to a log; expected {option('out')}, too")
     if flush is None:
         return FLUSH_INTERVAL
     interval = number_argument("flush", flush)
     if not 0 < interval < math.inf:
         raise UsageError(f"{option('flush')}: expected a time > 0 s, got {flush!r}")
     return interval
-
-
-def _rotation_of(rotate: str | None, *, is_logged: bool) -> Rotation | None:
-    """Return when a log goes on in a next file.
-
-    Raises
-    ------
-    UsageError
-        If that cannot be understood, or there is no log.
-    """
-    if rotate is None:
-        return None
-    if not is_logged:
-        raise UsageError(f"{option('rotate')} applies to a log; expected {option('out')}, too")
-    return read_rotation(rotate)
 
 
 def _certified(
@@ -350,20 +349,3 @@ def _paced(
         return pace.beside(recorder if beside is None else beside(recorder))
 
     return replace(experiment, clock=clock), paced
-
-
-def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed: bool) -> None:
-    """Check that nothing is given beside a recorder that is about a log file."""
-    if embed:
-        raise UsageError(
-            f"expected {flag('embed')} or a recorder, got both: FMUs are embedded in a log file"
-        )
-    if out is not None:
-        raise UsageError(
-            f"expected out or a recorder, got out={str(out)!r} and a recorder: out writes a log "
-            "file, a recorder takes the run itself"
-        )
-    if notice is not None:
-        raise UsageError(
-            "expected a notice or a recorder, got both: notice is called about the log at out"
-        )

@@ -16,6 +16,7 @@ from cosim.arguments import (
     fillable_argument,
     mapping_argument,
     path_argument,
+    setting_arguments,
     truth_argument,
     whole_argument,
 )
@@ -297,6 +298,8 @@ def replay(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
+    stop: float | None = None,
+    verdicts: bool | None = None,
     allow_code: bool = False,
     rerun: bool = False,
     window: tuple[float | None, float | None] | None = None,
@@ -324,6 +327,8 @@ def replay(
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
         ``{"relay.class": "relay:Relay"}``, is imported as it is now.
+    stop, verdicts
+        As of :func:`run`.
     swap, map
         As of :func:`run`. The replacement is computed, which runs the code of an FMU; the
         components that it drives must be computed too.
@@ -368,19 +373,22 @@ def replay(
     callable_argument("progress", progress)
     callable_argument("notice", notice)
     fillable_argument("profile", profile)
-    replays = replays_of(
-        log,
-        set=set,
-        swap=swap,
-        map=map,
-        allow_code=allow_code,
-        rerun=rerun,
-        window=window,
-        components=components,
-        scenario=scenario,
-        block=block,
-    )
-    return replay_once(replays, out, force=force, progress=progress, notice=notice, profile=profile)
+    with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
+        replays = replays_of(
+            log,
+            set=changes,
+            swap=swap,
+            map=map,
+            allow_code=allow_code,
+            rerun=rerun,
+            window=window,
+            components=components,
+            scenario=scenario,
+            block=block,
+        )
+        return replay_once(
+            replays, out, force=force, progress=progress, notice=notice, profile=profile
+        )
 
 
 def replay_once(

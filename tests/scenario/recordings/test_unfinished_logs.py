@@ -103,7 +103,7 @@ def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, su
     for options, message in [
         ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a time > 0 s, got 0\.0"),
         ({"flush": "1", "out": "a.mcap"}, "flush: expected a number, got '1'"),
-        ({"flush": 1.0}, "flush=True applies to a log; expected out"),
+        ({"flush": 1.0}, "flush applies to a log; expected out"),
         ({"sync": True}, "sync=True applies to a log; expected out"),
         ({"sync": 1, "out": "a.mcap"}, "sync: expected True or False, got 1"),
     ]:

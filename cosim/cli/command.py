@@ -1,0 +1,370 @@
+"""Commands made of tables of options, and how the values of options are read.
+
+A table has an entry for each option and argument, in the order of the help. Its key is written as
+in a help text, followed by what the option takes and, where it has one, its default; its value is
+the help::
+
+    "--json"                            a flag
+    "--out -o PATH : Path"              an option, None where it is not given
+    "--worst : int = 3"                 with a default
+    "--component NAME : str = ..."      an option that must be given
+    "log LOG : Path"                    an argument, with its name before its metavar
+    "signals [SIGNAL]... : list[str] = None"    an argument that may be omitted
+
+What an option takes is a key of ``KINDS``, which knows how its text is read and completed.
+"""
+
+from __future__ import annotations
+
+import gc
+from ast import literal_eval
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from enum import StrEnum
+from functools import wraps
+from inspect import Parameter, Signature
+from keyword import iskeyword
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias
+
+import typer
+from typer.core import TyperCommand, TyperOption
+
+from cosim import completion
+from cosim.errors import UsageError, nearest, option, quoted
+from cosim.files import expanded
+from cosim.options import Rule, check_rules
+
+OptionTable: TypeAlias = Mapping[str, str]
+
+
+# --- values ---
+
+
+def read_pairs(texts: list[str] | None, name: str) -> list[tuple[str, str]]:
+    """Read the pairs KEY=VALUE of an option."""
+    expected = {"set": "COMPONENT.PARAMETER=VALUE", "swap": "COMPONENT=PATH", "map": "PORT=NAME"}
+    pairs = []
+    for text in texts or ():
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            missing = "no name" if equals else "no '='"
+            form = expected.get(name, "NAME=VALUE")
+            raise UsageError(f"{option(name)} {quoted(text)}: expected {form}, got {missing}")
+        pairs.append((key.strip(), value.strip()))
+    return pairs
+
+
+def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
+    """Read pairs of which each key may be given once."""
+    pairs = read_pairs(texts, name)
+    keys = [key for key, _ in pairs]
+    for key in keys:
+        count = keys.count(key)
+        if count > 1:
+            remedy = "; 'cosim compare' runs several plants" if name == "swap" else ""
+            raise UsageError(f"{option(name, key)}: expected once, given {count} times{remedy}")
+    return dict(pairs)
+
+
+def read_alternatives(texts: list[str] | None, name: str) -> dict[str, list[str]]:
+    """Read pairs of which a key may be given several times, each an alternative."""
+    alternatives: dict[str, list[str]] = {}
+    for key, value in read_pairs(texts, name):
+        alternatives.setdefault(key, []).append(value)
+    return alternatives
+
+
+def _each(pairs: Mapping[str, str], name: str, read: Callable[[str], Any]) -> dict[str, Any]:
+    """Read the values of pairs; an error names the key."""
+    values = {}
+    for key, text in pairs.items():
+        try:
+            values[key] = read(text)
+        except UsageError as error:
+            raise UsageError(f"{option(name, key)}: {error}") from error
+        except ValueError as error:
+            found = f"expected a number, got {quoted(text)}"
+            raise UsageError(f"{option(name, key)}: {found}") from error
+    return values
+
+
+def read_numbers(texts: list[str] | None, name: str) -> dict[str, float] | None:
+    """Read pairs of a signal and a number, each signal once; None: there are none."""
+    return _each(read_unique_pairs(texts, name), name, float) if texts else None
+
+
+def read_edits(texts: list[str] | None, name: str = "set") -> dict[str, Any]:
+    """Read pairs whose values are TOML where they can be; the last one of a key counts."""
+    from cosim.scenario.text import parse_value
+
+    return _each(dict(read_pairs(texts, name)), name, parse_value)
+
+
+def read_sweep(texts: list[str] | None, name: str) -> dict[str, list[Any]]:
+    """Read KEY=V1,V2,...; the values are TOML where they can be."""
+    from cosim.scenario.text import parse_values
+
+    return _each(read_unique_pairs(texts, name), name, parse_values)
+
+
+def read_variations(texts: list[str] | None, name: str) -> dict[str, Any]:
+    """Read grids, distributions and plants of a study, by key."""
+    from cosim.studies.variations import read_vary_option
+
+    return _each(read_unique_pairs(texts, name), name, read_vary_option)
+
+
+def read_ranges(texts: list[str] | None, name: str) -> dict[str, Any]:
+    """Read KEY=LOWER:UPPER, KEY=log:LOWER:UPPER, KEY=V1,V2,... of a tuning."""
+    return _each(read_unique_pairs(texts, name), name, _range)
+
+
+def _range(text: str) -> Any:
+    from cosim.studies.variations import read_vary_option
+
+    parts = [part.strip() for part in text.split(":")]
+    form = parts.pop(0) if parts[0] in ("log", "linear") else "linear"
+    try:
+        lower, upper = (float(part) for part in parts)
+    except ValueError:
+        values = read_vary_option(text)
+        if isinstance(values, list) and len(values) > 1:
+            return values
+        raise UsageError(
+            "expected LOWER:UPPER, log:LOWER:UPPER or comma-separated values, got " + quoted(text)
+        ) from None
+    return {form: [lower, upper]}
+
+
+def read_failures(texts: list[str] | None, name: str) -> frozenset[str]:
+    """Read what a command fails on: some of ``completion.FAILURES``."""
+    found = {part.strip() for text in texts or () for part in text.split(",")}
+    for unknown in sorted(found.difference(completion.FAILURES)):
+        remedy = nearest(unknown, completion.FAILURES)
+        raise UsageError(f"{option(name)}: nothing is called {quoted(unknown)}; {remedy}")
+    return frozenset(found)
+
+
+def read_path(path: Path | None, name: str) -> Path | None:
+    """Read a path: ``~`` is the home folder, which a shell leaves in ``--out=~/run.mcap``."""
+    return None if path is None else expanded(path)
+
+
+def read_paths(paths: list[Path] | None, name: str) -> list[Path]:
+    """Read several paths."""
+    return [expanded(path) for path in paths or ()]
+
+
+def read_step(text: str | None, name: str) -> float | str | None:
+    """Read a step as it would be in a file: a fraction is a text there."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return text
+
+
+def read_members(text: str | None, name: str) -> Any:
+    """Read which logs are kept: numbers, or a text."""
+    if text is None:
+        return None
+    from cosim.scenario.text import parse_value
+
+    numbers = parse_value(f"[{text}]")
+    return numbers if isinstance(numbers, list) else text
+
+
+def read_deviations(text: str | None, name: str) -> list[float] | None:
+    """Read a number or a list of numbers."""
+    if text is None:
+        return None
+    from cosim.scenario.text import parse_value
+
+    value = parse_value(text)
+    listed = value if isinstance(value, list) else [value]
+    if any(isinstance(item, bool) or not isinstance(item, int | float) for item in listed):
+        raise UsageError(f"{option(name)}: expected a number, or a list of numbers, got {text}")
+    return [float(item) for item in listed]
+
+
+def read_size(text: str | None, name: str) -> tuple[float, float] | None:
+    """Read the size of a picture [cm]."""
+    if text is None:
+        return None
+    width, _, height = text.partition("x")
+    try:
+        return float(width), float(height)
+    except ValueError as error:
+        found = f"expected WIDTHxHEIGHT in cm, such as 16x9, got {text!r}"
+        raise UsageError(f"{option(name)}: {found}") from error
+
+
+# --- options ---
+
+
+class OptionKind(NamedTuple):
+    """What an option takes: its type for typer, what reads the value, what completes it."""
+
+    type: Any
+    read: Callable[[Any, str], Any] | None = None
+    complete: Callable[..., list[str]] | None = None
+    least: float | None = None
+
+
+METHODS: Final = StrEnum("METHODS", ["cobyqa", "nelder-mead", "global", "optuna"])
+KINDS: Final = {
+    "": OptionKind(bool),
+    "bool": OptionKind(bool),
+    "float": OptionKind(float),
+    "float >= 0": OptionKind(float, least=0.0),
+    "int": OptionKind(int),
+    "str": OptionKind(str),
+    "Path": OptionKind(Path, read_path),
+    "list[int]": OptionKind(list[int]),
+    "list[str]": OptionKind(list[str]),
+    "list[Path]": OptionKind(list[Path], read_paths),
+    "component": OptionKind(str, complete=completion.complete_component),
+    "kind": OptionKind(str, complete=completion.complete_kind),
+    "scenario": OptionKind(str, complete=completion.complete_scenario),
+    "source": OptionKind(str, complete=completion.complete_source),
+    "checked": OptionKind(Path, read_path, completion.complete_checked),
+    "estimators": OptionKind(list[str], complete=completion.complete_estimators),
+    "alternatives": OptionKind(list[str], read_alternatives, completion.complete_swap),
+    "deviations": OptionKind(str, read_deviations),
+    "edits": OptionKind(list[str], read_edits, completion.complete_setting),
+    "failures": OptionKind(list[str], read_failures, completion.complete_failures),
+    "maps": OptionKind(list[str], read_unique_pairs, completion.complete_map),
+    "members": OptionKind(str, read_members),
+    "method": OptionKind(METHODS, lambda method, _: str(method)),
+    "numbers": OptionKind(list[str], read_numbers),
+    "pairs": OptionKind(list[str], read_unique_pairs),
+    "ranges": OptionKind(list[str], read_ranges),
+    "size": OptionKind(str, read_size),
+    "step": OptionKind(str, read_step),
+    "swaps": OptionKind(list[str], read_unique_pairs, completion.complete_swap),
+    "sweep": OptionKind(list[str], read_sweep),
+    "values": OptionKind(list[str], read_edits),
+    "variations": OptionKind(list[str], read_variations, completion.complete_setting),
+}
+
+
+def _parameter(key: str, text: str) -> tuple[Parameter, OptionKind]:
+    """Return the parameter of an entry of a table, and its kind."""
+    spelled, _, taken = key.partition(" : ")
+    kind_name, _, default = taken.partition(" = ")
+    kind = KINDS[kind_name]
+    flags = [word for word in spelled.split() if word.startswith("-")]
+    shown: Any
+    if flags:
+        metavar = spelled.removeprefix(" ".join(flags)).strip() or None
+        name = max(flags, key=len).partition("/")[0].lstrip("-").replace("-", "_")
+        shown = typer.Option(
+            *flags, metavar=metavar, help=text, autocompletion=kind.complete, min=kind.least
+        )
+        value: Any = None if kind_name else False
+    else:
+        name, _, metavar = spelled.partition(" ")
+        shown = typer.Argument(metavar=metavar, help=text, autocompletion=kind.complete)
+        value = ...
+    if default:
+        value = literal_eval(default)
+    parameter = Parameter(
+        f"{name}_" if iskeyword(name) else name,
+        Parameter.KEYWORD_ONLY,
+        default=Parameter.empty if value is ... else value,
+        annotation=Annotated[kind.type | None if value is None else kind.type, shown],
+    )
+    return parameter, kind
+
+
+class Given(SimpleNamespace):
+    """The values of a command's options by name, those of Python's keywords as ``from_``."""
+
+    def only(self, names: str) -> dict[str, Any]:
+        """Return some of them, to be handed on."""
+        return {name: getattr(self, name) for name in names.split()}
+
+
+CommandBody: TypeAlias = Callable[[Given], bool | None]
+
+
+def command(table: OptionTable, *rules: Rule) -> Callable[[CommandBody], Callable[..., None]]:
+    """Make a command of a function and a table of options.
+
+    The function is called with the values of the options, read as their kinds say. Those of --stop
+    and --step, and what --no-verdicts sets, are in those of --set; ``arguments`` are those of the
+    command line. Where it returns True, the exit code is 1.
+
+    Parameters
+    ----------
+    table : mapping of str to str
+        As the module describes it.
+    *rules : Rule
+        Which options exclude or need each other.
+    """
+    entries = [_parameter(key, text) for key, text in table.items()]
+
+    def make(function: CommandBody) -> Callable[..., None]:
+        @wraps(function)
+        def called(context: typer.Context, **values: Any) -> None:
+            check_rules(rules, values)
+            for entry, kind in entries:
+                if kind.read is not None:
+                    values[entry.name] = kind.read(values[entry.name], entry.name)
+            given = Given(**values, arguments=[str(context.info_name), *context.obj])
+            with ExitStack() as resources:
+                if "set" in values:
+                    from cosim.arguments import setting_arguments
+
+                    own = {name: values.get(name) for name in ("stop", "step")}
+                    own["verdicts"] = False if values.get("no_verdicts") else None
+                    given.set = resources.enter_context(setting_arguments(given.set, **own))
+                failed = function(given)
+            if failed:
+                raise typer.Exit(1)
+
+        context = Parameter("context", Parameter.KEYWORD_ONLY, annotation=typer.Context)
+        parameters = [context, *(entry for entry, _ in entries)]
+        called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        called.__annotations__ = {entry.name: entry.annotation for entry in parameters}
+        return called
+
+    return make
+
+
+class OnceCommand(TyperCommand):
+    """A command whose options are given once, unless they are repeatable: the last is no choice."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, and keep them as they are in ``obj`` of the context.
+
+        Raises
+        ------
+        UsageError
+            If an option that has one value is given several times.
+        """
+        ctx.obj = list(args)
+        if ctx.resilient_parsing:  # for completion
+            return super().parse_args(ctx, args)
+        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        for parameter in given:
+            if not isinstance(parameter, TyperOption) or parameter.multiple or parameter.is_flag:
+                continue
+            count = given.count(parameter)
+            if count > 1:
+                name = max(parameter.opts, key=len)
+                raise UsageError(f"{name}: expected once, given {count} times")
+        return super().parse_args(ctx, args)
+
+
+def start_collecting() -> None:
+    """Start the garbage collector if it is off; what there is by then is never walked over.
+
+    What imports make stays, so that walking over it is in vain, and takes a tenth of a short run.
+    The process begins without the collector (:mod:`cosim.__main__`), and a command starts it when
+    it has imported what it needs.
+    """
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
