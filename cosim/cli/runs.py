@@ -115,9 +115,8 @@ VERDICTS: Final = "verdicts; omit --no-verdicts"
     Rule("plot profile", "needs a log in one file", excludes="rotate"),
     Rule("host port allow_host show", "is about viewers of the run", needs="live"),
 )
-def run(given: Given) -> bool | None:
+def run(given: Given) -> bool:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.report.tables.comparison import print_dry_run
     from cosim.report.tables.logs import is_rotated, print_rotated
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.execution import load
@@ -132,6 +131,7 @@ def run(given: Given) -> bool | None:
         scenario = load(given.scenario).edit(**given.only("set swap map"))
     start_collecting()
     if given.dry_run:
+        from cosim.report.tables.comparison import print_dry_run
         from cosim.scenario.swapping.swap_comparison import dry_run
 
         with prints_to_stderr():
@@ -139,7 +139,7 @@ def run(given: Given) -> bool | None:
         print_dry_run(reports, as_json=given.json)
         if reports.refusals:
             raise UsageError("\n".join([*reports.refusals, *reports.hints]))
-        return None
+        return False
     check_plot(given.plot, given.out)
     shown = {"as_json": given.json, "quiet": given.quiet}
     profile: dict[str, float] | None = {} if given.profile else None
