@@ -1,6 +1,7 @@
 """Commands made of tables of options: their parameters, and how values are read."""
 
 import inspect
+import re
 from pathlib import Path
 from typing import get_args
 
@@ -8,11 +9,9 @@ import pytest
 import typer
 
 import cosim
-from cosim.cli.app import COMMANDS
+from cosim.cli.app import COMMANDS, main
 from cosim.cli.command import Given, command, read_ranges, read_sweep
 from cosim.errors import UsageError, shell_language
-
-NONE = type(None)
 
 
 def parameters(table):
@@ -84,6 +83,53 @@ def test_python_has_what_the_command_line_has(function, in_python, of_the_shell)
     assert len(options) > 10
     known = set(inspect.signature(getattr(cosim, function)).parameters)
     assert {in_python.get(name, name) for name in options} <= known
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("run academic --dry-run --certify", "--dry-run .* --certify"),
+        ("run academic --dry-run --find-step a.y=1", "--dry-run .* --find-step"),
+        ("run academic --dry-run --fail-on warning", "--dry-run .* --fail-on"),
+        ("run academic --dry-run --assert rms(a.y)<1", "--dry-run .* --assert"),
+        ("run academic --find-step a.y=1 --step 0.1", "--find-step .* --step"),
+        ("run academic --force", "--force .* --out"),
+        ("run academic --rotate 1h --plot a.png", "--plot .* --rotate"),
+        ("run academic --rotate 1h --profile", "--profile .* --rotate"),
+        ("run academic --host ::1", "--host .* --live"),
+        ("run academic --port 0", "--port .* --live"),
+        ("run academic --allow-host a", "--allow-host .* --live"),
+        ("run academic --show plant", "--show .* --live"),
+        ("run academic --stop 1 --set scenario.stop=2", "--stop .* --set scenario.stop"),
+        ("run academic --step 1 --set scenario.step=2", "--step .* --set scenario.step"),
+        ("run academic --no-verdicts --set scenario.verdicts=false", "--no-verdicts .* --set"),
+        ("replay a.mcap --verify --stop 1", "--verify .* --stop$"),
+        ("replay a.mcap --verify --vary a.b=1", "--verify .* --vary"),
+        ("replay a.mcap --plot a.png --vary a.b=1", "--plot .* --vary"),
+        ("replay a.mcap --fail-on warning --vary a.b=1", "--fail-on .* --vary"),
+        ("replay a.mcap --assert rms(a.y)<1 --vary a.b=1", "--assert .* --vary"),
+        ("replay a.mcap --assert rms(a.y)<1 --from 0", "--assert .* --from"),
+        ("replay a.mcap --assert rms(a.y)<1 --to 1", "--assert .* --to"),
+        ("study academic --dry-run --fail-on warning", "--dry-run .* --fail-on"),
+        ("study academic --dry-run --assert rms(a.y)<1", "--dry-run .* --assert"),
+        ("study academic --dry-run --scheduler tcp://a:1", "--dry-run .* --scheduler"),
+        ("study academic --stop 1 --set scenario.stop=2", "--stop .* --set scenario.stop"),
+        ("tune academic --quiet", "--quiet .* --out or --json"),
+        ("tune academic --json --stop 1 --set scenario.stop=2", "--stop .* --set scenario.stop"),
+        ("info academic --out a.png", "--out .* --graph"),
+        ("linearize a.fmu --toml --json", "--toml .* --json"),
+        ("linearize a.fmu --disturbance d", "--disturbance .* --toml"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(line, named, tmp_path, monkeypatch, capsys):
+    """Before anything is read or written, in one line with both names; exit code 2."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(line.split())
+    out, err = capsys.readouterr()
+    assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
+    assert re.search(f"^cosim: {named}", err)
+    assert not list(tmp_path.iterdir())
 
 
 def test_some_values_are_handed_on():

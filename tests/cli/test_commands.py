@@ -138,11 +138,6 @@ def test_an_existing_log_is_refused_with_exit_2(call):
     assert (code, out) == (2, "")
     assert err == "cosim: a.mcap exists; choose another path, or --force to replace it\n"
     assert call("run", "academic", *SHORT, "--out", "a.mcap", "--force")[0] == 0
-    code, _, err = call("run", "academic", *SHORT, "--force")
-    assert code == 2
-    assert err.count("\n") == 1
-    assert "--force" in err
-    assert "--out" in err
 
 
 def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
@@ -754,13 +749,6 @@ def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
     assert "d.fmu: FMI 3.0, model exchange and co-simulation, binary for" in out
 
 
-def test_verify_compares_the_whole_log(call):
-    """A shorter replay is no verification."""
-    call("run", "academic", *SHORT, "--out", "a.mcap")
-    code, _, err = call("replay", "a.mcap", "--verify", "--stop", "0.05")
-    assert (code, err) == (2, "cosim: --verify compares the whole log; omit --stop\n")
-
-
 def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
     """--force replaces a log by a run, not by a refusal: exit 2 means that nothing was done."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
@@ -847,8 +835,6 @@ def test_linearize_prints_a_table_for_a_scenario(call):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--disturbance", "delta"], "--disturbance .* --toml"),
-        (["--toml", "--json", "--disturbance", "delta"], "--toml .* --json"),
         (["--set", "u=fast"], "start value of 'u': .*'fast'"),
         (["--set", "=3"], "--set '=3': .*no name"),
         (["--set", "u"], "--set 'u': .*no '='"),
@@ -869,11 +855,3 @@ def test_the_overview_cuts_no_sentence_short(call):
     assert code == 0
     assert "export     Export a component as an FMU, C source and binary." in out
     assert "..." not in out.partition("Commands:")[2]
-
-
-@pytest.mark.parametrize("name", ["stop", "step"])
-def test_an_option_and_set_for_the_same_key_are_refused(call, name):
-    """Neither wins in silence."""
-    code, _, err = call("run", "academic", f"--{name}", "1", "--set", f"scenario.{name}=0.5")
-    assert code == 2
-    assert f"--{name} and --set scenario.{name}" in err

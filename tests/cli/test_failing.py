@@ -54,8 +54,6 @@ def test_an_assertion_of_a_run_and_of_its_replay(call):
         (("--fail-on", "inconsistent", "--no-verdicts"), "omit --no-verdicts"),
         (("--assert", "plant.y"), "expected a comparison|a reduction"),
         (("--assert", "rms(plant.q) < 1"), "'plant' has no signal 'q'"),
-        (("--assert", "rms(plant.y) < 1", "--dry-run"), "omit it or --assert"),
-        (("--fail-on", "warning", "--dry-run"), "omit it or --fail-on"),
         (("--no-verdicts", "--set", "scenario.verdicts=true"), "--no-verdicts and --set"),
     ],
 )
@@ -65,13 +63,6 @@ def test_what_cannot_be_checked_is_refused_before_the_run(options, named, call, 
     assert code == 2
     assert re.search(named, err)
     assert not list(tmp_path.glob("logs/*"))
-
-
-@pytest.mark.parametrize("option", [("--fail-on", "warning"), ("--assert", "rms(plant.y) < 1")])
-def test_a_dry_run_of_a_study_has_no_members_to_fail(option, call):
-    """So it says nothing about them, and is not asked."""
-    code, err = call("study", "academic", "--seeds", "2", "--dry-run", *option)
-    assert (code, f"omit it or {option[0]}" in err) == (2, True)
 
 
 def test_a_verdict_that_is_asked_for_and_not_made_fails(call):

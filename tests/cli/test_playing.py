@@ -173,14 +173,6 @@ def test_wrong_options_of_play(call, log, arguments, text):
     assert len(err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("option", [("--host", "::1"), ("--port", "0"), ("--show", "plant")])
-def test_options_of_viewers_need_live(call, option):
-    """They would say nothing without --live."""
-    code, _, err = call("run", "academic", "--stop", "0.01", *option)
-    assert code == 2
-    assert re.fullmatch(rf"cosim: {option[0]} .*--live, too\n", err)
-
-
 @pytest.mark.slow
 def test_play_writes_the_layout_for_viewers(call, log):
     """That of the log, to import."""

@@ -108,8 +108,6 @@ def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
     assert "nothing was recorded" in call(
         "study", "filters.toml", "--dry-run", "--out", "other", "--new"
     )
-    text = call("study", "filters.toml", "--dry-run", "--scheduler", "tcp://127.0.0.1:1", code=2)
-    assert "omit it or --scheduler" in text
 
 
 @pytest.mark.parametrize(

@@ -80,9 +80,7 @@ def test_a_tuning_that_is_interrupted_says_how_to_go_on(call, tmp_path, monkeypa
         ([OBJECTIVE, "--maximize=last(plant.y)", VARY], "--minimize and --maximize"),
         ([OBJECTIVE, "--vary=plant.time_constant=3"], r"--vary plant\.time_constant: .*'3'"),
         ([OBJECTIVE, "--vary=plant.time_constant=1,2"], "'cobyqa'.*'optuna'"),
-        ([OBJECTIVE, VARY, "--stop=1", "--set=scenario.stop=2"], r"--stop and --set scenario"),
         ([OBJECTIVE, VARY, "--scheduler=tcp://127.0.0.1:1"], "--scheduler: .*'cobyqa'"),
-        ([OBJECTIVE, VARY, "--quiet"], "--quiet .*--out or --json"),
         ([OBJECTIVE, VARY, "--standard-errors"], "--standard-errors: .* rms "),
     ],
 )
