@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+import cosim
 from cosim.cli.command import Given, command
 from cosim.cli.options import print_notice, print_text, prints_to_stderr, run_in_child, shared
 from cosim.errors import UsageError
@@ -35,10 +36,9 @@ def check(given: Given) -> bool:
             raise UsageError("--strict is for FMUs; omit it")
         run_in_child(given.arguments)
         from cosim.report.tables.assumptions import print_assumptions
-        from cosim.scenario.assumptions.report import check_assumptions
 
         with prints_to_stderr():
-            report = check_assumptions(str(given.subject), set=given.set)
+            report = cosim.check_assumptions(str(given.subject), set=given.set)
         print_assumptions(report, as_json=given.json)
         return not report.fulfilled
     from cosim.fmi.checking.check import check as check_fmu

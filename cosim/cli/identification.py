@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cosim
 from cosim.cli.command import Given, command
 from cosim.cli.options import check_plot, print_notice, prints_to_stderr, shared
 from cosim.errors import UsageError
@@ -30,7 +31,6 @@ def identify(given: Given) -> bool:
     The method of the recorded runs does not matter. Shows standard errors, 95 % intervals, a
     verdict on every parameter and tests of the residual.
     """
-    from cosim.log import open_log
     from cosim.report.tables.identification import print_identification, report_identification
     from cosim.scenario.identification.model import bounds_of
     from cosim.scenario.identifying import identifier_record, identify_records
@@ -40,8 +40,8 @@ def identify(given: Given) -> bool:
     if irregular is not None and not 0.0 < irregular < float("inf"):
         raise UsageError(f"--irregular: expected a positive number, got {irregular:g}")
     check_plot(given.plot)
-    records = [identifier_record(open_log(log), given.component) for log in given.logs]
-    others = [identifier_record(open_log(log), given.component) for log in given.validate]
+    records = [identifier_record(cosim.open_log(log), given.component) for log in given.logs]
+    others = [identifier_record(cosim.open_log(log), given.component) for log in given.validate]
     bounds = None
     if given.bounds is not None:
         bounds = bounds_of(parse_value(given.bounds), records[0].identified.parameters)
@@ -82,8 +82,7 @@ def design(given: Given) -> None:
     output-error method attains.
     """
     from cosim.report.tables.experiment_design import print_design
-    from cosim.scenario.experiment_design.ranking import design as ranked
 
     with prints_to_stderr():
-        result = ranked(given.scenario, **given.only("noise theta longest input set"))
+        result = cosim.design(given.scenario, **given.only("noise theta longest input set"))
     print_design(result, as_json=given.json)

@@ -6,6 +6,7 @@ import re
 import sys
 from typing import TYPE_CHECKING, Final
 
+import cosim
 from cosim.cli.command import Given, command
 from cosim.cli.options import check_plot, live_server, print_notice, print_text, shared
 from cosim.errors import CosimError, UsageError
@@ -35,10 +36,9 @@ def hash_(given: Given) -> bool:
     It covers the declaration of every signal (name, unit, role, ...), its times and values;
     compression and chunking do not change it. Exit 1 if the log records another hash.
     """
-    from cosim.log import open_log
     from cosim.report.tables.console import print_json
 
-    opened = open_log(given.log)
+    opened = cosim.open_log(given.log)
     hashes = opened.signal_hashes() if given.signals else {}
     found = opened.content_hash()
     recorded = opened.metadata.get("cosim.result", {}).get("content_hash")
@@ -106,10 +106,9 @@ def _metrics_of(place: str, log: str) -> dict[str, str]:
     """Return the metrics of a study by its dataset; notice a log that is none of its scenario."""
     from cosim.studies.checking import check_is_of_scenario
     from cosim.studies.plan import RecordedStudy
-    from cosim.studies.study import open_study
     from cosim.studies.study_file import load_scenario
 
-    study = RecordedStudy.read(open_study(place).text).study
+    study = RecordedStudy.read(cosim.open_study(place).text).study
     try:
         check_is_of_scenario(log, load_scenario(study.scenario))
     except CosimError as error:
@@ -134,11 +133,10 @@ def _metrics_of(place: str, log: str) -> dict[str, str]:
 )
 def plot(given: Given) -> None:
     """Plot signals of one or several logs over time."""
-    from cosim.log import open_log
     from cosim.report.plots import PictureOptions, plot_run, plot_signals
 
     options = PictureOptions(given.size, given.from_, given.to, given.title)
-    logs = [open_log(source) for source in given.sources if file_type(source) == "log"]
+    logs = [cosim.open_log(source) for source in given.sources if file_type(source) == "log"]
     signals = [source for source in given.sources if file_type(source) != "log"]
     if not logs:
         raise UsageError(f"expected a log (.mcap), got {', '.join(signals)}")
@@ -170,11 +168,10 @@ def play(given: Given) -> None:
     playback was.
     """
     from cosim.live.playback import Playback
-    from cosim.log import open_log
     from cosim.log.contents.viewer_layout import LAYOUT_FILE
     from cosim.scenario.recordings.interrupting import interruptible
 
-    log = open_log(given.log)
+    log = cosim.open_log(given.log)
     if given.layout is not None:
         content = log.attachment(LAYOUT_FILE)
         try:
@@ -216,14 +213,12 @@ def diff(given: Given) -> bool:
 
     Exit 1 if a signal is outside the tolerance.
     """
-    from cosim.log import open_log
-    from cosim.log.comparison.diff import diff as compare_logs
     from cosim.report.tables.comparison import print_difference
 
     check_plot(given.plot)
-    logs = open_log(given.a), open_log(given.b)
+    logs = cosim.open_log(given.a), cosim.open_log(given.b)
     signals = given.signals or ()
-    difference = compare_logs(*logs, signals=signals, **given.only("atol rtol tol"))
+    difference = cosim.diff(*logs, signals=signals, **given.only("atol rtol tol"))
     print_difference(difference, as_json=given.json)
     if given.plot is not None and difference.worst is None:
         print_notice(f"{given.plot}: not drawn, as the largest difference of two values is 0")

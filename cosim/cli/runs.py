@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
 
+import cosim
 from cosim.cli.command import Given, command, start_collecting
 from cosim.cli.options import (
     check_plot,
@@ -26,7 +27,7 @@ from cosim.terminal import show_progress
 
 if TYPE_CHECKING:
     from cosim.live import LiveServer
-    from cosim.report.comparing import Comparison, EstimatorComparison
+    from cosim.report.comparing import Comparison
     from cosim.studies.measuring import AssertedView
 
 BEGAN: Final = perf_counter()
@@ -258,9 +259,8 @@ def compare(given: Given) -> bool:
     With --swap the scenario runs once for each plant; with --estimators every method gets the same
     recorded data. Exit 1 if one of them fails.
     """
-    from cosim.report import comparing
+    from cosim.report.comparing import EstimatorComparison
     from cosim.report.tables.comparison import print_estimators, print_plants
-    from cosim.scenario.running.execution import load
 
     methods = [name.strip() for name in ",".join(given.estimators or ()).split(",")]
     several = [component for component, paths in given.swap.items() if len(paths) > 1]
@@ -273,7 +273,7 @@ def compare(given: Given) -> bool:
         )
     if not (given.estimators or given.swap):
         raise UsageError("expected --swap or --estimators: what to compare")
-    scenario = load(given.scenario)
+    scenario = cosim.load(given.scenario)
     check_plot(given.plot, given.out)
     if given.plot is not None and not (given.estimators or scenario.file.truth):
         raise UsageError("the scenario has no [truth], so there are no estimates to plot")
@@ -281,19 +281,19 @@ def compare(given: Given) -> bool:
     comparison: Comparison | EstimatorComparison
     with prints_to_stderr():
         if given.estimators:
-            comparison = comparing.compare_estimators(
+            comparison = cosim.compare_estimators(
                 scenario,
-                estimators=comparing.ALL if methods == [comparing.ALL] else methods,
+                estimators="all" if methods == ["all"] else methods,
                 swap={component: paths[0] for component, paths in given.swap.items()},
                 **options,
             )
         else:
-            comparison = comparing.compare(scenario, swap=given.swap, base=given.base, **options)
+            comparison = cosim.compare(scenario, swap=given.swap, base=given.base, **options)
     if given.plot is not None and comparison.recordings:
         from cosim.report.plots import plot_comparison
 
         plot_comparison(comparison, given.plot)
-    if isinstance(comparison, comparing.EstimatorComparison):
+    if isinstance(comparison, EstimatorComparison):
         print_estimators(comparison, as_json=given.json)
         return any(result.failure for result in comparison.results)
     print_plants(comparison, as_json=given.json)

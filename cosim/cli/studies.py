@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 from typer.core import TyperGroup
 
+import cosim
 from cosim.cli.command import Given, OnceCommand, command
 from cosim.cli.options import (
     BAD_VERDICTS,
@@ -182,7 +183,7 @@ def run(given: Given) -> bool:
         print_estimate(file.name, estimate, as_json=given.json)
         return False
     with _resumable(place, given) as progress:
-        done = studying.study(
+        done = cosim.study(
             file,
             out=place,
             progress=progress,
@@ -227,12 +228,11 @@ def _resumable(place: str | None, given: Given) -> Iterator[ShownMembers | None]
 def stopped_text(place: str, *, new: bool) -> str:
     """Return what there is of a study that is stopped; ``new``: that was to begin anew."""
     from cosim.studies.dataset import StudyDataset
-    from cosim.studies.study import open_study
 
     try:
         if not StudyDataset.is_at(place):
             return "stopped before the first member was recorded"
-        stopped = open_study(place)
+        stopped = cosim.open_study(place)
     except DatasetError as error:
         return f"stopped; {error}"
     recorded = f"stopped: {len(stopped)} of {stopped.planned} members are recorded in {place}"
@@ -294,9 +294,8 @@ def _show(place: str, parts: ShownParts) -> tuple[str, ...]:
     """Show parts of a study; return what was not known of it when it was planned."""
     from cosim.studies.plan import RecordedStudy
     from cosim.studies.show import show_study
-    from cosim.studies.study import open_study
 
-    opened = open_study(place)
+    opened = cosim.open_study(place)
     recorded = RecordedStudy.read(opened.text)
     show_study(opened, recorded.layout, recorded.command_of(opened), parts, search=recorded.search)
     return recorded.warnings
@@ -336,9 +335,8 @@ def plot(given: Given) -> None:
     from cosim.studies.layout import results_of_study
     from cosim.studies.plan import RecordedStudy
     from cosim.studies.plots import plot_study
-    from cosim.studies.study import open_study
 
-    opened = open_study(given.place)
+    opened = cosim.open_study(given.place)
     recorded = RecordedStudy.read(opened.text)
     plot_study(
         results_of_study(opened, recorded.layout),
@@ -359,13 +357,12 @@ def tune(given: Given) -> bool:
     A stopped tuning resumes when started again with the same --out.
     """
     from cosim.studies.show import tuning_lines
-    from cosim.studies.tuning import tune as run_tuning
 
     _check_out(given.out)
     notice = None if given.quiet else print_notice
     with _resumable(given.out, given) as progress:
         options = given.only(OF_TUNING)
-        result = run_tuning(given.scenario, progress=progress, notice=notice, **options)
+        result = cosim.tune(given.scenario, progress=progress, notice=notice, **options)
     if given.json:
         typer.echo(dumps(result.to_dict(), indent=2))
     elif not given.quiet:
