@@ -295,7 +295,7 @@ def test_no_import_runs_upwards_between_files():
     """The files have an order in which every import, lazy or for types only, goes down.
 
     The public names of a package stand in its ``__init__``, above everything in it: nothing in the
-    package may import them.
+    package may import them, but the command line, which nothing else imports.
     """
     known = modules()
     imports_of = {name: imported_modules(path, known) - {name} for name, path in known.items()}

@@ -24,18 +24,15 @@ from cosim.terminal import ended_by_signals, keep_stdout, open_standard_streams,
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 
-# by file, in the order of the help; a name that Python has itself ends with an underscore there
-_FILES: Final = {
-    "runs": "run replay compare",
-    "studies": "study tune",
-    "logs": "diff hash_ metrics plot play cat convert cut merge recover",
-    "contents": "info list_ show",
-    "fmus": "check cache compile_ export linearize",
-    "identification": "identify design",
-}
-_HOMES: Final = [(file, name) for file, names in _FILES.items() for name in names.split()]
+# file and name in the order of the help; a name that Python has itself ends with an underscore
+_HOMES: Final = (
+    "runs.run runs.replay logs.diff logs.hash_ studies.study logs.metrics runs.compare "
+    "studies.tune identification.identify identification.design contents.info fmus.check "
+    "fmus.cache logs.plot logs.play logs.cat logs.convert logs.cut logs.merge logs.recover "
+    "contents.list_ contents.show fmus.compile_ fmus.export fmus.linearize"
+)
 COMMANDS: Final = LazyMapping[Callable[..., None] | typer.Typer](
-    "cosim.cli", {name.rstrip("_"): f"{file}.{name}" for file, name in _HOMES}
+    "cosim.cli", {home.partition(".")[2].rstrip("_"): home for home in _HOMES.split()}
 )
 
 

@@ -117,7 +117,8 @@ TUNE: Final = {
     "--samples N : int": "Number of independent samples of the residual; default: all of them, or "
     "what colored noise leaves of them.",
     "--out -o DIR : str": "Dataset of all runs; its runs are not repeated.",
-    **shared("new workers"),
+    **shared("new"),
+    "--workers N : int": "Parallel processes; default: one per processor.",
     "--scheduler ADDRESS : str": "Run trials on a dask.distributed cluster, such as "
     "tcp://host:8786 (methods global and optuna, which run many at a time).",
     "--timeout SECONDS : float": "Wall time limit of a run [s].",
