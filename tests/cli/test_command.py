@@ -132,6 +132,39 @@ def test_options_that_do_not_go_together_are_refused(line, named, tmp_path, monk
     assert not list(tmp_path.iterdir())
 
 
+def commands():
+    """Return every command by its name, those of ``cosim study`` too."""
+    found = {name: COMMANDS[name] for name in COMMANDS if name != "study"}
+    inner = COMMANDS["study"].registered_commands
+    return found | {f"study {one.name}": one.callback for one in inner}
+
+
+@pytest.mark.parametrize("name", commands())
+def test_a_command_uses_its_options_and_no_others(name):
+    """By what its function reads and hands on, or the functions that it gives all of them."""
+    made = commands()[name]
+    options = set(inspect.signature(made).parameters) - {"context", "stop", "step"}
+    own = inspect.getsource(made.__wrapped__)
+    module = inspect.getmodule(made)
+    for constant in re.findall(r"only\((\w+)\)", own):
+        own += f'only("{getattr(module, constant)}")'
+    helpers = [
+        value
+        for value in vars(module).values()
+        if inspect.isfunction(value) and "given" in inspect.signature(value).parameters
+    ]
+    called = [inspect.getsource(one) for one in helpers if re.search(rf"\b{one.__name__}\(", own)]
+    reads = [set(_names(text)) - {"only", "arguments"} for text in (own, "".join(called))]
+    assert reads[0] <= options
+    assert options <= reads[0] | reads[1]
+
+
+def _names(text):
+    """Return the options that a text reads or hands on."""
+    handed_on = " ".join(re.findall(r'only\("([^"]*)"\)', text)).split()
+    return [*re.findall(r"\bgiven\.(\w+)", text), *handed_on]
+
+
 def test_some_values_are_handed_on():
     """By name, and no others."""
     assert Given(a=1, b=2, c=3).only("a c") == {"a": 1, "c": 3}
