@@ -24,6 +24,7 @@ from tests.fmi.eventful import build
 from tests.fmi.rogues import XML
 
 SHORT = ["--stop", "0.1"]
+COSIM = [sys.executable, "-m", "cosim"]
 HEAD = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'
 
 
@@ -114,18 +115,8 @@ def test_quiet_looks_for_units_in_what_is_said_and_not_in_names(call, tmp_path):
 
 def test_set_step_and_stop_reach_the_run(call):
     """--set, --step and --stop change the scenario."""
-    call(
-        "run",
-        "academic",
-        "--stop",
-        "0.2",
-        "--step",
-        "0.002",
-        "--set",
-        "observer.filter_rate=500",
-        "--out",
-        "a.mcap",
-    )
+    line = "run academic --stop 0.2 --step 0.002 --set observer.filter_rate=500 --out a.mcap"
+    call(*line.split())
     log = cosim.open_log("a.mcap")
     assert (log.step_ns, log.time("plant")[-1]) == (2_000_000, 0.2)
     assert json.loads(log.metadata["cosim.component.observer"]["table"])["filter_rate"] == 500
@@ -511,17 +502,7 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
 def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     """On a terminal the bar stands on stderr while the run goes on, and is gone at the end."""
     reader, writer = pty.openpty()
-    command = [
-        sys.executable,
-        "-m",
-        "cosim",
-        "run",
-        "closed-loop",
-        "--stop",
-        "20",
-        "--out",
-        str(tmp_path / "a.mcap"),
-    ]
+    command = [*COSIM, "run", "closed-loop", "--stop", "20", "--out", str(tmp_path / "a.mcap")]
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
     seen = b""
     with subprocess.Popen(
@@ -628,16 +609,7 @@ def printing(tmp_path):
     )
     path = tmp_path / "x.toml"
     path.write_text(f'{HEAD.replace("0.2", "0.3")}{components}[connections]\n"p.u" = "one.y"\n')
-    return [
-        sys.executable,
-        "-m",
-        "cosim",
-        "run",
-        str(path),
-        "--force",
-        "--out",
-        str(tmp_path / "x.mcap"),
-    ]
+    return [*COSIM, "run", str(path), "--force", "--out", str(tmp_path / "x.mcap")]
 
 
 NOISE = "a line that nobody asked for\n" * 3
@@ -719,7 +691,7 @@ def test_a_working_folder_that_is_gone_is_named(call, tmp_path, monkeypatch):
 def test_a_full_disk_is_one_line():
     """No traceback."""
     with open("/dev/full", "w") as stream:
-        command = [sys.executable, "-m", "cosim", "list"]
+        command = [*COSIM, "list"]
         environment = {**os.environ, "PYTHONUNBUFFERED": ""}
         done = subprocess.run(
             command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False, env=environment
@@ -730,22 +702,12 @@ def test_a_full_disk_is_one_line():
 @pytest.mark.slow
 def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
     """A discrete component would be another one as a continuous FMU; the message says so."""
-    code, out, _ = call(
-        "export",
-        "closed-loop",
-        "--component",
-        "controller",
-        "--set",
-        "controller.period=0.1",
-        "--out",
-        "c.fmu",
-    )
+    exported = ("export", "closed-loop", "--component", "controller")
+    code, out, _ = call(*exported, "--set", "controller.period=0.1", "--out", "c.fmu")
     assert code == 0
     assert "c.fmu: FMI 2.0, co-simulation, binary for" in out
     assert "co-simulation only: a sampled controller" in out
-    code, out, _ = call(
-        "export", "closed-loop", "--component", "controller", "--fmi", "3", "--out", "d.fmu"
-    )
+    code, out, _ = call(*exported, "--fmi", "3", "--out", "d.fmu")
     assert "d.fmu: FMI 3.0, model exchange and co-simulation, binary for" in out
 
 
@@ -781,18 +743,8 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     assert "static gain D - C A^-1 B" in out.splitlines()
     assert "academic_plant at t = 0 s" in out.splitlines()
     assert "poles -1.5-0.866025j, -1.5+0.866025j method directional derivatives" in words
-    code, out, _ = call(
-        "linearize",
-        "plant.fmu",
-        "--input",
-        "delta",
-        "--output",
-        "y",
-        "--differences",
-        "--at",
-        "2",
-        "--json",
-    )
+    options = "--input delta --output y --differences --at 2 --json"
+    code, out, _ = call("linearize", "plant.fmu", *options.split())
     found = json.loads(out)
     assert (code, found["t"], found["inputs"], found["made"]["delta"]) == (
         0,

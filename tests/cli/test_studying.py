@@ -143,18 +143,8 @@ def test_only_a_dataset_is_shown(call):
 @pytest.mark.slow
 def test_an_interrupted_study_says_how_to_go_on(tmp_path):
     """Ctrl-C: exit 130, no worker is left, and the same command goes on."""
-    arguments = [
-        "study",
-        "academic-noisy",
-        "--seeds",
-        "500",
-        "--metric",
-        "y=rms(sensor.y)",
-        "--out",
-        "out",
-        "-q",
-    ]
-    command = [sys.executable, "-m", "cosim", *arguments]
+    line = "study academic-noisy --seeds 500 --metric y=rms(sensor.y) --out out -q"
+    command = [sys.executable, "-m", "cosim", *line.split()]
     child = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
