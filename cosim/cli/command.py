@@ -11,7 +11,8 @@ the help::
     "log LOG : Path"                    an argument, with its name before its metavar
     "signals [SIGNAL]... : list[str] = None"    an argument that may be omitted
 
-What an option takes is a key of ``KINDS``, which knows how its text is read and completed.
+What an option takes is a key of ``KINDS``, which knows how its text is read and completed; ``~`` in
+a path is the home folder, which a shell leaves in ``--out=~/run.mcap``.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from inspect import Parameter, Signature
 from keyword import iskeyword
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Final, NamedTuple, TypeAlias
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperOption
@@ -42,11 +43,11 @@ OptionTable: TypeAlias = Mapping[str, str]
 # --- values ---
 
 
-def read_pairs(texts: list[str] | None, name: str) -> list[tuple[str, str]]:
+def read_pairs(texts: list[str], name: str) -> list[tuple[str, str]]:
     """Read the pairs KEY=VALUE of an option."""
     expected = {"set": "COMPONENT.PARAMETER=VALUE", "swap": "COMPONENT=PATH", "map": "PORT=NAME"}
     pairs = []
-    for text in texts or ():
+    for text in texts:
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
             missing = "no name" if equals else "no '='"
@@ -56,7 +57,7 @@ def read_pairs(texts: list[str] | None, name: str) -> list[tuple[str, str]]:
     return pairs
 
 
-def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
+def read_unique_pairs(texts: list[str], name: str) -> dict[str, str]:
     """Read pairs of which each key may be given once."""
     pairs = read_pairs(texts, name)
     keys = [key for key, _ in pairs]
@@ -68,7 +69,7 @@ def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
     return dict(pairs)
 
 
-def read_alternatives(texts: list[str] | None, name: str) -> dict[str, list[str]]:
+def read_alternatives(texts: list[str], name: str) -> dict[str, list[str]]:
     """Read pairs of which a key may be given several times, each an alternative."""
     alternatives: dict[str, list[str]] = {}
     for key, value in read_pairs(texts, name):
@@ -84,39 +85,43 @@ def _each(pairs: Mapping[str, str], name: str, read: Callable[[str], Any]) -> di
             values[key] = read(text)
         except UsageError as error:
             raise UsageError(f"{option(name, key)}: {error}") from error
-        except ValueError as error:
-            found = f"expected a number, got {quoted(text)}"
-            raise UsageError(f"{option(name, key)}: {found}") from error
     return values
 
 
-def read_numbers(texts: list[str] | None, name: str) -> dict[str, float] | None:
+def read_numbers(texts: list[str], name: str) -> dict[str, float] | None:
     """Read pairs of a signal and a number, each signal once; None: there are none."""
-    return _each(read_unique_pairs(texts, name), name, float) if texts else None
+    return _each(read_unique_pairs(texts, name), name, _number) or None
 
 
-def read_edits(texts: list[str] | None, name: str = "set") -> dict[str, Any]:
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise UsageError(f"expected a number, got {quoted(text)}") from error
+
+
+def read_edits(texts: list[str], name: str = "set") -> dict[str, Any]:
     """Read pairs whose values are TOML where they can be; the last one of a key counts."""
     from cosim.scenario.text import parse_value
 
     return _each(dict(read_pairs(texts, name)), name, parse_value)
 
 
-def read_sweep(texts: list[str] | None, name: str) -> dict[str, list[Any]]:
+def read_sweep(texts: list[str], name: str) -> dict[str, list[Any]]:
     """Read KEY=V1,V2,...; the values are TOML where they can be."""
     from cosim.scenario.text import parse_values
 
     return _each(read_unique_pairs(texts, name), name, parse_values)
 
 
-def read_variations(texts: list[str] | None, name: str) -> dict[str, Any]:
+def read_variations(texts: list[str], name: str) -> dict[str, Any]:
     """Read grids, distributions and plants of a study, by key."""
     from cosim.studies.variations import read_vary_option
 
     return _each(read_unique_pairs(texts, name), name, read_vary_option)
 
 
-def read_ranges(texts: list[str] | None, name: str) -> dict[str, Any]:
+def read_ranges(texts: list[str], name: str) -> dict[str, Any]:
     """Read KEY=LOWER:UPPER, KEY=log:LOWER:UPPER, KEY=V1,V2,... of a tuning."""
     return _each(read_unique_pairs(texts, name), name, _range)
 
@@ -132,53 +137,38 @@ def _range(text: str) -> Any:
         values = read_vary_option(text)
         if isinstance(values, list) and len(values) > 1:
             return values
-        raise UsageError(
-            "expected LOWER:UPPER, log:LOWER:UPPER or comma-separated values, got " + quoted(text)
-        ) from None
+        forms = "LOWER:UPPER, log:LOWER:UPPER or comma-separated values"
+        raise UsageError(f"expected {forms}, got {quoted(text)}") from None
     return {form: [lower, upper]}
 
 
-def read_failures(texts: list[str] | None, name: str) -> frozenset[str]:
+def read_failures(texts: list[str], name: str) -> frozenset[str]:
     """Read what a command fails on: some of ``completion.FAILURES``."""
-    found = {part.strip() for text in texts or () for part in text.split(",")}
+    found = {part.strip() for text in texts for part in text.split(",")}
     for unknown in sorted(found.difference(completion.FAILURES)):
         remedy = nearest(unknown, completion.FAILURES)
         raise UsageError(f"{option(name)}: nothing is called {quoted(unknown)}; {remedy}")
     return frozenset(found)
 
 
-def read_path(path: Path | None, name: str) -> Path | None:
-    """Read a path: ``~`` is the home folder, which a shell leaves in ``--out=~/run.mcap``."""
-    return None if path is None else expanded(path)
-
-
-def read_paths(paths: list[Path] | None, name: str) -> list[Path]:
-    """Read several paths."""
-    return [expanded(path) for path in paths or ()]
-
-
-def read_step(text: str | None, name: str) -> float | str | None:
+def read_step(text: str, name: str) -> float | str:
     """Read a step as it would be in a file: a fraction is a text there."""
     try:
-        return None if text is None else float(text)
+        return float(text)
     except ValueError:
         return text
 
 
-def read_members(text: str | None, name: str) -> Any:
+def read_members(text: str, name: str) -> Any:
     """Read which logs are kept: numbers, or a text."""
-    if text is None:
-        return None
     from cosim.scenario.text import parse_value
 
     numbers = parse_value(f"[{text}]")
     return numbers if isinstance(numbers, list) else text
 
 
-def read_deviations(text: str | None, name: str) -> list[float] | None:
+def read_deviations(text: str, name: str) -> list[float]:
     """Read a number or a list of numbers."""
-    if text is None:
-        return None
     from cosim.scenario.text import parse_value
 
     value = parse_value(text)
@@ -188,10 +178,8 @@ def read_deviations(text: str | None, name: str) -> list[float] | None:
     return [float(item) for item in listed]
 
 
-def read_size(text: str | None, name: str) -> tuple[float, float] | None:
+def read_size(text: str, name: str) -> tuple[float, float]:
     """Read the size of a picture [cm]."""
-    if text is None:
-        return None
     width, _, height = text.partition("x")
     try:
         return float(width), float(height)
@@ -204,7 +192,10 @@ def read_size(text: str | None, name: str) -> tuple[float, float] | None:
 
 
 class OptionKind(NamedTuple):
-    """What an option takes: its type for typer, what reads the value, what completes it."""
+    """What an option takes: its type for typer, what reads and what completes a value.
+
+    The values of an option that is repeatable are read together, also where there are none.
+    """
 
     type: Any
     read: Callable[[Any, str], Any] | None = None
@@ -220,15 +211,15 @@ KINDS: Final = {
     "float >= 0": OptionKind(float, least=0.0),
     "int": OptionKind(int),
     "str": OptionKind(str),
-    "Path": OptionKind(Path, read_path),
+    "Path": OptionKind(Path, lambda path, _: expanded(path)),
     "list[int]": OptionKind(list[int]),
     "list[str]": OptionKind(list[str]),
-    "list[Path]": OptionKind(list[Path], read_paths),
+    "list[Path]": OptionKind(list[Path], lambda paths, _: list(map(expanded, paths))),
     "component": OptionKind(str, complete=completion.complete_component),
     "kind": OptionKind(str, complete=completion.complete_kind),
     "scenario": OptionKind(str, complete=completion.complete_scenario),
     "source": OptionKind(str, complete=completion.complete_source),
-    "checked": OptionKind(Path, read_path, completion.complete_checked),
+    "checked": OptionKind(Path, lambda path, _: expanded(path), completion.complete_checked),
     "estimators": OptionKind(list[str], complete=completion.complete_estimators),
     "alternatives": OptionKind(list[str], read_alternatives, completion.complete_swap),
     "deviations": OptionKind(str, read_deviations),
@@ -310,8 +301,11 @@ def command(table: OptionTable, *rules: Rule) -> Callable[[CommandBody], Callabl
         def called(context: typer.Context, **values: Any) -> None:
             check_rules(rules, values)
             for entry, kind in entries:
-                if kind.read is not None:
-                    values[entry.name] = kind.read(values[entry.name], entry.name)
+                value = values[entry.name]
+                if value is None and get_origin(kind.type) is list:
+                    value = []
+                if kind.read is not None and value is not None:
+                    values[entry.name] = kind.read(value, entry.name)
             given = Given(**values, arguments=[str(context.info_name), *context.obj])
             with ExitStack() as resources:
                 if "set" in values:
