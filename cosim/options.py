@@ -48,16 +48,17 @@ def check_rules(rules: Iterable[Rule], given: Mapping[str, object]) -> None:
     Raises
     ------
     UsageError
-        If one excludes another one, or lacks what it needs; names both.
+        If one excludes others, or lacks what it needs; names all of them.
     """
     for rule in rules:
         for name in rule.names.split():
             if not _is_given(given[name]):
                 continue
             reason = f"{_shown(name, given)} {rule.why}"
-            for other in rule.excludes.split():
-                if _is_given(given[other]):
-                    raise UsageError(f"{reason}; omit it or {_shown(other, given)}")
+            others = [other for other in rule.excludes.split() if _is_given(given[other])]
+            if others:
+                found = " and ".join(_shown(other, given) for other in others)
+                raise UsageError(f"{reason}; omit it or {found}")
             needed = rule.needs.split()
             if needed and not any(_is_given(given[other]) for other in needed):
                 available = " or ".join(_shown(other, given) for other in needed)

@@ -45,6 +45,11 @@ def test_what_goes_together_is_let_through(given):
         ({"sync": True}, r"^sync=True .* log; .*out", "^--sync .*--out"),
         ({"find_step": {"a.y": 1}, "step": 0.0}, "find_step .*step$", "--find-step .*--step$"),
         ({"find_step": ["a"], "assert_": ["b"]}, "find_step .*assert$", "--find-step .*--assert$"),
+        (
+            {"find_step": ["a"], "step": 0.1, "assert_": ["b"]},
+            "find_step .* step and assert$",
+            "--find-step .* --step and --assert$",
+        ),
     ],
 )
 def test_what_does_not_is_refused_by_both_names(given, in_python, in_shell):
