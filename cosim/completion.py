@@ -120,7 +120,7 @@ def _scenario(context: typer.Context) -> Scenario | None:
 
     Nothing of it is built, as that may run code of its user.
     """
-    from cosim.scenario.building.build import parse
+    from cosim.scenario.build import parse
     from cosim.scenario.parsing import read
     from cosim.scenario.text import find
 

@@ -24,8 +24,8 @@ from cosim.instants import NANOSECONDS, step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
-from cosim.scenario.building.build import DescribedScenario, describe
-from cosim.scenario.building.coupling_check import described_gains, gain_values
+from cosim.scenario.build import DescribedScenario, describe
+from cosim.scenario.coupling import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
 from cosim.scenario.record import (
     component_table,

@@ -26,7 +26,7 @@ from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
 from cosim.native.estimation.alphas import signals_among
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows, ThetaBounds, bounds_of

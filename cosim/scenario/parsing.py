@@ -65,7 +65,7 @@ class Scenario:
     tree : mapping
         The tables as they stand in the file, edits applied.
     parse : callable
-        Makes a scenario of an edited document (:func:`cosim.scenario.building.build.parse`).
+        Makes a scenario of an edited document (:func:`cosim.scenario.build.parse`).
     invalid : frozenset of Key
         The tables and their entries that are wrong, so that they are missing in ``file`` or have
         values that stand for others; what rests on them cannot be checked.

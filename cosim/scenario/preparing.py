@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from cosim.scenario.building.build import Builder
-from cosim.scenario.building.coupling_check import with_loop_gains
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.build import Builder
+from cosim.scenario.context import Origins
+from cosim.scenario.coupling import with_loop_gains
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 
 if TYPE_CHECKING:
@@ -49,8 +49,10 @@ def build_experiment(
     from cosim.scenario.actions.settings import prepare_settings  # rarely needed
 
     step_ns = experiment.clock.step_ns
-    designs = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
-    return replace(experiment, setting_designs=designs)
+    experiment.setting_designs = prepare_settings(
+        experiment.graph, step_ns, experiment.settings, {}
+    )
+    return experiment
 
 
 def _built(
@@ -61,7 +63,7 @@ def _built(
     reports: SwapReports | None,
 ) -> Experiment:
     def build() -> Experiment:
-        return Builder(scenario, resources, block=block, unpacked=unpacked).experiment()
+        return Builder(scenario, resources, Origins(unpacked=unpacked), block=block).experiment()
 
     def rebuild() -> Experiment:
         resources.close()
@@ -81,9 +83,8 @@ def _built(
 
 def with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
     """Keep in the log how swapped components compare with those they replace."""
-    metadata = dict(experiment.metadata)
     for name, report in reports.reports.items():
-        kept = metadata.get(name, {})
-        metadata[name] = {**kept, "swap_report": report.to_dict()}
-    warnings = (*experiment.warnings, *reports.warnings)
-    return replace(experiment, metadata=metadata, warnings=warnings)
+        experiment.built.add_metadata(name, {"swap_report": report.to_dict()})
+    for name, text in reports.warnings:
+        experiment.built.warn(name, text)
+    return experiment

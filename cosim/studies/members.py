@@ -28,7 +28,7 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, record, run_rows
 from cosim.scenario.running.replay import replays_of
@@ -189,7 +189,7 @@ class OpenedSubject:
                     experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
                 files, modules = (
                     {path: self._digests.of(path) for path in sorted(map(str, paths))}
-                    for paths in (experiment.files, experiment.modules)
+                    for paths in (experiment.built.files, experiment.built.modules)
                 )
                 return MemberSources("", files, modules, _codes(experiment))
         except UsageError as error:
@@ -232,7 +232,7 @@ class OpenedSubject:
         for name, digest in _codes(experiment).items():
             if self._expected.setdefault(name, digest) != digest:
                 raise ChangedFileError(f"the {name} has changed since this study began")
-        read = [*map(str, experiment.files | experiment.modules), *_parts(member)]
+        read = [*map(str, experiment.built.files | experiment.built.modules), *_parts(member)]
         for path in read:
             if path not in self._expected:
                 self._expected[path] = self._digests.of(path)

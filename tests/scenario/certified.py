@@ -3,7 +3,7 @@
 from pathlib import Path
 from textwrap import dedent
 
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.text import Document
 
 MODULE = '''

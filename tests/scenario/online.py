@@ -12,7 +12,7 @@ import numpy as np
 import cosim
 from cosim.arrays import Matrix
 from cosim.core.contracts import Component
-from cosim.scenario.building.build import Builder
+from cosim.scenario.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.scenario.text import find
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from cosim.core import Memory
 from cosim.core import run as run_graph
-from cosim.scenario.building.build import Builder
+from cosim.scenario.build import Builder
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
 from cosim.scenario.text import PortNames

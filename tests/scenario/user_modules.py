@@ -2,7 +2,7 @@
 
 import textwrap
 
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.text import Document
 
 RELAY = '''

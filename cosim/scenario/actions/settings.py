@@ -8,7 +8,6 @@ design is recorded, and a replay takes it from there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -25,7 +24,7 @@ from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted
 from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design, encode_design
-from cosim.scenario.context.build_context import ScenarioBuildContext
+from cosim.scenario.context import ScenarioBuildContext
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.places import Problem
@@ -75,9 +74,6 @@ class SettingBuilder:
         In which the components of the run were built.
     components : mapping of name to Component
         Those of them that are right.
-    resources : ExitStack
-    recording : Recording or None
-        Of a replay.
     """
 
     def __init__(
@@ -85,15 +81,10 @@ class SettingBuilder:
         scenario: Scenario,
         context: ScenarioBuildContext,
         components: Mapping[str, Component],
-        *,
-        resources: ExitStack,
-        recording: Recording | None,
     ) -> None:
         self._components = components
         self._scenario = scenario
         self._context = context
-        self._resources = resources
-        self._recording = recording
         self._specs = dict(scenario.specs)  # as they are at the time reached
 
     def is_fmu(self, name: str) -> bool:
@@ -170,7 +161,7 @@ class SettingBuilder:
         """
         table = f"components.{name}"
         readers = []
-        for other, tables in self._context.records.reads.items():
+        for other, tables in self._context.reads.items():
             if table in tables and other not in ("", name):
                 readers.append(other)
         if readers:
@@ -182,11 +173,7 @@ class SettingBuilder:
     def _component(self, name: str, spec: Kind) -> Component:
         """Build a component with other parameters, in a context of its own."""
         scenario = replace(self._scenario, specs={**self._specs, name: spec})
-        unpacked = self._context.fmus.unpacked
-        context = ScenarioBuildContext(
-            scenario, self._resources, self._recording, unpacked=unpacked
-        )
-        context.records.begin(name)
+        context = self._context.beside(scenario, name)
         component = spec.build(name, context)
         component = with_units(component, spec.units_of(component.interface))
         return spec.with_period(component, spec.period_steps(name, context.step_ns))

@@ -7,7 +7,6 @@ else an FMU remembers, its discrete states, begins anew, with an event.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from cosim.core.contracts import Component
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Swap
 from cosim.errors import UsageError, listing
-from cosim.scenario.context.build_context import ScenarioBuildContext
+from cosim.scenario.context import ScenarioBuildContext
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.swaps import component_table
@@ -59,7 +58,6 @@ class SwapBuilder:
     context : ScenarioBuildContext
         In which the components of the run were built; takes what is opened.
     components : mapping of name to Component
-    resources : ExitStack
     """
 
     def __init__(
@@ -67,12 +65,10 @@ class SwapBuilder:
         scenario: Scenario,
         context: ScenarioBuildContext,
         components: Mapping[str, Component],
-        resources: ExitStack,
     ) -> None:
         self._scenario = scenario
         self._context = context
         self._components = components
-        self._resources = resources
 
     def action(self, name: str, path: str) -> Swap:
         """Return what swaps a component.
@@ -84,7 +80,7 @@ class SwapBuilder:
         CosimError
             If the FMU cannot be opened.
         """
-        source = self._context.fmus.model_exchange.get(name)
+        source = self._context.model_exchange.get(name)
         if source is None or not source.state_names:
             raise UsageError(
                 f"the state of {name!r} cannot be transferred: it has no named continuous states; "
@@ -93,11 +89,9 @@ class SwapBuilder:
         table = component_table(name, path)
         spec = KINDS[table["kind"]].model_validate(table)
         scenario = replace(self._scenario, specs={**self._scenario.specs, name: spec})
-        unpacked = self._context.fmus.unpacked
-        context = ScenarioBuildContext(scenario, self._resources, None, unpacked=unpacked)
-        context.records.begin(name)
+        context = self._context.beside(scenario, name)
         component = spec.build(name, context)
-        target = context.fmus.model_exchange.get(name)
+        target = context.model_exchange.get(name)
         if target is None:
             raise UsageError(
                 f"the state of {name!r} cannot be transferred to {path}, which has no named "
@@ -106,7 +100,7 @@ class SwapBuilder:
         _check_states(name, path, source, target)
         interface = self._components[name].interface
         _check_interface(name, path, interface, component.interface)
-        self._context.fmus.opened[f"{name} ({path})"] = context.fmus.opened[name]
+        self._context.fmus[f"{name} ({path})"] = context.fmus[name]
         return Swap(name, Declared(component, interface), path, StateTransfer(source, target))
 
 

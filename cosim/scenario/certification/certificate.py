@@ -36,8 +36,8 @@ from cosim.core.signals import Layout
 from cosim.documents import plain
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
 from cosim.instants import NANOSECONDS, StepNs, step_part, step_seconds, step_value
-from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch

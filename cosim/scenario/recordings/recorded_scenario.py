@@ -10,7 +10,7 @@ from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.core.recording import CompleteRecording
 from cosim.errors import LogError, command
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.parsing import read
 from cosim.scenario.record import component_metadata, component_record, run_metadata

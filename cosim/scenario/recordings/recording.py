@@ -29,7 +29,7 @@ from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.native.fmi.process import report_log
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of
@@ -142,7 +142,7 @@ def record(
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
         return memory
-    is_read = Path(os.path.realpath(log_path(out))) in experiment.files
+    is_read = Path(os.path.realpath(log_path(out))) in experiment.built.files
     if is_read and not target.numbered:
         raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target)

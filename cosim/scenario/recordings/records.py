@@ -18,9 +18,9 @@ from cosim.documents import plain
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
 from cosim.scenario.actions.settings import SETTINGS
-from cosim.scenario.building.build import asks_for_means
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.build import asks_for_means
+from cosim.scenario.experiment import Experiment
+from cosim.scenario.fingerprint import fingerprint
 from cosim.scenario.record import MEANS
 from cosim.scenario.recordings.viewer_panels import viewer_panels
 
@@ -50,8 +50,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         run["until"] = settings.until
     if experiment.gains:
         run["loop_gains"] = json.dumps(list(map(plain, experiment.gains)))
-    if experiment.models:
-        run["models"] = json.dumps(experiment.models)
+    if experiment.built.model_records:
+        run["models"] = json.dumps(experiment.built.model_records)
     if experiment.origin is not None:
         run["replay"] = json.dumps(plain(experiment.origin))
     connections = {}
@@ -80,7 +80,7 @@ def _record_of(experiment: Experiment, name: str) -> dict[str, str]:
     record = {
         "table": json.dumps(scenario.tree["components"][name]),
         "metadata": json.dumps(experiment.metadata.get(name, {})),
-        "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
+        "fingerprint": fingerprint(scenario, name, experiment.built.reads[name]),
     }
     graph = experiment.graph
     as_of_old = name in graph.means and not asks_for_means(scenario.specs[name])
@@ -117,7 +117,7 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
     attachments = [Attachment(SCENARIO_FILE, "application/toml", text.encode())]
     attachments += [
         Attachment(name, "application/xml", xml.encode())
-        for name, xml in experiment.attachments.items()
+        for name, xml in experiment.built.attachments.items()
     ]
     graph = experiment.graph
     selection = experiment.scenario.file.record.selection
@@ -130,5 +130,5 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
     if embed:
         from cosim.scenario.recordings.embedding import embedded_fmus  # rarely needed
 
-        attachments += embedded_fmus(experiment.fmu_files)
+        attachments += embedded_fmus(experiment.built.fmu_files)
     return attachments

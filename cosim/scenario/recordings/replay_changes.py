@@ -12,8 +12,8 @@ from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
 from cosim.errors import ScenarioError, UsageError, command, flag, option
 from cosim.instants import step_value
-from cosim.scenario.building.build import parse
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.build import parse
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recordings.recorded_span import check_end
@@ -218,7 +218,7 @@ def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
     """Return the components that are changed themselves, or by a table that they read."""
     origins = set()
     for name in experiment.scenario.specs:
-        if f"components.{name}" in changed or experiment.reads[name] & changed:
+        if f"components.{name}" in changed or experiment.built.reads[name] & changed:
             origins.add(name)
     for table in changed:
         kind, _, name = table.partition(".")

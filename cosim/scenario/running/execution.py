@@ -25,8 +25,8 @@ from cosim.errors import UsageError, flag, option, warn
 from cosim.log import Log
 from cosim.log.mcap_file.rotation import Rotation, read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
-from cosim.scenario.building.build import parse
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.build import parse
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import (

@@ -25,7 +25,7 @@ from cosim.errors import UsageError, option
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import (

@@ -14,7 +14,7 @@ from cosim.core.recorders import Nothing
 from cosim.core.simulation import Simulation
 from cosim.errors import UsageError
 from cosim.log.mcap_file.paths import log_path
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.message_recorder import MessageRecorder
@@ -50,7 +50,7 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
         return Opened(simulation, unlogged, lambda: None, lambda: unlogged.warnings)
     if is_next:
         target = Target(out, numbered=True)
-    elif log_path(out).resolve() in experiment.files and not target.numbered:
+    elif log_path(out).resolve() in experiment.built.files and not target.numbered:
         raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target, events=True)
     recorder = MessageRecorder(chosen_of(experiment, log), experiment)

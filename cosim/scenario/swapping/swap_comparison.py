@@ -24,9 +24,10 @@ from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.coupling_check import with_loop_gains
-from cosim.scenario.building.experiment import Experiment, warnings_among
+from cosim.scenario.build import Builder, parse
+from cosim.scenario.context import Origins
+from cosim.scenario.coupling import with_loop_gains
+from cosim.scenario.experiment import Experiment, warnings_among
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.record import component_metadata, component_record
@@ -198,7 +199,7 @@ class _SwapComparison:
         before, unbuilt = _replaced_components(scenario, unpacked)
         self._interfaces = {name: part.component.interface for name, part in before.items()}
         builder = self._builder()
-        fmus = builder.context.fmus.opened
+        fmus = builder.context.fmus
         # The messages of FMUs from when they are loaded belong to the run, those of the comparison
         # do not.
         self._messages: dict[str, Sequence[Message]] = {}
@@ -213,10 +214,10 @@ class _SwapComparison:
                 reports[name] = self._compare(builder, name, part)
         problems = tuple(self._initial.problems)
         imported = {}
-        for name, metadata in builder.context.records.metadata.items():
+        for name, metadata in builder.context.metadata.items():
             if "code" in metadata:
                 imported[name] = str(metadata["code"]["class"])
-        warnings = tuple(dict.fromkeys([*builder.context.records.warnings, *of_run]))
+        warnings = tuple(dict.fromkeys([*builder.context.warnings, *of_run]))
         failure = self._initial.failure
         self.reports = SwapReports(reports, problems, failure, imported, warnings, unbuilt)
         self._repeats = self._initial.repeats()
@@ -227,9 +228,9 @@ class _SwapComparison:
         return Builder(
             self._scenario,
             self._resources,
+            Origins(unpacked=self._unpacked),
             block=self._block,
             replaced=self._interfaces,
-            unpacked=self._unpacked,
         )
 
     def _compare(self, builder: Builder, name: str, before: _ReplacedComponent) -> SwapReport:
@@ -250,7 +251,9 @@ class _SwapComparison:
         experiment = self._initial.experiment
         if experiment is None or not self._repeats:
             return self.rebuilt()
-        return replace(experiment, plan=self._initial.plan, messages=self._messages)
+        experiment.plan = self._initial.plan
+        experiment.messages = self._messages
+        return experiment
 
     def rebuilt(self) -> Experiment:
         """Return the experiment, built anew."""
@@ -298,7 +301,7 @@ def _replaced_components(
     unbuilt: dict[str, str] = {}
     with ExitStack() as resources, suppress(CosimError):
         original, problems = read(scenario.document.unswapped(), parse)
-        builder = Builder(original, resources, problems=problems, unpacked=unpacked)
+        builder = Builder(original, resources, Origins(unpacked=unpacked), problems=problems)
         state = _InitialState(builder)
         for name in scenario.document.swapped_components():
             if name in builder.components:

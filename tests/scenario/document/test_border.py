@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, UsageError
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.places import key_lines, report
 from cosim.scenario.text import Document, find, parse_value, plain, shipped
 from tests.scenario.refusals import check_refused

@@ -64,7 +64,7 @@ import cosim
 from cosim.core import Clock, Graph, Interface, Memory, Signal
 from cosim.errors import Interrupted
 from cosim.scenario.recordings import recording
-from cosim.scenario.building.build import Builder
+from cosim.scenario.build import Builder
 
 class Slow:
     # From step 20 000 on a step takes 500 times as long as before; there the signals are sent.

@@ -12,7 +12,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.build import Builder, parse
 from cosim.scenario.text import Document, find
 from cosim.theory.disturbances import regression
 from cosim.theory.observers import observer
@@ -304,7 +304,7 @@ def test_a_build_designs_every_component_once(monkeypatch):
         experiment = Builder(cosim.load("academic"), resources).experiment()
     assert sorted(calls) == ["observer", "regressor"]
     tables = {"components.observer", "components.regressor", "models.academic"}
-    assert experiment.reads["identifier"] == tables
+    assert experiment.built.reads["identifier"] == tables
 
 
 # --- the language of the caller ---

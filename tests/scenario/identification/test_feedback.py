@@ -5,7 +5,7 @@ from contextlib import ExitStack
 import pytest
 
 import cosim
-from cosim.scenario.building.build import Builder
+from cosim.scenario.build import Builder
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identifying import identifier_record
 from cosim.scenario.running.execution import load

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.text import Document
 
 LOOP = """

@@ -24,7 +24,7 @@ from cosim.fmi.options import FmuOptions
 from cosim.native.estimation.alphas import AlphaSignal
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.programs import evaluate_at
-from cosim.scenario.building.build import Builder
+from cosim.scenario.build import Builder
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.parameters import parameters_of
 from cosim.scenario.kinds.regressor import RegressorKind

@@ -11,7 +11,7 @@ import cosim
 from cosim.blocks.sampled import Sampled
 from cosim.errors import ScenarioError
 from cosim.scenario import kinds
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.kinds.base import PeriodicKind
 from cosim.scenario.text import Document

@@ -11,7 +11,7 @@ import pytest
 import cosim
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import prepare
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.build import Builder, parse
 from cosim.scenario.kinds.compensators import LARGEST_ERROR
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.text import Document

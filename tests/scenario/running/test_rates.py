@@ -15,7 +15,7 @@ from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import ClockError, ScenarioError, UsageError
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.exporting import export_component
 from cosim.scenario.text import Document
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 import cosim
-from cosim.scenario.building.build import parse
+from cosim.scenario.build import parse
 from cosim.scenario.exporting import export_component
 from cosim.scenario.text import find
 from tests.scenario.signals import signals

@@ -24,8 +24,8 @@ from cosim.core.graph import Graph
 from cosim.core.recording import Plan
 from cosim.errors import CosimError, listing
 from cosim.instants import step_value
-from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.changed_loops import ChangedLoops, changed_loops
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.places import Key, Problem
 from cosim.scenario.schema import Settings
@@ -64,13 +64,14 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
     """
     graph = experiment.graph
     has_loop = any(stage.is_loop for stage in graph.stages)
-    own = () if experiment.modules else graph.components.keys() - experiment.fmus.keys()
+    own = () if experiment.built.modules else graph.components.keys() - experiment.fmus.keys()
     is_to_begin = LinearizedLoops.may_be_known(graph) or may_be_unresolved(graph, own)
     if not (has_loop or is_to_begin):
         return experiment
-    messages = {name: [*experiment.messages.get(name, ())] for name in experiment.fmus}
-    for name, fmu in experiment.fmus.items():
-        messages[name] += fmu.drain()
+    messages = {
+        name: [*experiment.messages.get(name, ()), *fmu.drain()]
+        for name, fmu in experiment.fmus.items()
+    }
     beginning = _Beginning(graph, experiment.clock, experiment.plan, is_to_begin=is_to_begin)
     loops = beginning.loops()
     step_warnings = beginning.step_warnings(loops)
@@ -78,32 +79,34 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
     if experiment.fmus and not beginning.repeats():
         experiment = rebuild()
     else:
-        experiment = replace(experiment, plan=beginning.plan, messages=messages)
+        experiment.plan = beginning.plan
+        experiment.messages = messages
         for fmu in experiment.fmus.values():
             fmu.discard()  # the run says the same again
     first = report_on(loops, experiment.scenario)
     reports: list[tuple[Key, CouplingReport]] = [(("scenario", "step"), first)]
-    for changed in changes:
-        reports.append((changed.key, report_behind(changed)))
+    reports += [(changed.key, report_behind(changed)) for changed in changes]
     settings = experiment.scenario.file.scenario
     gains: list[LoopGain] = []
-    warnings: list[str] = []
     problems: list[Problem] = []
     for key, report in reports:
         gains += report.gains
-        warnings += report.warnings
+        noted = report.warnings
         if settings.coupling_check == "warn":
-            warnings += report.refusals
-            continue
-        for text in report.refusals:
-            problems.append((key, f'{text}; coupling_check = "warn" runs it anyway'))
+            noted += report.refusals
+        else:
+            way_out = '; coupling_check = "warn" runs it anyway'
+            problems += [(key, text + way_out) for text in report.refusals]
+        for text in noted:
+            experiment.built.warn(COUPLING, text)
     if problems:
         raise experiment.scenario.document.report(problems)
     _note(experiment.graph, first.gains)
     experiment.graph.watched = _watched(first.gains, settings)
-    coupling_warnings = tuple((COUPLING, text) for text in warnings)
-    all_warnings = (*experiment.warnings, *coupling_warnings, *step_warnings)
-    return replace(experiment, gains=tuple(gains), warnings=all_warnings)
+    for name, text in step_warnings:
+        experiment.built.warn(name, text)
+    experiment.gains = tuple(gains)
+    return experiment
 
 
 class _Beginning:

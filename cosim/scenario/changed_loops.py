@@ -21,7 +21,7 @@ from cosim.core.linearization import Linearized
 from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION
 from cosim.errors import CosimError
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.experiment import Experiment
 from cosim.scenario.places import Key
 from cosim.scenario.schema import ActionTable
 

@@ -1,1 +1,0 @@
-"""From the tables of a scenario to its graph and clock, checked as a whole."""
