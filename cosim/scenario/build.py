@@ -20,8 +20,9 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.signals import Channel, Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
+from cosim.core.structure.feedthrough import find_feedthrough
 from cosim.core.structure.ports import Ports, layout_of
-from cosim.errors import CosimError, RollbackError, UsageError
+from cosim.errors import AlgebraicLoopError, CosimError, RollbackError, UsageError
 from cosim.scenario.actions.stopping import check_until, until_warnings
 from cosim.scenario.context import (
     TABLES_ALONE,
@@ -425,12 +426,31 @@ class Builder:
         is_unread = ("components",) in self.scenario.invalid
         is_unknown = is_unread or any(key[:1] == ("connections",) for key in keys)
         if self._invalid or is_known or is_unknown:
-            return []
+            return self._loop_problems()
         try:
             graph = self._graph()
         except CosimError as error:
             return self._problems_of(error)
         return jump_problems(self.scenario, graph)
+
+    def _loop_problems(self) -> list[Problem]:
+        """Return the problems of algebraic loops among what is right, where not all of it is."""
+        known = {n: c.interface for n, c in self.components.items() if n not in self._invalid}
+        sources: dict[str, dict[str, tuple[Port, ...]]] = {}
+        for name, interface in known.items():
+            sources[name] = {signal.name: () for signal in interface.inputs}
+        for to, connection in self._connections.items():
+            ends = [to, *connection.sources]
+            if all(end.component in known for end in ends) and all(
+                end.find(known[end.component].by_name) is not None for end in ends
+            ):
+                whole = tuple(source.whole for source in connection.sources)
+                sources[to.component][to.signal] += whole
+        try:
+            find_feedthrough(known, sources, iterates=True)
+        except AlgebraicLoopError as error:
+            return [_problem_of(error)]
+        return []
 
     def experiment(self) -> Experiment:
         """Return the experiment.

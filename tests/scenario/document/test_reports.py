@@ -78,6 +78,44 @@ def test_mistakes_of_all_layers_come_together():
     assert len(lines) == len(expected), lines
 
 
+SIX_LAYERS = """
+[scenario]
+name = "six"
+stop = 1.0
+step = 0.1
+couplin = "jacobi"
+
+[components]
+a = { kind = "sinus" }
+b = { kind = "sine", amplitude = 1.0 }
+c = { kind = "constant", value = 1.0, unit = "s" }
+x = { kind = "lag", time_constant = 1.0, initial = 0.0, unit = { u = "m", y = "m" } }
+d = { kind = "discrete-state-space", A = [[0.5]], B = [[1.0]], C = [[1.0]], D = [[1.0]], period = 0.1 }
+k = { kind = "gain", K = 2.0 }
+
+[connections]
+"x.u" = "c.y"
+"nobody.u" = "c.y"
+"d.u" = "k.y"
+"k.u" = "d.y"
+"""
+
+
+def test_a_problem_of_one_layer_hides_none_of_another():
+    """A wrong key, an unknown kind, a missing one, a unit, a connection to nothing, a loop."""
+    found = [line.split(": ")[:2] for line in report(SIX_LAYERS)]
+    assert found == [
+        ["x.toml:6", "scenario.couplin"],
+        ["x.toml:9", "components.a.kind"],
+        ["x.toml:10", "components.b"],
+        ["x.toml:17", "connections.x.u"],
+        ["x.toml:18", "connections.nobody.u"],
+        ["x.toml:16", "connections"],
+    ]
+    assert "d.y" in report(SIX_LAYERS)[-1]
+    assert "algebraic loop" in report(SIX_LAYERS)[-1]
+
+
 MISTAKES = [
     ("filter_rate = 1e3", "filter_rat = 1e3"),
     ("[connections]", "[conections]"),
