@@ -167,7 +167,7 @@ def list_(
 
 def show(scenario: ScenarioArgument) -> None:
     """Print the text of a scenario, as a template for your own."""
-    from cosim.scenario.text import find
+    from cosim.scenario.document.document import find
 
     # a pipe ends in a terminal, too; what is escaped here is in no scenario that can be read
     typer.echo(printable(find(scenario).text), nl=False)

@@ -68,7 +68,7 @@ def _numbers(name: str, text: str | None) -> list[float] | None:
     """Read a number or a list of numbers."""
     if text is None:
         return None
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
 
     value = parse_value(text)
     listed = value if isinstance(value, list) else [value]

@@ -12,7 +12,7 @@ from cosim.errors import UsageError
 from cosim.terminal import show_count
 
 if TYPE_CHECKING:
-    from cosim.scenario.identifying import IdentifierRecord
+    from cosim.scenario.running.identifying import IdentifierRecord
 
 LogsArgument = Annotated[
     list[Path],
@@ -87,7 +87,7 @@ def identify(
     from cosim.log import open_log
     from cosim.report.tables.console import print_line
     from cosim.report.tables.identification import print_identification, report_identification
-    from cosim.scenario.identifying import identifier_record, identify_records
+    from cosim.scenario.running.identifying import identifier_record, identify_records
 
     if irregular is not None and not 0.0 < irregular < float("inf"):
         raise UsageError(f"--irregular: expected a positive number, got {irregular:g}")
@@ -117,7 +117,7 @@ def _bounds(text: str | None, record: IdentifierRecord) -> dict[int, tuple[float
     """Read --bounds, a row for each parameter of the identifier; None: those of the scenario."""
     if text is None:
         return None
-    from cosim.scenario.identification.model import bounds_of
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
+    from cosim.scenario.kinds.identified_plant import bounds_of
 
     return bounds_of(parse_value(text), record.identified.parameters)

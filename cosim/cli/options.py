@@ -195,7 +195,7 @@ def read_edits(
 
     ``options`` are the values of --stop and --step, by the keys that they set.
     """
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
 
     edits = {}
     for key, text in read_pairs(texts, "set").items():

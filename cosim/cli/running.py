@@ -49,7 +49,7 @@ from cosim.errors import UsageError
 from cosim.terminal import show_progress
 
 if TYPE_CHECKING:
-    from cosim.scenario.parsing import Scenario
+    from cosim.scenario.building.parsing import Scenario
 
 
 BEGAN = perf_counter()
@@ -294,7 +294,7 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
         If the scenario cannot run with them.
     """
     from cosim.report.tables.comparison import print_dry_run
-    from cosim.scenario.swapping.swap_comparison import dry_run
+    from cosim.scenario.recordings.swap_comparison import dry_run
 
     with prints_to_stderr():
         reports = dry_run(scenario)

@@ -16,7 +16,7 @@ def read_variations(texts: list[str]) -> dict[str, list[Any]]:
         If there is no '=', a value is empty, or a key is given twice.
     """
     from cosim.cli.options import read_unique_pairs
-    from cosim.scenario.text import parse_values
+    from cosim.scenario.document.document import parse_values
 
     variations = {}
     for key, text in read_unique_pairs(texts, "vary").items():

@@ -159,7 +159,7 @@ def certificate(recording: RecordedRun) -> StepCertificate:
     """Return the certificate of a run: the error of its communication step, signal by signal.
 
     It is Richardson's estimate from runs with half the step and a quarter, where these show one:
-    :mod:`cosim.theory.richardson` and :mod:`cosim.scenario.certification.certificate`.
+    :mod:`cosim.theory.richardson` and :mod:`cosim.scenario.running.certificate`.
 
     Raises
     ------

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arguments import mapping_argument, path_argument, swap_argument, truth_argument
 from cosim.arrays import Vector
-from cosim.core.port import split_element
+from cosim.core.port import named_ports, split_element
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recording
@@ -23,22 +23,21 @@ from cosim.files import file_type
 from cosim.log import Log, open_log
 from cosim.report.recorded_rows import difference, has_signal, rows_of, stacked_rows_of
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
-from cosim.scenario.kinds.variants import foreign_keys
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.record import recorded_identification, truth_of
-from cosim.scenario.recordings.recording import check_target
-from cosim.scenario.running.execution import load, run
-from cosim.scenario.running.replay import replay
-from cosim.scenario.schema import truth_ports
-from cosim.scenario.swaps import (
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import component_in, short
+from cosim.scenario.document.swaps import (
     PortNames,
     component_table,
     marked_path,
     port_names,
 )
-from cosim.scenario.text import component_in, short
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
+from cosim.scenario.kinds.variants import foreign_keys
+from cosim.scenario.record import recorded_identification, truth_of
+from cosim.scenario.recordings.recording import check_target
+from cosim.scenario.running.execution import load, run
+from cosim.scenario.running.replay import replay
 from cosim.temporary import TemporaryFolder
 from cosim.theory.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
@@ -547,8 +546,8 @@ def _result(
     error_port = f"{component}.standard_error"
     theta = _last(recording, port)
     true = truth_of(recording).get(port)
-    if true is not None and truth_ports(true):
-        _, rows = stacked_rows_of(recording, truth_ports(true), like=port)
+    if true is not None and named_ports(true):
+        _, rows = stacked_rows_of(recording, named_ports(true), like=port)
         true = rows[-1] if len(rows) else np.nan
     verdicts = recorded_identification(recording).get(component)
     return EstimatorResult(

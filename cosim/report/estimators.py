@@ -14,7 +14,7 @@ from cosim.core.recorded.partial import declared_channels, is_recorded_whole
 from cosim.core.recording import Recording
 from cosim.errors import LogError
 from cosim.report.recorded_rows import element_names, has_signal
-from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
+from cosim.scenario.kinds.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.record import (
     Compensation,
     ComponentRecord,

@@ -24,9 +24,11 @@ from cosim.instants import NANOSECONDS, step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
-from cosim.scenario.build import DescribedScenario, describe
-from cosim.scenario.coupling import described_gains, gain_values
+from cosim.scenario.building.build import DescribedScenario, describe
+from cosim.scenario.building.coupling import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
+from cosim.scenario.document.document import find
+from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.record import (
     component_table,
     recorded_certificate,
@@ -37,8 +39,6 @@ from cosim.scenario.record import (
     replay_origin,
     run_metadata,
 )
-from cosim.scenario.schema import ActionTable
-from cosim.scenario.text import find
 from cosim.units import units_text
 
 if TYPE_CHECKING:

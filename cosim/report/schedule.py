@@ -13,9 +13,9 @@ from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
 from cosim.instants import step_seconds
 from cosim.report.tables.console import new_table, print_json, print_tables
-from cosim.scenario.build import describe
+from cosim.scenario.building.build import describe
+from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling
-from cosim.scenario.text import find
 
 InputCourse: TypeAlias = Literal[
     "linear",

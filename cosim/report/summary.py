@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.port import named_ports
 from cosim.core.recorded.partial import declared_channels, is_recorded_whole
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage, find_signal
@@ -35,7 +36,6 @@ from cosim.report.recorded_rows import (
     rows_of,
 )
 from cosim.scenario import record
-from cosim.scenario.schema import truth_ports
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def summarize(recording: RecordedRun) -> Summary:
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
-        ports = truth_ports(true)
+        ports = named_ports(true)
         if ports:
             signals.append(_signal_error(recording, estimate, ports, since))
         else:

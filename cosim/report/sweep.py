@@ -12,11 +12,11 @@ from cosim.errors import Interrupted, RunError, UsageError, option, quoted
 from cosim.files import file_type
 from cosim.log import Log
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.recordings.recording import Progress, Target
 from cosim.scenario.running.combinations import check_varied, combination_text, combinations
 from cosim.scenario.running.replay import Replays, replays_of
-from cosim.scenario.swaps import PortNames
 
 ERROR: Final = " error"  # after the name of what it is of
 HALF_WIDTH: Final = " half-width"

@@ -21,11 +21,11 @@ from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.build import Builder
-from cosim.scenario.context import ScenarioBuildContext, clock_of
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.context import ScenarioBuildContext, clock_of
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds import KINDS, ExportableKind
 from cosim.scenario.kinds.plants import DescriptorKind
-from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
 
 ZERO_ORDER_HOLD_OUTPUTS = (

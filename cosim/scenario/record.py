@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.port import named_ports
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import INNER_STEP, Recording
@@ -23,7 +24,6 @@ from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
 from cosim.errors import LogError, quoted, shortened
-from cosim.scenario.schema import truth_ports
 from cosim.theory.documents import Bias, ParameterVerdict, StepError, UndetectedError
 from cosim.units import Unit, conversions_between, units_text
 from cosim.version import __version__
@@ -602,7 +602,7 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     label = record_label(recording, "truth")
     kept = {}
     for estimate, truth in (_of_run(recording, "truth", kind) or {}).items():
-        named = truth_ports(truth)
+        named = named_ports(truth)
         estimated, *true = [
             find_signal(declared, name, source=label) for name in (estimate, *named)
         ]

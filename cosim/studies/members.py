@@ -28,8 +28,8 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
-from cosim.scenario.experiment import Experiment
-from cosim.scenario.preparing import build_experiment
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, record, run_rows
 from cosim.scenario.running.replay import replays_of
 from cosim.studies.contracts import (
@@ -47,7 +47,7 @@ from cosim.studies.study_file import load_scenario
 from cosim.temporary import without_folders
 
 if TYPE_CHECKING:
-    from cosim.scenario.swapping.swap_report import SwapReports
+    from cosim.scenario.recordings.swap_report import SwapReports
 
 CODE: Final = "code of "  # before the name of a class of users
 _OPEN_LOGS: Final = 4  # whose rows may be in memory
@@ -215,7 +215,7 @@ class OpenedSubject:
 
     def _compare(self, swaps: tuple[tuple[str, str], ...]) -> SwapReports | None:
         """Compare swaps without what is varied beside them; None: they are refused without it."""
-        from cosim.scenario.swapping.swap_comparison import compare_swaps  # rarely needed
+        from cosim.scenario.recordings.swap_comparison import compare_swaps
 
         subject = self.subject
         try:

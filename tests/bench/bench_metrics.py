@@ -30,7 +30,7 @@ from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory, Nothing
 from cosim.core.recording import Plan
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.studies.measuring import MetricRecorder
 from cosim.studies.members import BLOCK_BYTES

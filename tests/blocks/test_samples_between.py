@@ -21,7 +21,7 @@ from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.options import FmuOptions
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error

@@ -17,8 +17,8 @@ from cosim.report.plots.runs import estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.estimates import IF_WRONG, estimate_notes
 from cosim.report.tables.identification import report_identification
-from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import IDENTIFICATION
+from cosim.scenario.running.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 

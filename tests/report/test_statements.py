@@ -9,7 +9,7 @@ from cosim.errors import CosimError, RunError
 from cosim.log import open_log
 from cosim.report.statements import Contradiction
 from cosim.report.verification import verify
-from cosim.scenario.text import shipped
+from cosim.scenario.document.document import shipped
 from tests.log.crafting import put_together, take_apart
 from tests.report.forging import forged, with_own_hash
 

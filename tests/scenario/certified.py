@@ -3,8 +3,8 @@
 from pathlib import Path
 from textwrap import dedent
 
-from cosim.scenario.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 
 MODULE = '''
 import numpy as np

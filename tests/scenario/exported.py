@@ -11,8 +11,8 @@ import pytest
 
 from cosim.core.contracts import Component, prepare
 from cosim.core.linear import LinearModel
-from cosim.scenario.build import Builder
-from cosim.scenario.context import ScenarioBuildContext
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.exporting import export_component
 from cosim.scenario.running.execution import load
 from tests.scenario.signals import signals

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cosim.scenario.context import ScenarioBuildContext
+from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.exporting import export_component
 from cosim.scenario.running.execution import load
 

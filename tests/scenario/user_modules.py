@@ -2,8 +2,8 @@
 
 import textwrap
 
-from cosim.scenario.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 
 RELAY = '''
 import numpy as np

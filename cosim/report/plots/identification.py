@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.core.port import named_ports
 from cosim.errors import AssumptionError
 from cosim.report.plots.curves import Curve, color_styles, draw_curves
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
@@ -22,9 +23,8 @@ from cosim.report.plots.runs import (
     limit_to_settled,
 )
 from cosim.report.recorded_rows import stacked_rows_of, units_of
-from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.scenario.record import truth_of
-from cosim.scenario.schema import truth_ports
+from cosim.scenario.running.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.spectrum import whiteness_spectrum
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.documents import Verdict
@@ -154,7 +154,7 @@ def _why_no_band(identification: LogIdentification) -> str:
 
 def _true_disturbance(record: IdentifierRecord, true: Any) -> Vector:
     """Return the true disturbance at the samples, on straight lines between its rows."""
-    ports = truth_ports(true)
+    ports = named_ports(true)
     if not ports:
         return np.full(len(record.data.t), float(np.atleast_1d(true)[0]))
     estimate = f"{record.identified.observer}.delta"

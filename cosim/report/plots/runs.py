@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.core.port import named_ports
 from cosim.core.recorded.selection import split_names
 from cosim.core.recording import Recording
 from cosim.errors import UsageError
@@ -40,7 +41,6 @@ from cosim.report.recorded_rows import (
     units_of,
 )
 from cosim.scenario.record import run_metadata, truth_of
-from cosim.scenario.schema import truth_ports
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 from cosim.units import units_text, with_unit
 
@@ -337,7 +337,7 @@ def error_curves(recording: Recording, estimate: str, options: PictureOptions) -
     An estimate that lags is compared with the truth that much earlier.
     """
     true = truth_of(recording)[estimate]
-    ports = truth_ports(true)
+    ports = named_ports(true)
     if ports:
         times, estimated, truth = beside_truth(recording, estimate, ports)
     else:
@@ -359,7 +359,7 @@ def draw_truth(
 ) -> list[Vector]:
     """Draw the true signals, or values, of an estimate in gray; return what is drawn."""
     true = truth_of(recording)[estimate]
-    ports = truth_ports(true)
+    ports = named_ports(true)
     drawn: list[Vector] = []
     for port, units in zip(ports, stacked_units(recording, ports, estimate), strict=True):
         for curve in curves_of(recording, port, options, like=units):

@@ -22,16 +22,16 @@ KINDS_TITLE = "component kinds ([optional] parameters; details: cosim list KIND)
 
 def print_catalog(*, as_json: bool) -> None:
     """Print the shipped scenarios and the component kinds with their parameters."""
-    from cosim.scenario.kinds import KINDS
-    from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.schema import (
+    from cosim.scenario.document.document import find, shipped
+    from cosim.scenario.document.schema import (
         ActionTable,
         ModelTable,
         RecordTable,
         Settings,
     )
-    from cosim.scenario.text import find, shipped
-    from cosim.scenario.user_kinds.installed_kinds import installed_classes, refusal
+    from cosim.scenario.kinds import KINDS
+    from cosim.scenario.kinds.installed_kinds import installed_classes, refusal
+    from cosim.scenario.kinds.parameters import parameters_of
 
     scenarios = {}
     for name in shipped():
@@ -78,8 +78,8 @@ def print_kind(name: str, *, as_json: bool) -> None:
         If there is no such kind.
     """
     from cosim.scenario.kinds import KINDS
+    from cosim.scenario.kinds.installed_kinds import installed_class, installed_classes
     from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.user_kinds.installed_kinds import installed_class, installed_classes
 
     if name in KINDS:
         kind = KINDS[name]

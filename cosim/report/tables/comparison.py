@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cosim.log.comparison.event_difference import EventsDifference
     from cosim.report.comparing import Comparison, EstimatorComparison, EstimatorResult
     from cosim.report.sweep import ReplaySweep, SweepRow
-    from cosim.scenario.swapping.swap_report import SwapReports
+    from cosim.scenario.recordings.swap_report import SwapReports
 
 # --- logs ---
 

@@ -22,10 +22,10 @@ from cosim.report.tables.estimates import (
     term_notes,
     value_text,
 )
-from cosim.scenario.identification.irregular import irregular_part
-from cosim.scenario.identification.run_verdicts import verdicts_of
-from cosim.scenario.identifying import IdentifierRecord, LogIdentification
+from cosim.scenario.kinds.irregular import irregular_part
+from cosim.scenario.kinds.run_verdicts import verdicts_of
 from cosim.scenario.record import IrregularPart
+from cosim.scenario.running.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
 from cosim.theory.assessment.validation import Validation, ValidationVerdict
 from cosim.theory.bounded.feasible_program import MOST_PROGRAMS_IN_ALL, Watch

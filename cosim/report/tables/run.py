@@ -34,7 +34,7 @@ from cosim.report.tables.estimates import (
     guaranteed_texts,
     noise_of_y,
 )
-from cosim.scenario.coupling import gain_text
+from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
 from cosim.theory.documents import Verdict
 

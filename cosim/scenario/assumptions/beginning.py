@@ -14,13 +14,13 @@ from cosim.core.gain.resolution import Resolution, resolution
 from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
-from cosim.scenario.build import Builder
-from cosim.scenario.changed_loops import changed_loops
-from cosim.scenario.context import DependsOnInvalid
-from cosim.scenario.coupling import CouplingReport, report_behind, report_on
-from cosim.scenario.experiment import Experiment, warnings_among
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.changed_loops import changed_loops
+from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.coupling import CouplingReport, report_behind, report_on
+from cosim.scenario.building.experiment import Experiment, warnings_among
+from cosim.scenario.document.places import Problem
 from cosim.scenario.kinds.initial_states import change_text, changed_states
-from cosim.scenario.places import Problem
 
 BEGINNING: Final = "beginning of the run"
 

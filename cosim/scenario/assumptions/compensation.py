@@ -15,10 +15,10 @@ from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.assumptions.beginning import Beginning
-from cosim.scenario.build import Builder
-from cosim.scenario.context import DependsOnInvalid
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.known_truth import covariance_of, noise_of
 from cosim.scenario.kinds.compensators import CompensatorKind
-from cosim.scenario.known_truth import covariance_of, noise_of
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import (

@@ -11,8 +11,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.numerics.householder import triangle
 from cosim.scenario.assumptions.attempts import Evidence, attempted
-from cosim.scenario.build import Builder
-from cosim.scenario.context import DependsOnInvalid
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.identification_start import start_time

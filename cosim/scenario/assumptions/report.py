@@ -23,21 +23,21 @@ from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
 from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck
 from cosim.scenario.assumptions.regression import RegressorCheck
-from cosim.scenario.build import Builder
-from cosim.scenario.context import DependsOnInvalid
-from cosim.scenario.coupling import (
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.coupling import (
     COUPLING,
     CouplingReport,
     gain_text,
     gain_values,
 )
+from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.known_truth import disturbance_among, parameters_by_term
-from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import (
     DECOUPLING,

@@ -18,12 +18,12 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.experiment_design.subject import DesignSubject
-from cosim.scenario.identification.feedback import inputs_in_feedback
-from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.experiment_design.bound import AccuracyBound, accuracy_bound

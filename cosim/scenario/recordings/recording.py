@@ -29,7 +29,7 @@ from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.native.fmi.process import report_log
-from cosim.scenario.experiment import Experiment
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of

@@ -17,10 +17,10 @@ from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.documents import plain
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
-from cosim.scenario.actions.settings import SETTINGS
-from cosim.scenario.build import asks_for_means
-from cosim.scenario.experiment import Experiment
-from cosim.scenario.fingerprint import fingerprint
+from cosim.scenario.building.build import asks_for_means
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.building.settings import SETTINGS
 from cosim.scenario.record import MEANS
 from cosim.scenario.recordings.viewer_panels import viewer_panels
 

@@ -12,13 +12,13 @@ from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
 from cosim.errors import ScenarioError, UsageError, command, flag, option
 from cosim.instants import step_value
-from cosim.scenario.build import parse
-from cosim.scenario.experiment import Experiment
+from cosim.scenario.building.build import parse
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.document.document import ACTIONS, Document, short
+from cosim.scenario.document.swaps import PortNames, component_table
 from cosim.scenario.kinds import Kind
-from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recordings.recorded_span import check_end
-from cosim.scenario.swaps import PortNames, component_table
-from cosim.scenario.text import ACTIONS, Document, short
 
 EVERYWHERE = {  # what matters to all inputs
     "scenario.input_interpolation",

@@ -23,14 +23,14 @@ from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
-from cosim.scenario.experiment import Experiment
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.record import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
 from cosim.scenario.recordings.replay_changes import Swaps, check_changes
 from cosim.scenario.recordings.replaying import add_setting_designs, rebuilt, valid_designs
 from cosim.scenario.recordings.window import ReplayWindow, window_of
-from cosim.scenario.swaps import PortNames
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus

@@ -19,19 +19,19 @@ from cosim.errors import LogError, ScenarioError, UsageError, flag, listing, nea
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
-from cosim.scenario.build import Builder, parse
-from cosim.scenario.context import Origins, RecordedFmu
-from cosim.scenario.experiment import Experiment
-from cosim.scenario.fingerprint import fingerprint
+from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.context import Origins, RecordedFmu
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.document.swaps import is_map_key
 from cosim.scenario.kinds import Kind
-from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.record import MEANS, CodeRecord, component_metadata, component_record
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
 from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps, replay_changes
 from cosim.scenario.recordings.rerunning import add_recorded_reports, fmu_paths, rerun_specs
-from cosim.scenario.swaps import is_map_key
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
@@ -160,9 +160,9 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
     names = [n for n in swapped if n in builder.components and n in declared]
     if not names:
         return builder.experiment()
-    from cosim.scenario.preparing import with_reports  # rarely needed
-    from cosim.scenario.swapping.swap_comparison import compare_with_recorded
-    from cosim.scenario.swapping.swap_report import SwapReports
+    from cosim.scenario.recordings.preparing import with_reports
+    from cosim.scenario.recordings.swap_comparison import compare_with_recorded
+    from cosim.scenario.recordings.swap_report import SwapReports
 
     reports = SwapReports({name: compare_with_recorded(builder, source, name) for name in names})
     try:
@@ -246,10 +246,7 @@ def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecord
     experiment.events = events
     experiment.settings = {}
     if any(event.cause == "set" for event in events):
-        from cosim.scenario.actions.settings import (  # rarely needed
-            SettingBuilder,
-            recorded_settings,
-        )
+        from cosim.scenario.building.settings import SettingBuilder, recorded_settings
 
         making = SettingBuilder(experiment.scenario, builder.context, builder.components)
         experiment.settings = recorded_settings(making, events, experiment.recorded)
@@ -275,7 +272,7 @@ def add_setting_designs(
     """
     if not experiment.settings:
         return
-    from cosim.scenario.actions.settings import prepare_settings, recorded_designs  # rarely needed
+    from cosim.scenario.building.settings import prepare_settings, recorded_designs
 
     taken = {}
     for key, design in recorded_designs(source).items():
@@ -372,7 +369,7 @@ def designs_anew(experiment: Experiment) -> dict[str, Design]:
         if recorded and name not in experiment.recorded:
             anew[name] = experiment.graph.prepare_one(name, step_ns, {})
     if experiment.setting_designs:
-        from cosim.scenario.actions.settings import prepare_settings  # rarely needed
+        from cosim.scenario.building.settings import prepare_settings
 
         texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
         anew |= {key: decode_design(text) for key, text in texts.items()}

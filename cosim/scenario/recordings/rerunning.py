@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping
 from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
 from cosim.errors import UsageError, flag, listing
-from cosim.scenario.experiment import Experiment
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.record import component_table, recorded_warnings
-from cosim.scenario.swapping.swap_report import SWAP_WARNINGS
+from cosim.scenario.recordings.swap_report import SWAP_WARNINGS
 
 
 def rerun_specs(

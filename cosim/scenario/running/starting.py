@@ -14,10 +14,10 @@ from cosim.core.recorders import Nothing
 from cosim.core.simulation import Simulation
 from cosim.errors import UsageError
 from cosim.log.mcap_file.paths import log_path
-from cosim.scenario.experiment import Experiment
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.recordings.message_recorder import MessageRecorder
+from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, check_target, chosen_of, log_recorder
 from cosim.scenario.recordings.records import metadata_of
 from cosim.scenario.session import Opened, Session
@@ -26,7 +26,7 @@ from cosim.scenario.session import Opened, Session
 def start(
     scenario: Scenario, out: str | Path | None, *, force: bool = False, numbered: bool = False
 ) -> Session:
-    """Start a scenario; see :meth:`cosim.scenario.parsing.Scenario.start`.
+    """Start a scenario; see :meth:`cosim.scenario.building.parsing.Scenario.start`.
 
     Raises
     ------

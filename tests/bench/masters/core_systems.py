@@ -14,7 +14,7 @@ from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.signals import Interface, Signal
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from tests.bench.masters.systems import Lag, System
 

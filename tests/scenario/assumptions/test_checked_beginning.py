@@ -17,7 +17,7 @@ from cosim.scenario.assumptions.compensation import (
     ZEROS,
 )
 from cosim.scenario.assumptions.report import FILE, RESOLUTION, check_assumptions
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import INDEX
 

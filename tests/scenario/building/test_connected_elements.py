@@ -9,8 +9,8 @@ import pytest
 import cosim
 from cosim.core.recorders import Memory
 from cosim.errors import ScenarioError
-from cosim.scenario.build import parse
-from cosim.scenario.text import find
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import find
 from tests.fmi.compiled import compile_fmu
 from tests.scenario.refusals import check_refused
 

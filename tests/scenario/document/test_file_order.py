@@ -10,7 +10,7 @@ import tomllib
 import pytest
 
 import cosim
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
 
 SHIPPED = ["academic", "academic-as-printed", "closed-loop"]
 
@@ -64,7 +64,7 @@ import cosim
 from cosim.core import Clock, Graph, Interface, Memory, Signal
 from cosim.errors import Interrupted
 from cosim.scenario.recordings import recording
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 
 class Slow:
     # From step 20 000 on a step takes 500 times as long as before; there the signals are sent.

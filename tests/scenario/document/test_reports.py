@@ -12,8 +12,8 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
-from cosim.scenario.build import Builder, parse
-from cosim.scenario.text import Document, find
+from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.document.document import Document, find
 from cosim.theory.disturbances import regression
 from cosim.theory.observers import observer
 
@@ -90,7 +90,7 @@ a = { kind = "sinus" }
 b = { kind = "sine", amplitude = 1.0 }
 c = { kind = "constant", value = 1.0, unit = "s" }
 x = { kind = "lag", time_constant = 1.0, initial = 0.0, unit = { u = "m", y = "m" } }
-d = { kind = "discrete-state-space", A = [[0.5]], B = [[1.0]], C = [[1.0]], D = [[1.0]], period = 0.1 }
+d = { kind = "discrete-state-space", A = [[0]], B = [[1]], C = [[1]], D = [[1]], period = 0.1 }
 k = { kind = "gain", K = 2.0 }
 
 [connections]

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from cosim.scenario.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 
 LOOP = """
 [scenario]

@@ -9,7 +9,7 @@ import pytest
 
 import cosim
 from cosim.core.contracts import prepare
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.kinds import KINDS
 from tests.scenario.kinds.parts import DEPENDENT, PARTS
 

@@ -11,10 +11,10 @@ import cosim
 from cosim.blocks.sampled import Sampled
 from cosim.errors import ScenarioError
 from cosim.scenario import kinds
-from cosim.scenario.build import parse
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.kinds.base import PeriodicKind
-from cosim.scenario.text import Document
 
 DEAD = """
 [scenario]

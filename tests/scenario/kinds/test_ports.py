@@ -5,7 +5,7 @@ from contextlib import ExitStack
 import pytest
 
 import cosim
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.kinds import KINDS
 from tests.scenario.kinds.parts import DEPENDENT, PARTS
 

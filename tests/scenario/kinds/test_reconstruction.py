@@ -13,7 +13,7 @@ from cosim.errors import LogError, ScenarioError
 from cosim.fmi.component import load as load_fmu
 from cosim.fmi.options import FmuOptions
 from cosim.report.summary import summarize
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.exporting import export_component
 from cosim.scenario.running.execution import load
 from cosim.theory.disturbances.families import Exponential, Sine, group_by_alpha

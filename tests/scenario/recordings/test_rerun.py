@@ -12,10 +12,10 @@ from cosim.cli import main
 from cosim.errors import FmuError, LogError, UsageError
 from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.report.verification import verify
+from cosim.scenario.document.document import shipped
 from cosim.scenario.record import component_record, replay_origin
 from cosim.scenario.recordings import embedding
 from cosim.scenario.running.replay import replays_of
-from cosim.scenario.text import shipped
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
 from tests.log.crafting import change_rows, put_together, take_apart

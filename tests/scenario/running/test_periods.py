@@ -5,8 +5,8 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
-from cosim.scenario.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 
 SAMPLED = """
 [scenario]

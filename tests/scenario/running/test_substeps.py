@@ -14,7 +14,7 @@ from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
 from cosim.report.tables.run import print_summary
 from cosim.report.verification import verify
-from cosim.scenario.coupling import gain_text
+from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.record import recorded_loop_gains
 from tests.log.crafting import put_together, take_apart
 

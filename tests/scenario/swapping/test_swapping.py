@@ -14,8 +14,8 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import ScenarioError, UsageError
 from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
-from cosim.scenario.build import parse
-from cosim.scenario.text import find
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import find
 from tests.scenario.signals import COARSE
 from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
 

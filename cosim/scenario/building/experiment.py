@@ -1,0 +1,154 @@
+"""A scenario ready to run: its graph, clock and actions, and what its log keeps beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from cosim.core.clock import Clock
+from cosim.core.contracts import Design
+from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.graph import Graph
+from cosim.core.recording import Plan, SignalEvent
+from cosim.core.signals import Channel
+from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
+from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant
+from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.record import ReplayOrigin
+
+if TYPE_CHECKING:
+    from cosim.blocks.port_map import PortMap
+    from cosim.fmi.binary.messages import Message
+    from cosim.fmi.driving.diagnostics import InputLimits
+
+
+class MessageSource(Protocol):
+    """An opened FMU, as a run sees it beside its component."""
+
+    def terminate(self) -> None:
+        """End the run; raise RunError where the FMU says that it failed."""
+        ...
+
+    def discard(self) -> None:
+        """Forget the messages since the last call of ``drain``; what warns only once may again."""
+        ...
+
+    def drain(self) -> Sequence[Message]:
+        """Return the messages since the last call."""
+        ...
+
+    @property
+    def input_limits(self) -> InputLimits:
+        """What it allows of its inputs."""
+        ...
+
+
+def warnings_among(messages: Mapping[str, Sequence[Message]]) -> list[tuple[str, str]]:
+    """Return the warnings among messages of FMUs, each with its component."""
+    warnings = []
+    for name, of_fmu in messages.items():
+        warnings += [(name, message.text) for message in of_fmu if message.level == "warning"]
+    return warnings
+
+
+@dataclass
+class Experiment:
+    """A scenario ready to run.
+
+    Whoever prepares it for its run fills in what is known only then, such as the gains of loops, or
+    the recorded events of a replay.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    graph : Graph
+    clock : Clock
+    built : ScenarioBuildContext
+        What the components were built in: what was read, opened and recorded for that.
+    truth : mapping of estimate to its truth
+        What the report compares.
+    port_maps : mapping of component name to PortMap
+        Of components that have other ports than those shown.
+    identified : mapping of identifier to IdentifiedPlant
+        What its estimates are judged by.
+    given_states : mapping of component name to GivenStates
+        Initial states that the run may have to change.
+    actions : tuple of TimedAction
+        What happens at communication points.
+    reactions : tuple of ConditionalAction
+        What happens where conditions come true.
+    until : str or None
+        The condition where it ends before its stop.
+    settings : mapping of (int, str) to Action
+        What sets parameters, by time [ns] and component; those of a replay too.
+    recorded : tuple of str
+        Of a replay: the components that are taken from the recording.
+    declared : mapping of component name to Channel
+        Of a replay: all that the recorded run had, some of which need not be here.
+    plan : Plan or None
+        Of the graph, where it was prepared already.
+    gains : tuple of LoopGain
+        Of its loops; of a replay as they were recorded.
+    designs : mapping of component name to Design, or None
+        Of a replay: the recorded designs that it takes; where it has a plan, that has them.
+    setting_designs : mapping of str to str
+        The designs of the components that take the places of others, for the log.
+    messages : mapping of component name to list of Message
+        What was drained from FMUs already.
+    origin : ReplayOrigin or None
+        Of a replay: the log it is made from.
+    events : tuple of SignalEvent
+        Of a replay: overrides and releases of inputs, and what followed them.
+    absent : mapping of component name to str
+        Of a replay of a partial log: why components are not here.
+    uncomputed : mapping of component name to str
+        Of it: why components are not computed that could be from a whole log.
+    """
+
+    scenario: Scenario
+    graph: Graph
+    clock: Clock
+    built: ScenarioBuildContext
+    truth: Mapping[str, Any]
+    port_maps: Mapping[str, PortMap]
+    identified: Mapping[str, IdentifiedPlant]
+    given_states: Mapping[str, GivenStates]
+    actions: tuple[TimedAction, ...]
+    reactions: tuple[ConditionalAction, ...]
+    until: str | None
+    settings: Mapping[tuple[int, str], Action]
+    recorded: tuple[str, ...]
+    declared: Mapping[str, Channel]
+    plan: Plan | None = None
+    gains: tuple[LoopGain, ...] = ()
+    designs: Mapping[str, Design] | None = None
+    setting_designs: Mapping[str, str] = field(default_factory=dict)
+    messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
+    origin: ReplayOrigin | None = None
+    events: tuple[SignalEvent, ...] = ()
+    absent: Mapping[str, str] = field(default_factory=dict)
+    uncomputed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def metadata(self) -> dict[str, dict[str, Any]]:
+        """What the log keeps of a component, by its name."""
+        return self.built.metadata
+
+    @property
+    def fmus(self) -> Mapping[str, MessageSource]:
+        """What was opened for this run and may have messages."""
+        return self.built.fmus
+
+    @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What it warns of before its first step, each with its component."""
+        return tuple(self.built.warnings)
+
+    @property
+    def has_events(self) -> bool:
+        """Whether there may be events: actions, those of a recording, outputs that jump."""
+        acts = self.events or self.actions or self.reactions
+        return bool(acts or self.graph.layout.jumping)
