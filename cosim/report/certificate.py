@@ -184,10 +184,10 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
     for channel in declared_channels(recording.channels).values():
         for signal in channel.interface.outputs:
             for element, unit in zip(signal.elements, signal.measures, strict=True):
-                label = f"{channel.name}.{element}"
-                if label in record.signals:
-                    error = asdict(record.signals[label])
-                    signals.append(SignalCertificate(**error, signal=label, unit=unit.name))
+                name = f"{channel.name}.{element}"
+                if name in record.signals:
+                    error = vars(record.signals[name])
+                    signals.append(SignalCertificate(**error, signal=name, unit=unit.name))
     shares = []
     for value in summary.values:
         if value.value is not None and value.estimate in record.signals and not record.problem:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from typing import Any, Final, TypeVar
@@ -14,26 +14,16 @@ from cosim.core.recorded.partial import declared_channels, is_recorded_whole
 from cosim.core.recording import Recording
 from cosim.errors import LogError
 from cosim.report.recorded_rows import element_names, has_signal
+from cosim.scenario import record
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
-from cosim.scenario.record import (
-    Compensation,
-    ComponentRecord,
-    IdentifierVerdicts,
-    IrregularEffect,
-    IrregularPart,
-    Reconstruction,
-    WindowChoice,
-    component_record,
-    record_label,
-    recorded_identification,
-    recorded_start,
-)
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
 from cosim.theory.documents import Bias, ParameterVerdict, Verdict
 
 LAST_PART: Final = 0.25  # of an active time, over which the error that is left is averaged
-_OfTheta = TypeVar("_OfTheta", ParameterVerdict, IrregularEffect)
+_SHOWN: Final = ("estimate", "verdict", "reason", "value", "standard_error", "half_width")
+_SHOWN_OF_PART: Final = ("bound", "problem", "effects", "confidence")
+_OfTheta = TypeVar("_OfTheta", ParameterVerdict, record.IrregularEffect)
 
 
 @dataclass(frozen=True)
@@ -46,7 +36,7 @@ class DeltaReconstruction:
     lag: float  # s
     noise_gain: tuple[float, ...]  # of the elements of delta, for white noise in each of y
     bias: Bias
-    choice: WindowChoice | None = None  # of auto
+    choice: record.WindowChoice | None = None  # of auto
 
 
 @dataclass(frozen=True, repr=False)
@@ -93,7 +83,7 @@ class Identification:
     undetected: tuple[str, ...] = ()
     deviation: tuple[float, ...] = ()
     noise: str = ""
-    guaranteed: IrregularPart | None = None
+    guaranteed: record.IrregularPart | None = None
 
     def __repr__(self) -> str:
         return f"<Identification by {self.component!r}: {list(self.parameters)}>"
@@ -101,21 +91,14 @@ class Identification:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         content = asdict(self)
-        shown = ("estimate", "verdict", "reason", "value", "standard_error", "half_width")
         for key in ("parameters", "reference", "amplitudes"):
-            content[key] = [
-                {name: getattr(verdict, name) for name in shown} for verdict in getattr(self, key)
-            ]
-        if self.guaranteed is not None:
-            effects = content["guaranteed"]["effects"]
-            for effect in effects:
+            verdicts = getattr(self, key)
+            content[key] = [{name: getattr(one, name) for name in _SHOWN} for one in verdicts]
+        part = content["guaranteed"]
+        if part is not None:
+            for effect in part["effects"]:
                 effect["estimate"] = effect.pop("name")
-            content["guaranteed"] = {
-                "bound": self.guaranteed.bound,
-                "problem": self.guaranteed.problem,
-                "effects": effects,
-                "confidence": self.guaranteed.confidence,
-            }
+            content["guaranteed"] = {name: part[name] for name in _SHOWN_OF_PART}
         return content
 
 
@@ -161,61 +144,67 @@ def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
 
     The verdict is ``INCONSISTENT``, another one of what has no value, or empty: none was made.
     """
-    found = recorded_identification(recording)
+    verdicts = record.recorded_identification(recording)
     for name in declared_channels(recording.channels):
-        record = component_record(recording, name)
-        if not record.is_identifier:
+        about = record.component_record(recording, name)
+        if not about.is_identifier:
             continue
-        if name not in found:
-            yield name, "", "no verdict was made"
-            continue
-        if found[name].problem:
-            yield name, Verdict.NO_ESTIMATE, found[name].problem
-        labels: dict[tuple[str, str], list[str]] = {}
-        own, _ = _parameters(name, record, found[name])
-        for parameter in own:
-            if parameter.verdict == Verdict.INCONSISTENT or parameter.value is None:
-                labels.setdefault((parameter.verdict, parameter.reason), []).append(parameter.name)
-        for (verdict, reason), names in labels.items():
+        found = verdicts.get(name, record.IdentifierVerdicts(problem="no verdict was made"))
+        if found.problem:
+            yield name, Verdict.NO_ESTIMATE if name in verdicts else "", found.problem
+        bad = (
+            (own.verdict, own.reason, own.name)
+            for own in _parameters(name, about, found)[0]
+            if own.verdict == Verdict.INCONSISTENT or own.value is None
+        )
+        for (verdict, reason), names in by_reason(bad).items():
             yield ", ".join(names), verdict, reason
 
 
+def by_reason(rows: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str], list[str]]:
+    """Return the names that are said the same of, by what that is: rows of label, text, name."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for label, text, name in rows:
+        names.setdefault((label, text), []).append(name)
+    return names
+
+
 def summarize_identification(
-    recording: Recording, component: str, record: ComponentRecord, found: IdentifierVerdicts
+    recording: Recording,
+    component: str,
+    about: record.ComponentRecord,
+    found: record.IdentifierVerdicts,
 ) -> Identification:
     """Summarize what is known of an identifier."""
     eigenvalues: tuple[float, ...] = ()
     sentence = ""
-    channels = recording.channels
-    if record.unknowns is not None and is_recorded_whole(channels, component, "regressor"):
-        eigenvalues, sentence = _information(recording, component, record)
-    own, reference = _parameters(component, record, found)
-    guaranteed = found.irregular
-    if guaranteed is not None:
-        guaranteed = replace(guaranteed, effects=_named(component, guaranteed.effects))
+    if about.unknowns is not None and is_recorded_whole(recording.channels, component, "regressor"):
+        eigenvalues, sentence = _information(recording, component, about)
+    own, reference = _parameters(component, about, found)
+    part = found.irregular
     return Identification(
         component,
-        record.start_time,
-        record.times,
+        about.start_time,
+        about.times,
         eigenvalues,
         sentence,
-        (*record.notes, *_extent(recording, component, record, found)),
+        notes=(*about.notes, *_extent(recording, component, about, found)),
         parameters=own,
         reference=reference,
         amplitudes=tuple(chain.from_iterable(found.amplitudes)),
-        undetected=tuple(error.text for error in found.undetected),
+        undetected=tuple(map(str, found.undetected)),
         deviation=found.deviation,
         noise=found.problem or noise_text(found),
-        guaranteed=guaranteed,
+        guaranteed=part and replace(part, effects=_named(component, part.effects)),
     )
 
 
 def _parameters(
-    component: str, record: ComponentRecord, found: IdentifierVerdicts
+    component: str, about: record.ComponentRecord, found: record.IdentifierVerdicts
 ) -> tuple[tuple[ParameterVerdict, ...], tuple[ParameterVerdict, ...]]:
     """Return verdicts on theta by the method of an identifier, and by output error beside it."""
     fitted = _named(component, found.parameters)
-    if record.method == OUTPUT_ERROR:
+    if about.method == OUTPUT_ERROR:
         return fitted, ()
     return _named(component, found.estimate), fitted
 
@@ -227,27 +216,24 @@ def _named(component: str, rows: tuple[_OfTheta, ...]) -> tuple[_OfTheta, ...]:
 
 
 def _extent(
-    recording: Recording, component: str, record: ComponentRecord, found: IdentifierVerdicts
+    recording: Recording,
+    component: str,
+    about: record.ComponentRecord,
+    found: record.IdentifierVerdicts,
 ) -> Iterator[str]:
     """Yield what the verdicts rest on, and why the signal theta has no last value beside them."""
     if found.extent:
         yield found.extent
     theta = f"{component}.theta"
-    if found.problem or record.method != OUTPUT_ERROR or not has_signal(recording, theta):
-        return  # no term has a parameter
-    rows = as_columns(recording[theta])
-    if len(rows) and np.isfinite(rows[-1]).all():
+    if about.method != OUTPUT_ERROR or not has_signal(recording, theta):
         return
-    end = recording.end_ns / 1e9
-    cause = "no fit during the run led to one; the fit after the run did"
-    if end < record.start_time:
-        cause = f"the run ends at {end:g} s, before the identification start time"
-    elif all(parameter.value is None for parameter in found.parameters):
-        return  # the verdicts say why
-    yield f"{theta} itself has no value at the end: {cause}"
+    has_value = any(parameter.value is not None for parameter in found.parameters)
+    if has_value and not np.isfinite(as_columns(recording[theta])[-1:]).all():
+        cause = "no fit during the run led to one; the fit after the run did"
+        yield f"{theta} itself has no value at the end: {cause}"
 
 
-def noise_text(found: IdentifierVerdicts) -> str:
+def noise_text(found: record.IdentifierVerdicts) -> str:
     """Describe the noise of y as the residual of output error shows it."""
     if not found.deviation:
         return ""
@@ -269,12 +255,11 @@ def numbers_text(numbers: Sequence[float]) -> str:
 
 
 def _information(
-    recording: Recording, component: str, record: ComponentRecord
+    recording: Recording, component: str, about: record.ComponentRecord
 ) -> tuple[tuple[float, ...], str]:
     """Check the information in the rows that least squares used."""
-    regressor = as_columns(recording[f"{component}.regressor"])
     time = recording.time_ns(component) / 1e9
-    used = regressor[time >= record.start_time]
+    used = as_columns(recording[f"{component}.regressor"])[time >= about.start_time]
     if len(used) < 2:
         return (), "the run ended before the identification began"
     with np.errstate(over="ignore", invalid="ignore"):  # the check behind it names that
@@ -282,39 +267,39 @@ def _information(
     if not np.isfinite(matrix).all():
         raise LogError(f"'{component}.regressor' has no finite information from its rows")
     values: Vector = np.linalg.eigvalsh(matrix).astype(np.float64)
-    prior = None if record.P0 is None else 1.0 / record.P0
+    prior = None if about.P0 is None else 1.0 / about.P0
     return tuple(values.tolist()), describe_excitation(values, prior)
 
 
 def summarize_reconstruction(
-    recording: Recording, name: str, record: ComponentRecord, design: Reconstruction
+    recording: Recording, name: str, about: record.ComponentRecord, design: record.Reconstruction
 ) -> DeltaReconstruction:
     """Return what the delta of an observer costs, with its inputs held or interpolated."""
     channel = declared_channels(recording.channels)[name]
     held = recording.held[name][channel.interface.input_columns().get("y", slice(0, 0))]
-    shape = (-1, len(held)) if len(held) else (0, 0)
-    interpolated = np.array(record.noise_gain)
-    zero_order = np.array(record.noise_gain_held)
-    if interpolated.size != zero_order.size or interpolated.size % max(len(held), 1):
-        what = record_label(recording, f"metadata of {name!r}")
+    try:
+        gains = np.array([about.noise_gain, about.noise_gain_held]).reshape(2, -1, len(held))
+    except ValueError as error:
+        what = record.record_label(recording, f"metadata of {name!r}")
+        got = len(about.noise_gain)
         raise LogError(
-            f"{what}: expected as many noise gains as fit to its y, got {interpolated.size}"
-        )
-    gains = np.where(held, zero_order.reshape(shape), interpolated.reshape(shape))
+            f"{what}: expected as many noise gains as fit to its y, got {got}"
+        ) from error
+    applied = np.where(held, gains[1], gains[0])
     parameters = {key: getattr(design, key) for key in ("filter_rate", "order", "half_width")}
     return DeltaReconstruction(
         name,
         design.filter,
         {key: value for key, value in parameters.items() if value is not None},
         design.lag,
-        tuple(np.sqrt(np.sum(gains**2, axis=1)).tolist()),
+        tuple(np.sqrt(np.sum(applied**2, axis=1)).tolist()),
         design.bias,
-        None if record.choice is None else record.choice.result,
+        None if about.choice is None else about.choice.result,
     )
 
 
 def summarize_compensation(
-    recording: Recording, name: str, record: Compensation
+    recording: Recording, name: str, about: record.Compensation
 ) -> CompensationSummary:
     """Summarize what a compensator did, from its recorded rows.
 
@@ -323,56 +308,54 @@ def summarize_compensation(
     LogError
         If these are not those of a compensator.
     """
-    label = record_label(recording, f"metadata of {name!r}")
-    y = as_columns(recording[f"{name}.y"])
-    r = as_columns(recording[f"{name}.r"])
-    regulated = list(record.regulated)
+    label = record.record_label(recording, f"metadata of {name!r}")
+    y, r, active = [as_columns(recording[f"{name}.{key}"]) for key in ("y", "r", "active")]
+    regulated = list(about.regulated)
     fits = all(0 <= element < y.shape[1] for element in regulated)
     if not fits or r.shape[1] != len(regulated):
         raise LogError(f"{label}: expected regulated outputs of its y as in r, got {regulated}")
     error: Matrix = y[:, regulated] - r
-    active = np.flatnonzero(as_columns(recording[f"{name}.active"])[:, 0] > 0.0)
-    if not len(active):
+    rows = np.flatnonzero(active[:, 0] > 0.0)
+    if not len(rows):
         return CompensationSummary(
             name,
-            reason=_reason(recording, name, record, label),
+            reason=_reason(recording, name, about, label),
             before=_rms(error),
-            since=recorded_start(recording),
-            interval=record.interval,
+            since=record.recorded_start(recording),
+            interval=about.interval,
         )
     time = recording.time_ns(name) / 1e9
-    begin = float(time[active[0]])
-    end = float(time[-1])
+    begin, end = time[rows[0]], time[-1]
     since = end - LAST_PART * (end - begin)
     theta: Matrix = np.zeros((len(time), 0))
-    if record.interval:
+    if about.interval:
         theta = as_columns(recording[f"{name}.model_theta"])
     return CompensationSummary(
         name,
-        active_since=begin,
-        theta=tuple(theta[active[0]].tolist()),
+        active_since=float(begin),
+        theta=tuple(theta[rows[0]].tolist()),
         last_theta=tuple(theta[-1].tolist()),
-        before=_rms(error[: active[0]]),
+        before=_rms(error[: rows[0]]),
         after=_rms(error[time >= since]),
-        since=since,
-        interval=record.interval,
+        since=float(since),
+        interval=about.interval,
     )
 
 
-def _reason(recording: Recording, name: str, record: Compensation, label: str) -> str:
+def _reason(recording: Recording, name: str, about: record.Compensation, label: str) -> str:
     """Return why the internal model stayed out, by the last estimate."""
     from cosim.theory.compensation.activation import Activation  # rarely needed
 
-    if not record.internal_model:
+    if not about.internal_model:
         return "internal_model = false"
-    ends: Matrix = np.array(record.interval, np.float64).reshape(-1, 2)
+    ends: Matrix = np.array(about.interval, np.float64).reshape(-1, 2)
     estimates = [as_columns(recording[f"{name}.{key}"]) for key in ("theta", "standard_error")]
     if any(rows.shape[1] != len(ends) for rows in estimates):
         raise LogError(f"{label}: expected an interval for each theta, got {len(ends)}")
     if not len(estimates[0]):
         return "it has no rows"
     theta, standard_error = [rows[-1] for rows in estimates]
-    activation = Activation(ends[:, 0], ends[:, 1], record.largest_error)
+    activation = Activation(ends[:, 0], ends[:, 1], about.largest_error)
     return activation.reason(theta, standard_error) or "the run ended at the first good estimate"
 
 

@@ -15,7 +15,7 @@ from cosim.report.plots.curves import draw_curves
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.plots.runs import estimate_curves
 from cosim.report.summary import summarize
-from cosim.report.tables.estimates import IF_WRONG, estimate_notes
+from cosim.report.tables.estimates import IF_WRONG
 from cosim.report.tables.identification import report_identification
 from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import IDENTIFICATION
@@ -55,9 +55,9 @@ def test_the_table_shows_what_was_recorded(logs, call):
     assert code == 0
     recorded = logs["first"].results[IDENTIFICATION]["identifier"]
     shown = rows(output)
-    notes = [text for label, text in estimate_notes(summarize(logs["first"])) if label == IF_WRONG]
-    assert notes == [error["text"] for error in recorded["undetected"]]
-    assert shown[IF_WRONG] == notes[-1:]
+    undetected = summarize(logs["first"]).identifications[0].undetected
+    assert list(undetected) == [error["text"] for error in recorded["undetected"]]
+    assert shown[IF_WRONG] == [undetected[-1]]
     for found in (*recorded["parameters"], *recorded["amplitudes"][0]):
         value, error, interval, verdict = shown[found["name"]]
         assert float(value) == pytest.approx(found["value"], rel=1e-5)
@@ -69,7 +69,7 @@ def test_the_table_shows_what_was_recorded(logs, call):
     pair, correlation = shown["correlation"][0].split(": ")
     assert pair == "theta[0], theta[1]"
     assert float(correlation) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
-    assert float(shown["noise of y"][0].split(",")[0]) == pytest.approx(1e-3, rel=0.1)
+    assert float(shown["noise of y"][0].split(":")[0]) == pytest.approx(1e-3, rel=0.1)
     assert shown["whiteness"][1:] == ["55.1", "passed"]
     assert shown[str(logs["first"].path)][0].startswith("2001 samples; x(0) ")
     for amplitude in recorded["amplitudes"][0]:  # 1 in the scenario
@@ -181,11 +181,14 @@ def test_a_large_irregular_part_is_beyond_the_first_order(logs, call):
     """It says so, and the linear programs give the interval."""
     _, output, errors = call("identify", logs["first"].path, "--irregular", "0.02")
     assert "linear programs, which take seconds to minutes" in errors
-    row = output.splitlines()[-1].split("\t")
-    assert row[0] == "theta[1]"
-    low, high = map(float, row[1].split(" to "))
-    assert low < -0.3 < high
-    assert "which does not hold for so large a bound" in row[2]
+    lines = output.splitlines()
+    found = lines[
+        next(i for i, line in enumerate(lines) if line.startswith("|delta_0| <= 0.02")) + 2
+    ]
+    label, low, high, reach = re.fullmatch(r"(\S+)\t(\S+) to ([^;]+); (.*)", found).groups()
+    assert label == "theta[1]"
+    assert float(low) < -0.3 < float(high)
+    assert "which does not hold for so large a bound" in reach
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """What the summary says of a run, and what is said where a log's records are damaged."""
 
 import json
+import re
+from html import unescape
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from cosim.core.gain.loop_gain import LoopGain
 from cosim.documents import plain
 from cosim.errors import LogError
 from cosim.report.summary import summarize
+from cosim.report.tables.run import print_summary
 from tests.log.crafting import put_together, take_apart
 
 LOOP = """
@@ -48,6 +51,42 @@ def valid(tmp_path_factory):
     """Record a short run."""
     path = tmp_path_factory.mktemp("valid") / "a.mcap"
     return cosim.run("academic-as-printed", out=path, set={"scenario.stop": 0.1})
+
+
+def lines_of_page(page):
+    """Return caption, header and rows of every table of a page as a pipe has them."""
+    lines = []
+    for caption, table in re.findall("<caption>(.*?)</caption>(.*?)</table>", page):
+        rows = [
+            re.findall("<t[hd]>(.*?)</t[hd]>", row) for row in re.findall("<tr>(.*?)</tr>", table)
+        ]
+        lines += [caption, *("\t".join(row).rstrip("\t") for row in rows)]
+    return [unescape(line) for line in lines if line]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "changes"),
+    [
+        ("academic-as-printed", {"scenario.stop": 0.1}),
+        ("pair", {"scenario.stop": 0.1}),
+        ("compensation", {"scenario.stop": 2.0, "scenario.step": 0.02}),
+    ],
+)
+def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, changes):
+    """Behind the signals: every number and every line, but for wall time, path and profile."""
+    run = cosim.run(scenario, set=changes, certify=scenario == "pair")
+    print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
+    printed = capsys.readouterr().out.splitlines()
+    shown = lines_of_page(run._repr_html_())[2 + len(run) :]
+    assert shown == [line for line in printed if not line.startswith("wall time\t")]
+    assert shown[0].startswith(f"{scenario}: ")
+    assert len(shown) > 3
+    summary = summarize(run)
+    for name, last in summary.last.items():
+        if isinstance(last, float):
+            assert any(line.startswith(f"{name}\t{last:.6g}") for line in shown)
+    for own in summary.identifications:
+        assert len([line for line in shown if line.startswith(f"{own.component}.theta")])
 
 
 @pytest.mark.parametrize(
@@ -127,6 +166,7 @@ def test_a_damaged_record_is_one_error_and_all_else_is_read(
     log = cosim.open_log(damaged)
     with pytest.raises(LogError) as error:
         cosim.certificate(log) if key == "certificate" else log.summary()
+    assert str(error.value) in unescape(log._repr_html_())
     for text in (str(damaged), *named):
         assert text in str(error.value)
     assert "expected" in str(error.value) or "available" in str(error.value)
