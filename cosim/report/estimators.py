@@ -21,6 +21,8 @@ from cosim.theory.disturbances.excitation import describe_excitation, informatio
 from cosim.theory.documents import Bias, ParameterVerdict, Verdict
 
 LAST_PART: Final = 0.25  # of an active time, over which the error that is left is averaged
+_IN_TERM: Final = "in "  # begins the reason of an amplitude that names its term
+IF_WRONG: Final = "if it is wrong"  # the model, behind the sentence that says "if it is right"
 _SHOWN: Final = ("estimate", "verdict", "reason", "value", "standard_error", "half_width")
 _SHOWN_OF_PART: Final = ("bound", "problem", "effects", "confidence")
 _OfTheta = TypeVar("_OfTheta", ParameterVerdict, record.IrregularEffect)
@@ -37,6 +39,31 @@ class DeltaReconstruction:
     noise_gain: tuple[float, ...]  # of the elements of delta, for white noise in each of y
     bias: Bias
     choice: record.WindowChoice | None = None  # of auto
+
+    def lines(self, label: str) -> Iterator[tuple[str, str]]:
+        """Yield what delta costs: noise, bias and lag, and what its window was chosen for."""
+        kind = f"{self.filter} filter"
+        if self.filter != "first-order":  # the scenario has it
+            kind += "".join(f", {name} {value:g}" for name, value in self.parameters.items())
+        bias = self.bias
+        error = "y is not differentiated, no bias"
+        if bias.coefficient:
+            ordinal = {1: "first", 2: "second", 3: "third"}.get(
+                bias.derivative, f"{bias.derivative}th"
+            )
+            signal = "the measurement" if bias.of == "G w" else bias.of
+            error = f"bias {bias.coefficient:.3g} x {ordinal} derivative of {signal}"
+        lag = f"; lag {self.lag:g} s" if self.lag else ""
+        yield label, f"{kind}: noise gain {numbers_text(self.noise_gain)} 1/s; {error}{lag}"
+        choice = self.choice
+        if choice is not None:
+            yield (
+                "",
+                f"chosen for noise of {numbers_text(choice.noise)} in y and delta of "
+                f"{choice.amplitude:.3g} up to {choice.bandwidth:.3g} rad/s; expected error "
+                f"{choice.error_by_noise:.2g} from noise, {choice.error_by_bias:.2g} from bias; "
+                f"{choice.assumption}",
+            )
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,6 +115,29 @@ class Identification:
     def __repr__(self) -> str:
         return f"<Identification by {self.component!r}: {list(self.parameters)}>"
 
+    def lines(self, label: str, start: float, end: float) -> Iterator[tuple[str, str]]:
+        """Yield when it starts and why, what its data determine, and their noise.
+
+        ``start`` and ``end`` are those of the run [s].
+        """
+        origin = "given"
+        if self.times:
+            origin = f"start {start:g} s + " if start else ""
+            origin += (
+                f"observer {self.times['T_obs']:.4f} s + filter {self.times['T_f']:.4f} s + "
+                f"longest delay {self.times['D_max']:g} s"
+            )
+        late = ", after the end of the run" if self.start_time > end else ""
+        yield label, f"from {self.start_time:g} s{late} ({origin})"
+        if self.eigenvalues:
+            yield "information matrix", f"eigenvalues {numbers_text(self.eigenvalues)}"
+        for text in filter(None, (self.verdict, *self.notes)):
+            yield "", text
+        if self.noise:
+            yield noise_line(self.deviation, self.noise)
+        if self.guaranteed is not None:
+            yield from guaranteed_lines(self.guaranteed)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         content = asdict(self)
@@ -138,6 +188,21 @@ class CompensationSummary:
     since: float = 0.0
     interval: tuple[tuple[float, ...], ...] = ()
 
+    def lines(self, label: str) -> Iterator[tuple[str, str]]:
+        """Yield when the internal model became active, and what is left of the regulated error."""
+        error = f"{numbers_text(self.before)} rms"
+        text = f"not active: {self.reason}"
+        if self.active_since is not None:
+            text = f"active from {self.active_since:g} s"
+            error += f" before, {numbers_text(self.after)} rms for t >= {self.since:.4g} s"
+        if self.theta:
+            first = ", ".join(f"{value:.6g}" for value in self.theta)
+            last = ", ".join(f"{value:.6g}" for value in self.last_theta)
+            text += f" with theta = {first}, at the end {last}; loop proven stable for theta in "
+            text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in self.interval)
+        yield label, text
+        yield "regulated error", f"{error}, as measured"
+
 
 def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
     """Yield estimates, verdict and reason where estimates contradict the data, or have no value.
@@ -169,7 +234,7 @@ def by_reason(rows: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str], lis
     return names
 
 
-def summarize_identification(
+def identification(
     recording: Recording,
     component: str,
     about: record.ComponentRecord,
@@ -254,6 +319,77 @@ def numbers_text(numbers: Sequence[float]) -> str:
     return ", ".join(f"{number:.3g}" for number in numbers)
 
 
+def value_text(value: float | None) -> str:
+    """Return an estimate with its sign and six digits."""
+    return "no value" if value is None else f"{value:+.6g}"
+
+
+def verdict_lines(
+    verdicts: Sequence[tuple[str, ParameterVerdict]], undetected: Iterable[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield the reasons of verdicts, each once, what they do not see, and terms of amplitudes.
+
+    Reasons say what they are of where those of a verdict differ.
+
+    Parameters
+    ----------
+    verdicts : sequence of (label, ParameterVerdict)
+    undetected : iterable of str
+        Errors of the model that would pass.
+    """
+    reasons = []
+    terms: dict[str, None] = {}
+    for label, one in verdicts:
+        term = one.reason.removeprefix(_IN_TERM)
+        if term == one.reason:
+            reasons.append((str(one.verdict), one.reason, label))
+        else:  # it is a term, or the unit of a constant of one
+            terms[term if "[" in term else f"{one.name} in {term}"] = None
+    groups = by_reason(row for row in reasons if row[1])
+    for (verdict, reason), labels in groups.items():
+        is_only = sum(verdict == other for other, _ in groups) == 1
+        yield verdict, reason if is_only else f"{', '.join(labels)}: {reason}"
+    for text in undetected:
+        yield IF_WRONG, text
+    if terms:
+        yield "terms of delta", "; ".join(terms)
+
+
+def noise_line(deviation: Sequence[float], noise: str) -> tuple[str, str]:
+    """Return the standard deviations of the noise of y, and what is known of it."""
+    if deviation:
+        noise = f"{numbers_text(deviation)}: {noise.removeprefix('of y, ')}"
+    return "noise of y", noise
+
+
+def guaranteed_lines(part: record.IrregularPart) -> Iterator[tuple[str, str]]:
+    """Yield what an irregular part of the disturbance within its bound leaves open of theta.
+
+    Of each the interval, whose ends may be missing, and how far the first order reaches.
+    """
+    label = f"|delta_0| <= {part.bound:g}"
+    if part.problem:
+        yield label, part.problem
+        return
+    text = "guaranteed intervals by output error"
+    if part.confidence < 1.0:
+        text += f", noise within its bounds with probability {part.confidence:g}"
+    if part.unsolved:
+        text += (
+            f"; {part.unsolved} starting points of the linear programs failed or exceeded their "
+            "number: there the interval is open"
+        )
+    yield label, f"{text}:"
+    for effect in part.effects:
+        lower = "-inf" if effect.lower is None else f"{effect.lower:.6g}"
+        upper = "inf" if effect.upper is None else f"{effect.upper:.6g}"
+        interval = f"{lower} to {upper}" if effect.is_explained else "none"
+        reach = f"first order {effect.first_order:.2g} to each side"
+        if not effect.holds:
+            reach += ", which does not hold for so large a bound"
+        yield effect.name, f"{interval}; {reach}"
+
+
 def _information(
     recording: Recording, component: str, about: record.ComponentRecord
 ) -> tuple[tuple[float, ...], str]:
@@ -271,10 +407,12 @@ def _information(
     return tuple(values.tolist()), describe_excitation(values, prior)
 
 
-def summarize_reconstruction(
-    recording: Recording, name: str, about: record.ComponentRecord, design: record.Reconstruction
+def reconstruction(
+    recording: Recording, name: str, about: record.ComponentRecord
 ) -> DeltaReconstruction:
     """Return what the delta of an observer costs, with its inputs held or interpolated."""
+    design = about.reconstruction
+    assert design is not None
     channel = declared_channels(recording.channels)[name]
     held = recording.held[name][channel.interface.input_columns().get("y", slice(0, 0))]
     try:
@@ -298,7 +436,7 @@ def summarize_reconstruction(
     )
 
 
-def summarize_compensation(
+def compensation(
     recording: Recording, name: str, about: record.Compensation
 ) -> CompensationSummary:
     """Summarize what a compensator did, from its recorded rows.

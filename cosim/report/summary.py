@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -167,32 +168,29 @@ def summarize(recording: RecordedRun) -> Summary:
     """
     run = record.run_metadata(recording)
     truth = record.truth_of(recording)
-    about = {
-        name: record.component_record(recording, name)
-        for name in declared_channels(recording.channels)
-    }
     verdicts = record.recorded_identification(recording)
     identifications = []
     reconstructions = []
     compensations = []
-    for name, own in about.items():
+    copied = record.replay_origin(recording).copied if "replay" in run else ()
+    copied_code = {}
+    for name in declared_channels(recording.channels):
+        own = record.component_record(recording, name)
         if own.is_identifier:
             found = verdicts.get(name, record.IdentifierVerdicts())
-            identifications.append(estimators.summarize_identification(recording, name, own, found))
+            identifications.append(estimators.identification(recording, name, own, found))
         if own.reconstruction is not None:
-            reconstructions.append(
-                estimators.summarize_reconstruction(recording, name, own, own.reconstruction)
-            )
+            reconstructions.append(estimators.reconstruction(recording, name, own))
         if own.compensation is not None and is_recorded_whole(recording.channels, name):
-            compensations.append(
-                estimators.summarize_compensation(recording, name, own.compensation)
-            )
+            compensations.append(estimators.compensation(recording, name, own.compensation))
+        if own.code is not None and name in copied:
+            copied_code[name] = own.code.class_name
     end = recording.end_ns / 1e9
-    since = max([0.0, *(own.start_time for own in identifications)])
+    since = max([0.0, *(one.start_time for one in identifications)])
     if end < since:
         since = 0.0
-    # estimates on which nothing in the data depends
-    unknown = {one.name for own in identifications for one in own.parameters if one.value is None}
+    judged = chain.from_iterable(one.parameters for one in identifications)
+    unknown = {one.name for one in judged if one.value is None}  # nothing in the data depends on it
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
@@ -203,7 +201,9 @@ def summarize(recording: RecordedRun) -> Summary:
             values += _value_outcomes(
                 recording, estimate, np.array(true, np.float64, ndmin=1).tolist(), unknown
             )
-    copied = record.replay_origin(recording).copied if "replay" in run else ()
+    changed_states: list[record.StateChange] = []
+    for name, changes in record.recorded_state_changes(recording).items():
+        changed_states += (replace(change, component=name) for change in changes)
     came_true = record.until_came_true(recording)
     substeps = record.recorded_substep_counts(recording)
     window = record.recorded_window(recording)
@@ -224,16 +224,8 @@ def summarize(recording: RecordedRun) -> Summary:
         gains=record.recorded_loop_gains(recording),
         substeps=substeps,
         interpolated=tuple(_interpolated(recording, counts.components) for counts in substeps),
-        changed_states=tuple(
-            replace(change, component=name)
-            for name, changes in record.recorded_state_changes(recording).items()
-            for change in changes
-        ),
-        copied_code={
-            name: own.code.class_name
-            for name, own in about.items()
-            if name in copied and own.code is not None
-        },
+        changed_states=tuple(changed_states),
+        copied_code=copied_code,
         until=None if came_true is None else run.get("until"),
         until_came_true=came_true,
         never_came_true=record.never_came_true(recording),

@@ -11,39 +11,14 @@ import cosim
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.documents import plain
 from cosim.errors import LogError
-from cosim.report.summary import summarize
 from cosim.report.tables.run import print_summary
 from tests.log.crafting import put_together, take_apart
 
-LOOP = """
-[scenario]
-name = "loop"
-stop = 0.1
-step = 0.01
-[components]
-a = { kind = "lag", time_constant = 0.3 }
-b = { kind = "gain", K = 0.5 }
-cascade = { kind = "delay", delay = 0.01 }
-late = { kind = "gain", K = 0.5 }
-[connections]
-"a.u" = "b.y"
-"b.u" = "a.y"
-"cascade.u" = "late.y"
-"late.u" = "cascade.y"
-"""
 GAIN = plain(LoopGain(("a",), "jacobi", h=0.1, steps=1))
 WINDOW = {"half_width_steps": 1, "order": 2, "noise": [], "amplitude": 1.0, "bandwidth": 1.0}
 STEPS = {"step": 0.1, "finer_steps": [0.05]}
 LATE = {"factor": 1.0, "blocks": 1, "late": 0, "largest": 0.0, "time": 0.0}
 DEEP = '{"x":' * 500 + "1" + "}" * 500
-
-
-def test_loops_of_first_order_are_in_the_summary(tmp_path):
-    """The first extrapolates an input; the second needs none at the end of a step."""
-    path = tmp_path / "loop.toml"
-    path.write_text(LOOP, encoding="utf-8")
-    (loop,) = summarize(cosim.run(path)).loops
-    assert set(loop.split()) >= {"gauss-seidel", "a", "b"}
 
 
 @pytest.fixture(scope="module")
@@ -65,28 +40,26 @@ def lines_of_page(page):
 
 
 @pytest.mark.parametrize(
-    ("scenario", "changes"),
+    ("scenario", "step", "named"),
     [
-        ("academic-as-printed", {"scenario.stop": 0.1}),
-        ("pair", {"scenario.stop": 0.1}),
-        ("compensation", {"scenario.stop": 2.0, "scenario.step": 0.02}),
+        ("academic-as-printed", 1e-3, {"observer.delta", "identifier.theta[0]"}),
+        ("pair", 0.01, {"motor.y", "signal"}),
+        pytest.param(
+            *("compensation", 0.02, {"observer.x_a", "identifier.theta", "phase[0]"}),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
-def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, changes):
-    """Behind the signals: every number and every line, but for wall time, path and profile."""
+def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, step, named):
+    """Behind the signals every number and line, with a certificate too, but for the wall time."""
+    changes = {"scenario.step": step, "scenario.stop": 60 * step}
     run = cosim.run(scenario, set=changes, certify=scenario == "pair")
     print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
     printed = capsys.readouterr().out.splitlines()
     shown = lines_of_page(run._repr_html_())[2 + len(run) :]
     assert shown == [line for line in printed if not line.startswith("wall time\t")]
     assert shown[0].startswith(f"{scenario}: ")
-    assert len(shown) > 3
-    summary = summarize(run)
-    for name, last in summary.last.items():
-        if isinstance(last, float):
-            assert any(line.startswith(f"{name}\t{last:.6g}") for line in shown)
-    for own in summary.identifications:
-        assert len([line for line in shown if line.startswith(f"{own.component}.theta")])
+    assert named <= {line.partition("\t")[0] for line in shown}
 
 
 @pytest.mark.parametrize(

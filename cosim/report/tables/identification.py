@@ -11,14 +11,14 @@ from typing import Any
 from rich.table import Table
 
 from cosim.documents import plain
-from cosim.report.estimators import noise_text
-from cosim.report.tables.console import new_table, print_json, print_tables
-from cosim.report.tables.estimates import (
+from cosim.report.estimators import (
     guaranteed_lines,
     noise_line,
+    noise_text,
     value_text,
     verdict_lines,
 )
+from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.scenario.identification.irregular import irregular_part
 from cosim.scenario.identification.run_verdicts import verdicts_of
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification

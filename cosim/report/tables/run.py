@@ -16,31 +16,18 @@ from cosim.core.recording import Recording
 from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
-from cosim.report.estimators import (
-    CompensationSummary,
-    DeltaReconstruction,
-    Identification,
-    bad_verdicts,
-    by_reason,
-    numbers_text,
-)
+from cosim.report.estimators import bad_verdicts, by_reason, value_text, verdict_lines
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_tables
-from cosim.report.tables.estimates import (
-    estimate_table,
-    guaranteed_lines,
-    noise_line,
-    undetected_in_run,
-    verdict_lines,
-    verdicts_of_run,
-)
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
-from cosim.theory.documents import Verdict
+from cosim.theory.documents import ParameterVerdict, Verdict
 
 # what times or values are taken for: a wrong one is a wrong result, so that it is always said
 _TAKEN: Final = re.compile(r"\bunits?\b|\btimes are\b|\bsame time\b|\bstamps?\b")
+_SHOWN_RTOL: Final = 1e-6  # of values with six digits
+_COLUMNS: Final = ("parameter", "estimate", "95 % interval", "truth", "error", "verdict")
 MOST_GAINS: Final = 5  # after actions, in a table
 
 
@@ -114,7 +101,7 @@ def _run_tables(
 ) -> list[Table]:
     """Return signals, constants, and what else is said, with ``more`` lines; then certificates."""
     lines = _lines(summary, recording, "--certify" if certificate is None else "below")
-    values = [_signal_table(summary, recording), estimate_table(summary)]
+    values = [_signal_table(summary, recording), _estimate_table(summary)]
     tables = [table for table in values if table.rows]
     tables.append(new_table("", ("", ""), [*lines, *more]))
     if certificate is not None:
@@ -185,6 +172,75 @@ def _signal_table(summary: Summary, recording: Recording) -> Table:
     return new_table("", ("signal", "final value", unit), last_rows)
 
 
+def _verdicts_of(summary: Summary) -> list[tuple[str, ParameterVerdict]]:
+    """Return the verdicts of a run with their labels.
+
+    Those of each identifier are followed by what output error says beside another method, and by
+    amplitudes and phases.
+    """
+    verdicts = []
+    for own in summary.identifications:
+        verdicts += [(one.name, one) for one in own.parameters]
+        prefix = "" if len(summary.identifications) > 1 else f"{own.component}."
+        for one in own.reference:
+            verdicts.append((f"{one.name.removeprefix(prefix)}, output error", one))
+        verdicts += [(one.name, one) for one in own.amplitudes]
+    return verdicts
+
+
+def _undetected(summary: Summary) -> Iterator[str]:
+    """Yield which errors of the models of a run would pass; of several with the identifier."""
+    for own in summary.identifications:
+        prefix = f"{own.component}: " if len(summary.identifications) > 1 else ""
+        yield from (f"{prefix}{text}" for text in own.undetected)
+
+
+def _estimate_table(summary: Summary) -> Table:
+    """Return the constants that a run estimates, those with a truth first.
+
+    Such a one has two rows where its signal ends with another value than that of its verdict.
+    Columns that no row has are left out.
+    """
+    verdicts = _verdicts_of(summary)
+    by_label = dict(verdicts)
+    truths = {own.estimate: own for own in summary.values}
+    rows = []
+    for label, own in truths.items():
+        verdict = by_label.get(label)
+        if verdict is None:
+            rows.append(_estimate_row(label, own.value, own.truth))
+            continue
+        value = verdict.value
+        if own.value is not None:
+            shown = math.nan if value is None else value
+            if math.isclose(own.value, shown, rel_tol=_SHOWN_RTOL):
+                value = own.value
+            else:
+                rows.append(_estimate_row(f"{label} (signal)", own.value, own.truth))
+        rows.append(_estimate_row(label, value, own.truth, verdict))
+    for label, verdict in verdicts:
+        if label not in truths:
+            rows.append(_estimate_row(label, verdict.value, None, verdict))
+    columns = zip(_COLUMNS, *rows, strict=True)
+    shown_columns = [column for column in columns if any(column[1:])]
+    header, *cells = zip(*shown_columns, strict=True) if rows else [()]
+    return new_table("", header, cells)
+
+
+def _estimate_row(
+    label: str, value: float | None, truth: float | None, verdict: ParameterVerdict | None = None
+) -> tuple[str, ...]:
+    width = None if verdict is None else verdict.half_width
+    return (
+        label,
+        value_text(value),
+        "" if width is None else f"± {width:.2g}",
+        "" if truth is None else f"{truth:+g}",
+        "" if truth is None or value is None else f"{abs(value - truth):.3g}",
+        "" if verdict is None else verdict.verdict,
+    )
+
+
 def _lines(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[str, str]]:
     """Yield what is said of a run in words, each with its subject.
 
@@ -196,18 +252,17 @@ def _lines(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[s
         What shows how large a coupling error is.
     """
     yield from _of_times(summary)
-    yield from verdict_lines(verdicts_of_run(summary), undetected_in_run(summary))
+    yield from verdict_lines(_verdicts_of(summary), _undetected(summary))
     start = recorded_start(recording)
     for own in summary.identifications:
         label = _label("identification", own.component, summary.identifications)
-        yield label, _start_text(own, summary.end, start)
-        yield from _of_identification(own)
+        yield from own.lines(label, start, summary.end)
     for design in summary.reconstructions:
         label = _label("reconstruction", design.component, summary.reconstructions)
-        yield from _of_reconstruction(design, label)
-    for compensation in summary.compensations:
-        label = _label("internal model", compensation.component, summary.compensations)
-        yield from _of_compensation(compensation, label)
+        yield from design.lines(label)
+    for model in summary.compensations:
+        label = _label("internal model", model.component, summary.compensations)
+        yield from model.lines(label)
     yield from _of_loops(summary, see)
     if summary.lateness is not None:
         yield "real time", str(summary.lateness)
@@ -270,71 +325,6 @@ def _of_loops(summary: Summary, see: str) -> Iterator[tuple[str, str]]:
     if len(after_actions) > MOST_GAINS:
         text = f"{len(after_actions) - MOST_GAINS} more after actions; see --json"
         yield "error growth", text
-
-
-def _start_text(own: Identification, end: float, start: float) -> str:
-    """Return when an identification starts in a run, and why."""
-    origin = "given"
-    if own.times:
-        origin = f"start {start:g} s + " if start else ""
-        origin += (
-            f"observer {own.times['T_obs']:.4f} s + filter {own.times['T_f']:.4f} s + longest "
-            f"delay {own.times['D_max']:g} s"
-        )
-    late = ", after the end of the run" if own.start_time > end else ""
-    return f"from {own.start_time:g} s{late} ({origin})"
-
-
-def _of_identification(own: Identification) -> Iterator[tuple[str, str]]:
-    """Yield what the data of an identification determine, and their noise."""
-    if own.eigenvalues:
-        yield "information matrix", f"eigenvalues {numbers_text(own.eigenvalues)}"
-    for text in filter(None, (own.verdict, *own.notes)):
-        yield "", text
-    if own.noise:
-        yield noise_line(own.deviation, own.noise)
-    if own.guaranteed is not None:
-        yield from guaranteed_lines(own.guaranteed)
-
-
-def _of_reconstruction(design: DeltaReconstruction, label: str) -> Iterator[tuple[str, str]]:
-    """Yield what delta costs: noise, bias and lag, and what its window was chosen for."""
-    kind = f"{design.filter} filter"
-    if design.filter != "first-order":  # the scenario has it
-        kind += "".join(f", {name} {value:g}" for name, value in design.parameters.items())
-    bias = design.bias
-    error = "y is not differentiated, no bias"
-    if bias.coefficient:
-        ordinal = {1: "first", 2: "second", 3: "third"}.get(bias.derivative, f"{bias.derivative}th")
-        signal = "the measurement" if bias.of == "G w" else bias.of
-        error = f"bias {bias.coefficient:.3g} x {ordinal} derivative of {signal}"
-    lag = f"; lag {design.lag:g} s" if design.lag else ""
-    yield label, f"{kind}: noise gain {numbers_text(design.noise_gain)} 1/s; {error}{lag}"
-    choice = design.choice
-    if choice is not None:
-        yield (
-            "",
-            f"chosen for noise of {numbers_text(choice.noise)} in y and delta of "
-            f"{choice.amplitude:.3g} up to {choice.bandwidth:.3g} rad/s; expected error "
-            f"{choice.error_by_noise:.2g} from noise, {choice.error_by_bias:.2g} from bias; "
-            f"{choice.assumption}",
-        )
-
-
-def _of_compensation(own: CompensationSummary, label: str) -> Iterator[tuple[str, str]]:
-    """Yield when the internal model became active, and what is left of the regulated error."""
-    error = f"{numbers_text(own.before)} rms"
-    text = f"not active: {own.reason}"
-    if own.active_since is not None:
-        text = f"active from {own.active_since:g} s"
-        error += f" before, {numbers_text(own.after)} rms for t >= {own.since:.4g} s"
-    if own.theta:
-        first = ", ".join(f"{value:.6g}" for value in own.theta)
-        last = ", ".join(f"{value:.6g}" for value in own.last_theta)
-        text += f" with theta = {first}, at the end {last}; loop proven stable for theta in "
-        text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in own.interval)
-    yield label, text
-    yield "regulated error", f"{error}, as measured"
 
 
 def _wall_time(wall: Mapping[str, float], simulated: float) -> str:
