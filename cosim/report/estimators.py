@@ -23,6 +23,7 @@ from cosim.theory.documents import Bias, ParameterVerdict, Verdict
 LAST_PART: Final = 0.25  # of an active time, over which the error that is left is averaged
 _IN_TERM: Final = "in "  # begins the reason of an amplitude that names its term
 IF_WRONG: Final = "if it is wrong"  # the model, behind the sentence that says "if it is right"
+_ORDINALS: Final = {1: "first", 2: "second", 3: "third"}
 _SHOWN: Final = ("estimate", "verdict", "reason", "value", "standard_error", "half_width")
 _SHOWN_OF_PART: Final = ("bound", "problem", "effects", "confidence")
 _OfTheta = TypeVar("_OfTheta", ParameterVerdict, record.IrregularEffect)
@@ -48,9 +49,7 @@ class DeltaReconstruction:
         bias = self.bias
         error = "y is not differentiated, no bias"
         if bias.coefficient:
-            ordinal = {1: "first", 2: "second", 3: "third"}.get(
-                bias.derivative, f"{bias.derivative}th"
-            )
+            ordinal = _ORDINALS.get(bias.derivative, f"{bias.derivative}th")
             signal = "the measurement" if bias.of == "G w" else bias.of
             error = f"bias {bias.coefficient:.3g} x {ordinal} derivative of {signal}"
         lag = f"; lag {self.lag:g} s" if self.lag else ""
@@ -115,11 +114,21 @@ class Identification:
     def __repr__(self) -> str:
         return f"<Identification by {self.component!r}: {list(self.parameters)}>"
 
+    @property
+    def labelled_verdicts(self) -> list[tuple[str, ParameterVerdict]]:
+        """All verdicts with their labels; what output error says beside another method says so."""
+        return [
+            *((one.name, one) for one in self.parameters),
+            *((f"{one.name}, output error", one) for one in self.reference),
+            *((one.name, one) for one in self.amplitudes),
+        ]
+
     def lines(self, label: str, start: float, end: float) -> Iterator[tuple[str, str]]:
-        """Yield when it starts and why, what its data determine, and their noise.
+        """Yield what verdicts rest on, when it starts and why, what its data determine, the noise.
 
         ``start`` and ``end`` are those of the run [s].
         """
+        yield from verdict_lines(self.labelled_verdicts, self.undetected)
         origin = "given"
         if self.times:
             origin = f"start {start:g} s + " if start else ""
@@ -339,12 +348,15 @@ def verdict_lines(
     """
     reasons = []
     terms: dict[str, None] = {}
+    units: dict[str, None] = {}
     for label, one in verdicts:
         term = one.reason.removeprefix(_IN_TERM)
         if term == one.reason:
             reasons.append((str(one.verdict), one.reason, label))
-        else:  # it is a term, or the unit of a constant of one
-            terms[term if "[" in term else f"{one.name} in {term}"] = None
+        elif "[" in term:
+            terms[term] = None
+        else:
+            units[f"{one.name} in {term}"] = None
     groups = by_reason(row for row in reasons if row[1])
     for (verdict, reason), labels in groups.items():
         is_only = sum(verdict == other for other, _ in groups) == 1
@@ -352,13 +364,13 @@ def verdict_lines(
     for text in undetected:
         yield IF_WRONG, text
     if terms:
-        yield "terms of delta", "; ".join(terms)
+        yield "terms of delta", "; ".join([*terms, *units])
 
 
 def noise_line(deviation: Sequence[float], noise: str) -> tuple[str, str]:
     """Return the standard deviations of the noise of y, and what is known of it."""
     if deviation:
-        noise = f"{numbers_text(deviation)}: {noise.removeprefix('of y, ')}"
+        noise = f"{numbers_text(deviation)}: {noise}".replace(": of y,", ",", 1)
     return "noise of y", noise
 
 

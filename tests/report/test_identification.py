@@ -69,7 +69,7 @@ def test_the_table_shows_what_was_recorded(logs, call):
     pair, correlation = shown["correlation"][0].split(": ")
     assert pair == "theta[0], theta[1]"
     assert float(correlation) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
-    assert float(shown["noise of y"][0].split(":")[0]) == pytest.approx(1e-3, rel=0.1)
+    assert float(shown["noise of y"][0].split(",")[0]) == pytest.approx(1e-3, rel=0.1)
     assert shown["whiteness"][1:] == ["55.1", "passed"]
     assert shown[str(logs["first"].path)][0].startswith("2001 samples; x(0) ")
     for amplitude in recorded["amplitudes"][0]:  # 1 in the scenario

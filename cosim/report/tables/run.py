@@ -16,7 +16,7 @@ from cosim.core.recording import Recording
 from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
-from cosim.report.estimators import bad_verdicts, by_reason, value_text, verdict_lines
+from cosim.report.estimators import bad_verdicts, by_reason, value_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_tables
@@ -172,36 +172,13 @@ def _signal_table(summary: Summary, recording: Recording) -> Table:
     return new_table("", ("signal", "final value", unit), last_rows)
 
 
-def _verdicts_of(summary: Summary) -> list[tuple[str, ParameterVerdict]]:
-    """Return the verdicts of a run with their labels.
-
-    Those of each identifier are followed by what output error says beside another method, and by
-    amplitudes and phases.
-    """
-    verdicts = []
-    for own in summary.identifications:
-        verdicts += [(one.name, one) for one in own.parameters]
-        prefix = "" if len(summary.identifications) > 1 else f"{own.component}."
-        for one in own.reference:
-            verdicts.append((f"{one.name.removeprefix(prefix)}, output error", one))
-        verdicts += [(one.name, one) for one in own.amplitudes]
-    return verdicts
-
-
-def _undetected(summary: Summary) -> Iterator[str]:
-    """Yield which errors of the models of a run would pass; of several with the identifier."""
-    for own in summary.identifications:
-        prefix = f"{own.component}: " if len(summary.identifications) > 1 else ""
-        yield from (f"{prefix}{text}" for text in own.undetected)
-
-
 def _estimate_table(summary: Summary) -> Table:
     """Return the constants that a run estimates, those with a truth first.
 
     Such a one has two rows where its signal ends with another value than that of its verdict.
     Columns that no row has are left out.
     """
-    verdicts = _verdicts_of(summary)
+    verdicts = [pair for own in summary.identifications for pair in own.labelled_verdicts]
     by_label = dict(verdicts)
     truths = {own.estimate: own for own in summary.values}
     rows = []
@@ -252,7 +229,6 @@ def _lines(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[s
         What shows how large a coupling error is.
     """
     yield from _of_times(summary)
-    yield from verdict_lines(_verdicts_of(summary), _undetected(summary))
     start = recorded_start(recording)
     for own in summary.identifications:
         label = _label("identification", own.component, summary.identifications)
