@@ -124,11 +124,10 @@ class Identification:
         ]
 
     def lines(self, label: str, start: float, end: float) -> Iterator[tuple[str, str]]:
-        """Yield what verdicts rest on, when it starts and why, what its data determine, the noise.
+        """Yield when it starts and why, what verdicts rest on, what its data determine, the noise.
 
         ``start`` and ``end`` are those of the run [s].
         """
-        yield from verdict_lines(self.labelled_verdicts, self.undetected)
         origin = "given"
         if self.times:
             origin = f"start {start:g} s + " if start else ""
@@ -138,6 +137,7 @@ class Identification:
             )
         late = ", after the end of the run" if self.start_time > end else ""
         yield label, f"from {self.start_time:g} s{late} ({origin})"
+        yield from verdict_lines(self.labelled_verdicts, self.undetected)
         if self.eigenvalues:
             yield "information matrix", f"eigenvalues {numbers_text(self.eigenvalues)}"
         for text in filter(None, (self.verdict, *self.notes)):
