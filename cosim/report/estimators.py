@@ -269,7 +269,7 @@ def identification(
         undetected=tuple(map(str, found.undetected)),
         deviation=found.deviation,
         noise=found.problem or noise_text(found),
-        guaranteed=part and replace(part, effects=_named(component, part.effects)),
+        guaranteed=None if part is None else replace(part, effects=_named(component, part.effects)),
     )
 
 
