@@ -466,29 +466,28 @@ def compensation(
         raise LogError(f"{label}: expected regulated outputs of its y as in r, got {regulated}")
     error: Matrix = y[:, regulated] - r
     rows = np.flatnonzero(active[:, 0] > 0.0)
-    if not len(rows):
-        return CompensationSummary(
-            name,
-            reason=_reason(recording, name, about, label),
-            before=_rms(error),
-            since=record.recorded_start(recording),
-            interval=about.interval,
-        )
+    first = int(rows[0]) if len(rows) else None
+    inactive = CompensationSummary(
+        name,
+        before=_rms(error[:first]),
+        since=record.recorded_start(recording),
+        interval=about.interval,
+    )
+    if first is None:
+        return replace(inactive, reason=_reason(recording, name, about, label))
     time = recording.time_ns(name) / 1e9
-    begin, end = time[rows[0]], time[-1]
+    begin, end = float(time[first]), float(time[-1])
     since = end - LAST_PART * (end - begin)
     theta: Matrix = np.zeros((len(time), 0))
     if about.interval:
         theta = as_columns(recording[f"{name}.model_theta"])
-    return CompensationSummary(
-        name,
-        active_since=float(begin),
-        theta=tuple(theta[rows[0]].tolist()),
+    return replace(
+        inactive,
+        active_since=begin,
+        theta=tuple(theta[first].tolist()),
         last_theta=tuple(theta[-1].tolist()),
-        before=_rms(error[: rows[0]]),
         after=_rms(error[time >= since]),
-        since=float(since),
-        interval=about.interval,
+        since=since,
     )
 
 
