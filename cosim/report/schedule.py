@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import chain
-from typing import Any, Final, Literal, TypeAlias
+from typing import Final, NamedTuple
 
 from cosim.core.graph import Graph
 from cosim.core.port import Port
@@ -17,27 +17,27 @@ from cosim.scenario.building.build import describe
 from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling
 
-InputCourse: TypeAlias = Literal[
-    "linear",
-    "linear over period",
-    "mean",
-    "latest",
-    "zero-order hold",
-    "sampled",
-    "delayed",
-    "extrapolated",
-    "solved",
-]
-_COURSES: Final[Mapping[InputCourse, str]] = {
-    "linear": "linear interpolation",
-    "linear over period": "linear interpolation over its period",
-    "mean": "mean of both ends",
-    "latest": "latest value, which may have jumped",
-    "zero-order hold": "zero-order hold",
-    "sampled": "zero-order hold of its samples",
-    "delayed": "delayed, so its value at the start of the step is exact",
-    "extrapolated": "extrapolated: held from the start of the step",
-    "solved": "solved",
+
+class InputCourse(NamedTuple):
+    """What an input has within a communication step: in words, and as the line of an arrow."""
+
+    text: str
+    color: str
+    dashes: str
+
+
+COURSES: Final[Mapping[str, InputCourse]] = {
+    "linear": InputCourse("linear interpolation", "#444444", "-"),
+    "linear over period": InputCourse("linear interpolation over its period", "#444444", "-."),
+    "mean": InputCourse("mean of both ends", "#444444", "-."),
+    "latest": InputCourse("latest value, which may have jumped", "#444444", ":"),
+    "zero-order hold": InputCourse("zero-order hold", "#1f6fb2", ":"),
+    "sampled": InputCourse("zero-order hold of its samples", "#1f6fb2", "-."),
+    "delayed": InputCourse(
+        "delayed, so its value at the start of the step is exact", "#1f6fb2", "--"
+    ),
+    "extrapolated": InputCourse("extrapolated: held from the start of the step", "#c0392b", "--"),
+    "solved": InputCourse("solved", "#2e7d32", "-"),
 }
 
 
@@ -90,20 +90,15 @@ class ScheduledConnection:
         value known where its source may jump inside of a step. Of a component with a period:
         "linear over period", or "sampled", with a zero-order hold over the period. In a loop also:
         "extrapolated" from the start of the step; "delayed", so that only its value there counts;
-        "solved" for in every step.
+        "solved" for in every step. One of ``COURSES``.
     is_feedback : bool
         It leads to a component of its loop that advances before.
     """
 
     source: str
     to: str
-    course: InputCourse
+    course: str
     is_feedback: bool
-
-    @property
-    def components(self) -> tuple[str, str]:
-        """The components at both ends."""
-        return Port.parse(self.source).component, Port.parse(self.to).component
 
 
 @dataclass(frozen=True)
@@ -162,10 +157,6 @@ class GraphSchedule:
     components: tuple[ScheduledComponent, ...]
     connections: tuple[ScheduledConnection, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
-
 
 def schedule_of(name: str) -> GraphSchedule:
     """Return how the components of a scenario advance; nothing of FMUs and users' classes runs.
@@ -187,39 +178,31 @@ def schedule_of(name: str) -> GraphSchedule:
             f"imported here; {command('run')} writes the schedule to its log"
         )
     step_ns = described.clock.step_ns
-    samplings: dict[str, Sampling | None] = {}
-    for owner, spec in scenario.specs.items():
-        samplings[owner] = spec.sampling(spec.period_steps(owner, step_ns))
-    stages = []
+    stages = [_stage(number, stage) for number, stage in enumerate(graph.stages, start=1)]
+    samplings = {}
     components = []
-    loops: dict[str, Stage] = {}
-    for number, stage in enumerate(graph.stages, start=1):
-        scheduled = _stage(number, stage)
-        stages.append(scheduled)
-        if stage.is_loop:
-            loops |= dict.fromkeys(scheduled.members, stage)
-        for member in scheduled.members:
-            interface = graph.layout[member].interface
-            sampling = samplings[member] or Sampling(graph.layout[member].period, 0, holds=False)
-            feedthrough: dict[str, tuple[str, ...] | None] = {}
-            for output in interface.outputs:
-                is_known = interface.knows(output.name)
-                feedthrough[output.name] = interface.feeds(output.name) if is_known else None
-            component = ScheduledComponent(
-                member,
-                scenario.specs[member].kind,
-                number,
-                step_seconds(sampling.period * step_ns) if sampling.period > 1 else None,
-                step_seconds(sampling.offset * step_ns),
-                feedthrough,
+    for one in stages:
+        for member in one.members:
+            spec = scenario.specs[member]
+            channel = graph.layout[member]
+            interface = channel.interface
+            feedthrough = {
+                output.name: interface.feeds(output.name) if interface.knows(output.name) else None
+                for output in interface.outputs
+            }
+            own = samplings[member] = spec.sampling(spec.period_steps(member, step_ns))
+            shown = own or Sampling(channel.period, 0, holds=False)
+            period = step_seconds(shown.period * step_ns) if shown.period > 1 else None
+            offset = step_seconds(shown.offset * step_ns)
+            components.append(
+                ScheduledComponent(member, spec.kind, one.number, period, offset, feedthrough)
             )
-            components.append(component)
+    loops = {member: stage for stage in graph.stages if stage.is_loop for _, member in stage.order}
     connections = []
     for to, written in graph.connections.items():
         for source in written.sources:
             loop = loops.get(to.component)
-            if loop is not loops.get(source.component):
-                loop = None
+            loop = loop if loop is loops.get(source.component) else None
             connections.append(_connection(graph, loop, source, to, samplings[to.component]))
     return GraphSchedule(
         scenario.name, described.clock.h, tuple(stages), tuple(components), tuple(connections)
@@ -227,19 +210,14 @@ def schedule_of(name: str) -> GraphSchedule:
 
 
 def _stage(number: int, stage: Stage) -> ScheduledStage:
-    members = []
-    operations = []
-    for operation, name in stage.order:
-        if operation == "advance":
-            members.append(name)
-            operations.append(f"advance {name}")
-        else:
-            operations.append(f"outputs of {name}")
     return ScheduledStage(
         number,
-        tuple(members),
+        tuple(name for operation, name in stage.order if operation == "advance"),
         stage.coupling,
-        tuple(operations),
+        tuple(
+            f"advance {name}" if operation == "advance" else f"outputs of {name}"
+            for operation, name in stage.order
+        ),
         () if stage.torn is None else tuple(stage.torn.labels),
         stage.is_first_order,
         stage.controls[0].tolerance.min_ns / 1e9 if stage.controls else None,
@@ -257,15 +235,17 @@ def _connection(
     first = end.columns.start - end.channel.inputs.start
     elements = slice(first, first + end.size)
     is_held = bool(graph.held[to.component][elements].all())
-    course: InputCourse = "zero-order hold" if is_held else "linear"
-    if sampling is not None and (sampling.holds or (is_held and sampling.period > 1)):
+    has_period = sampling is not None and sampling.period > 1
+    course = "zero-order hold" if is_held else "linear"
+    if sampling is not None and (sampling.holds or (is_held and has_period)):
         course = "sampled"
-    elif sampling is not None and sampling.period > 1:
+    elif has_period:
         course = "linear over period"
     if name in interface.one_value and course.startswith("linear"):
         course = "latest" if graph.latest[to.component][elements].any() else "mean"
     is_feedback = loop is not None and name in loop.extrapolated.get(to.component, ())
-    if loop is not None and _is_solved(loop, end.port):
+    solved = () if loop is None or loop.torn is None else loop.torn.labels
+    if any(label == str(end.port) or label.startswith(f"{end.port}[") for label in solved):
         course = "solved"
     elif is_feedback and course != "sampled":  # that is late, and nothing lost
         if name in interface.delayed:
@@ -275,28 +255,21 @@ def _connection(
     return ScheduledConnection(str(source), str(to), course, is_feedback)
 
 
-def _is_solved(loop: Stage, to: Port) -> bool:
-    """Return whether a loop solves for an input, or elements of it."""
-    labels = () if loop.torn is None else loop.torn.labels
-    return any(label == str(to) or label.startswith(f"{to}[") for label in labels)
-
-
 # --- as tables ---
 
 
 def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
     """Print stages, components and connections."""
     if as_json:
-        print_json(schedule.to_dict())
+        print_json(asdict(schedule))
         return
     title = f"{schedule.scenario}: stages in order, communication step {schedule.step:g} s"
-    stages = []
-    for stage in schedule.stages:
-        stages.append((str(stage.number), ", ".join(stage.members), _stage_text(stage)))
-    components = []
-    for one in schedule.components:
-        components.append((one.name, str(one.stage), one.kind, one.rate, _feedthrough_text(one)))
-    connections = [(one.source, one.to, _COURSES[one.course]) for one in schedule.connections]
+    stages = [(str(one.number), ", ".join(one.members), _way(one)) for one in schedule.stages]
+    components = [
+        (one.name, str(one.stage), one.kind, one.rate, _feedthrough_text(one))
+        for one in schedule.components
+    ]
+    connections = [(one.source, one.to, COURSES[one.course].text) for one in schedule.connections]
     headings = ("", "stage", "kind", "outputs change", "direct feedthrough")
     tables = [
         new_table(title, ("", "components", "advance"), stages),
@@ -306,7 +279,7 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
     print_tables(tables)
 
 
-def _stage_text(stage: ScheduledStage) -> str:
+def _way(stage: ScheduledStage) -> str:
     """Return how the components of a stage advance."""
     if not stage.coupling:
         return "in blocks of steps"

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.report.plots import identification as plots
-from cosim.report.plots.curves import draw_curves
-from cosim.report.plots.picture import PictureOptions
-from cosim.report.plots.runs import estimate_curves
+from cosim.report.plots import identification
+from cosim.report.plots.curves import Curve, estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.estimates import IF_WRONG, estimate_notes
 from cosim.report.tables.identification import report_identification
@@ -266,23 +264,23 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
 def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict):
     """Where noise does not explain the residual, the titles say why there is none."""
     pytest.importorskip("matplotlib")
-    bands = []
+    draw = Curve.draw
+    bands = {}
 
-    def keep(panel, curves, styles=None):
-        draw_curves(panel, curves, styles)
-        bands.append([curve.band is not None for curve in curves])
+    def keep(curve, panel, style, *, label=None):
+        draw(curve, panel, style, label=label)
+        bands[curve.name] = curve.band is not None
 
-    monkeypatch.setattr(plots, "draw_curves", keep)
+    monkeypatch.setattr(Curve, "draw", keep)
     found = identify_records([identifier_record(logs["first"])], bounds=bounds)
     assert {one.verdict for one in found.assessment.parameters} == {verdict}
-    plots.plot_identification(found, tmp_path / "a.svg")
+    identification.plot_identification(found, tmp_path / "a.svg")
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
-    of_delta = bands[1:3]  # behind the residual
-    if verdict == "IDENTIFIABLE":
-        assert of_delta == [[True], [True]]
+    is_sure = verdict == "IDENTIFIABLE"
+    assert (bands["delta"], bands["error of delta"]) == (is_sure, is_sure)
+    if is_sure:
         assert "its error, and 95 % band" in texts
     else:
-        assert of_delta == [[False], [False]]
         reason = f"no 95 % band: theta[0] is {verdict}"
         assert texts.count(reason) == 1
         assert texts.count(f"its error; {reason}") == 1
@@ -304,25 +302,27 @@ def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
 def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     """Without a truth there is no gray line, and the half width takes the place of the error."""
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr(plots, "truth_of", lambda log: {})
+    monkeypatch.setattr(identification, "truth_of", lambda log: {})
     found = identify_records([identifier_record(logs["first"])])
-    plots.plot_identification(found, tmp_path / "a.svg")
+    identification.plot_identification(found, tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text("utf-8")
     assert "gray: truth" not in text
     assert "its error" not in text
     assert text.count("half width of its 95 % band") == 2
     found = identify_records([identifier_record(logs["first"])], bounds={1: (-0.5, -0.5)})
-    plots.plot_identification(found, tmp_path / "b.svg")  # nothing stands beside the disturbance
+    identification.plot_identification(
+        found, tmp_path / "b.svg"
+    )  # nothing stands beside the disturbance
     text = (tmp_path / "b.svg").read_text("utf-8")
     assert text.count("no 95 % band: theta[0] is INCONSISTENT") == 2
 
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):
     """The standard picture draws it around theta; other estimates have none."""
-    curves = estimate_curves(logs["first"], "identifier.theta", PictureOptions())
+    curves = estimate_curves(logs["first"], "identifier.theta")
     recorded = logs["first"]["identifier.standard_error"]
     for curve, error in zip(curves, recorded.T, strict=True):
         expected = NormalDist().inv_cdf(0.975) * error
         np.testing.assert_allclose(curve.band, expected, rtol=1e-12)
-    (delta,) = estimate_curves(logs["first"], "observer.delta", PictureOptions())
+    (delta,) = estimate_curves(logs["first"], "observer.delta")
     assert delta.band is None

@@ -13,9 +13,9 @@ from cosim.errors import UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.report.plots import PictureOptions, plot_difference, plot_run, plot_signals, runs
-from cosim.report.plots.curves import Curve, curves_of, draw_curves
+from cosim.report.plots.curves import Curve, curves_of, draw_curves, error_curves
 from cosim.report.plots.picture import Picture, broken
-from cosim.report.plots.runs import error_curves, near_most
+from cosim.report.plots.runs import near_most
 from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
 

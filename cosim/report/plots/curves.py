@@ -2,31 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.errors import UsageError
-from cosim.report.plots.picture import PictureOptions
-from cosim.report.printable import printable_line
-from cosim.report.recorded_rows import element_names, rows_of, signal_of, time_ns_of, units_of
+from cosim.report.plots.picture import (
+    LARGEST_DRAWN,
+    STANDARD,
+    PictureOptions,
+    Style,
+    color_styles,
+    show_legend,
+    shown_text,
+)
+from cosim.report.recorded_rows import (
+    beside_truth,
+    difference,
+    has_signal,
+    recorded_port,
+    rows_of,
+    stacked_units,
+)
+from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.record import truth_of
+from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 from cosim.units import Unit, conversion
 
-Style: TypeAlias = Mapping[str, Any]
-
 TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
-WIDTH: Final = 1.2  # of a line [points]
-MOST_NAMES: Final = 24  # in the legend of a panel
-_NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
+ZERO: Final[Style] = {"color": "0.75", "linewidth": 1.0}
+SCIENTIFIC: Final = (-2, 3)  # powers of ten of numbers written in full, of errors
 _FAINT: Final = 0.2  # opacity of a band
-# Okabe and Ito, without yellow: the color-blind can distinguish them
-COLORS: Final = ("#0072B2", "#D55E00", "#000000", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
-DASHES: Final = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
-LARGEST_DRAWN: Final = 1e300  # an axis has margins: the difference of its ends must be a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +68,6 @@ class Curve:
     band: Vector | None = None
 
     @property
-    def label(self) -> str:
-        """Its name, with its run."""
-        return f"{self.name}{self.run}"
-
-    @property
     def edges(self) -> tuple[Vector, Vector]:
         """Both edges of its band; itself where it has none."""
         band = 0.0 if self.band is None else self.band
@@ -79,20 +85,16 @@ class Curve:
         largest = float(np.abs(finite).max(initial=0.0))
         if largest > LARGEST_DRAWN:
             raise UsageError(
-                f"{self.label}: {largest:g} is too large to be drawn; expected at most "
+                f"{self.name}{self.run}: {largest:g} is too large to be drawn; expected at most "
                 f"{LARGEST_DRAWN:g}"
             )
         drawstyle = "steps-post" if self.held else "default"
         panel.plot(self.times, self.values, drawstyle=drawstyle, label=label, **style)
         if self.band is not None:
-            panel.fill_between(
-                self.times,
-                *np.clip(self.edges, -LARGEST_DRAWN, LARGEST_DRAWN),
-                color=style["color"],
-                alpha=_FAINT,
-                linewidth=0.0,
-                step="post" if self.held else None,
-            )
+            edges = np.clip(self.edges, -LARGEST_DRAWN, LARGEST_DRAWN)
+            step = "post" if self.held else None
+            look = {"color": style["color"], "alpha": _FAINT, "linewidth": 0.0}
+            panel.fill_between(self.times, *edges, step=step, **look)
 
     def within(self, options: PictureOptions) -> Curve:
         """Return the part that a picture shows, with the rows next to it."""
@@ -113,8 +115,8 @@ class Curve:
         convert = conversion(self.unit, other.unit)
         if convert is None:
             raise UsageError(
-                f"{other.label} in {other.unit.name!r} and {self.label} in {self.unit.name!r} "
-                "cannot share an axis; give each a panel of its own"
+                f"{other.name}{other.run} in {other.unit.name!r} and {self.name}{self.run} in "
+                f"{self.unit.name!r} cannot share an axis; give each a panel of its own"
             )
         if convert.copies:
             return self
@@ -126,7 +128,7 @@ class Curve:
 def curves_of(
     recording: Recording,
     port: str,
-    options: PictureOptions,
+    options: PictureOptions = STANDARD,
     *,
     like: Sequence[Unit] | None = None,
     run: str = "",
@@ -140,21 +142,78 @@ def curves_of(
     UsageError
         If the port begins after the last time shown, or ends before the first.
     """
+    found = recorded_port(recording, port)
     rows = rows_of(recording, port, like=like)
-    times = time_ns_of(recording, port) / 1e9
+    times = recording.time_ns(found.channel.name) / 1e9
     start, stop = options.window
     if len(times) and (start > times[-1] or stop < times[0]):
         raise UsageError(
             "start, stop: no rows in this interval; expected a part of "
             f"{times[0]:g} s to {times[-1]:g} s"
         )
-    units = units_of(recording, port) if like is None else like
-    names = element_names(port, rows.shape[1])
-    held = signal_of(recording, port).variability == "discrete"
+    names = Port.parse(port).element_names(found.size)
+    return [
+        Curve(name, unit, times, values, found.signal.variability == "discrete", run).within(
+            options
+        )
+        for name, unit, values in zip(names, like or found.measures, rows.T, strict=True)
+    ]
+
+
+def difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
+    """Return ``other - first`` of each element of a port, at the instants that they share."""
+    times, values = difference(first, other, port)
+    pairs = zip(curves_of(first, port), values.T, strict=True)
+    return [replace(curve, times=times, values=column) for curve, column in pairs]
+
+
+def estimate_curves(
+    recording: Recording, estimate: str, options: PictureOptions = STANDARD
+) -> list[Curve]:
+    """Return the elements of an estimate; of theta with the band of its 95 % interval.
+
+    Where its component records no ``standard_error`` there is no band.
+    """
+    curves = curves_of(recording, estimate, options)
+    component, _, signal = estimate.rpartition(".")
+    error = f"{component}.standard_error"
+    if signal != "theta" or not has_signal(recording, error):
+        return curves
+    quantile = normal_two_sided(CONFIDENCE)
+    errors = curves_of(recording, error, options)
+    if len(errors) != len(curves):  # of a component of a user
+        return curves
+    pairs = zip(curves, errors, strict=True)
+    return [replace(curve, band=quantile * one.values) for curve, one in pairs]
+
+
+def error_curves(
+    recording: Recording, estimate: str, options: PictureOptions = STANDARD
+) -> list[Curve]:
+    """Return estimate minus truth, at the instants that they share, with the band of the estimate.
+
+    An estimate that lags is compared with the truth that much earlier.
+    """
+    true = truth_of(recording)[estimate]
+    ports = truth_ports(true)
+    whole = estimate_curves(recording, estimate)
+    times = whole[0].times
+    if ports:
+        times_ns, estimated, truth = beside_truth(recording, estimate, ports)
+        times = times_ns / 1e9
+        errors = estimated - truth
+    else:
+        errors = rows_of(recording, estimate) - np.array(true, np.float64)
     curves = []
-    for name, unit, values in zip(names, units, rows.T, strict=True):
-        curves.append(Curve(name, unit, times, values, held, run).within(options))
+    for curve, values in zip(whole, errors.T, strict=True):
+        band = curve.band if len(times) == len(curve.times) else None
+        name = f"error of {curve.name}"
+        error = replace(curve, name=name, times=times, values=values, band=band)
+        curves.append(error.within(options))
     return curves
+
+
+# --- what a panel shows ---
 
 
 def draw_curves(panel: Any, curves: Sequence[Curve], styles: Sequence[Style] | None = None) -> None:
@@ -175,11 +234,9 @@ def draw_curves(panel: Any, curves: Sequence[Curve], styles: Sequence[Style] | N
     if len(signals) == 1 and len({curve.run for curve in curves}) == 1:
         has_own_units = any(conversion(curve.unit, first.unit) is None for curve in curves)
     for curve, style in zip(curves, styles or color_styles(len(curves)), strict=True):
-        label = shown_text(curve.label)
-        if has_own_units:
-            curve.draw(panel, style, label=f"{label} {_bracketed(curve.unit)}")
-        else:
-            curve.in_unit_of(first).draw(panel, style, label=label)
+        shown = curve if has_own_units else curve.in_unit_of(first)
+        unit = _bracketed(curve.unit) if has_own_units else ""
+        shown.draw(panel, style, label=f"{shown_text(f'{curve.name}{curve.run}')} {unit}".rstrip())
     common = ""
     if len(signals) == 1:
         common = first.name if len(names) == 1 else first.name.partition("[")[0]
@@ -193,33 +250,45 @@ def _bracketed(unit: Unit) -> str:
     return "" if unit.name is None else f"[{shown_text(unit.name)}]"
 
 
-def show_legend(panel: Any) -> None:
-    """Name the curves of a panel beside it, where they hide nothing; of many only the first."""
-    lines, names = panel.get_legend_handles_labels()
-    shown = lines[:MOST_NAMES]
-    panel.legend(
-        shown,
-        names[:MOST_NAMES],
-        loc="center left",
-        bbox_to_anchor=(1.0, 0.5),
-        frameon=False,
-        fontsize="small",
-        ncols=-(-len(shown) // _NAMES_IN_COLUMN),  # rounded up
-        title=f"the first {len(shown)} of {len(lines)}" if len(shown) < len(lines) else None,
-        title_fontsize="small",
-    )
+def draw_truth(
+    panel: Any, recording: Recording, estimate: str, options: PictureOptions = STANDARD
+) -> list[Vector]:
+    """Draw the true signals, or values, of an estimate in gray; return what is drawn."""
+    true = truth_of(recording)[estimate]
+    ports = truth_ports(true)
+    if not ports:
+        values = np.atleast_1d(np.array(true, np.float64))
+        for value in values:
+            panel.axhline(value, **TRUTH)
+        return [values]
+    drawn = []
+    for port, units in zip(ports, stacked_units(recording, ports, estimate), strict=True):
+        for curve in curves_of(recording, port, options, like=units):
+            curve.draw(panel, TRUTH)
+            drawn.append(curve.values)
+    return drawn
 
 
-def color_styles(count: int) -> list[Style]:
-    """Return a style for each of several curves: colors, then dashes too."""
-    styles: list[Style] = []
-    for i in range(count):
-        color = COLORS[i % len(COLORS)]
-        dashes = DASHES[i // len(COLORS) % len(DASHES)]
-        styles.append({"color": color, "linestyle": dashes, "linewidth": WIDTH})
-    return styles
+def draw_errors(panel: Any, errors: Sequence[Curve], *, has_zero: bool = True) -> None:
+    """Draw errors, or how wide bands are, with small numbers; errors with a line at zero."""
+    draw_curves(panel, errors)
+    panel.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
+    if has_zero:
+        panel.axhline(0.0, **ZERO)
 
 
-def shown_text(name: str) -> str:
-    """Return a name as matplotlib shows it: no mathematics, no control characters."""
-    return printable_line(name).replace("$", r"\$")
+def limit_to_settled(panel: Any, curves: Iterable[Curve], truth: Sequence[Vector] = ()) -> None:
+    """Limit a panel to the truth and the second half of curves: transients would hide these."""
+    parts = [np.zeros(0), *truth]
+    for curve in curves:
+        parts += map(second_half, (curve.values, *curve.edges))
+    values = np.concatenate(parts)
+    finite = values[np.isfinite(values)]
+    if len(finite):
+        margin = 0.15 * float(np.ptp(finite)) or 1.0
+        panel.set_ylim(finite.min() - margin, finite.max() + margin)
+
+
+def second_half(values: Vector) -> Vector:
+    """Return the second half of the values of a curve."""
+    return values[len(values) // 2 :]

@@ -23,7 +23,7 @@ from cosim.report.estimators import (
     bad_verdicts,
     numbers_text,
 )
-from cosim.report.recorded_rows import signal_of
+from cosim.report.recorded_rows import recorded_port
 from cosim.report.summary import SignalError, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_tables
 from cosim.report.tables.estimates import (
@@ -150,7 +150,7 @@ def _value_tables(summary: Summary, recording: Recording) -> Iterator[Table]:
         for name, last in summary.last.items():
             values = last if isinstance(last, list) else [last]
             text = " ".join(f"{value:.6g}" for value in values)
-            rows.append((name, text, signal_of(recording, name).unit_text))
+            rows.append((name, text, recorded_port(recording, name).signal.unit_text))
         unit = "unit" if any(row[-1] for row in rows) else ""
         yield new_table("", ("signal", "final value", unit), rows)
     estimates = estimate_rows(summary)
