@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -14,7 +14,6 @@ from cosim.core.recording import Recording
 from cosim.errors import UsageError
 from cosim.report.plots.picture import (
     LARGEST_DRAWN,
-    STANDARD,
     PictureOptions,
     Style,
     color_styles,
@@ -97,8 +96,19 @@ class Curve:
             panel.fill_between(self.times, *edges, step=step, **look)
 
     def within(self, options: PictureOptions) -> Curve:
-        """Return the part that a picture shows, with the rows next to it."""
+        """Return the part that a picture shows, with the rows next to it.
+
+        Raises
+        ------
+        UsageError
+            If it begins after the last time shown, or ends before the first.
+        """
         start, stop = options.window
+        if len(self.times) and (start > self.times[-1] or stop < self.times[0]):
+            raise UsageError(
+                "start, stop: no rows in this interval; expected a part of "
+                f"{self.times[0]:g} s to {self.times[-1]:g} s"
+            )
         first = int(np.searchsorted(self.times, start, side="right")) - 1
         shown = slice(max(0, first), int(np.searchsorted(self.times, stop, side="left")) + 1)
         band = None if self.band is None else self.band[shown]
@@ -126,12 +136,7 @@ class Curve:
 
 
 def curves_of(
-    recording: Recording,
-    port: str,
-    options: PictureOptions = STANDARD,
-    *,
-    like: Sequence[Unit] | None = None,
-    run: str = "",
+    recording: Recording, port: str, *, like: Sequence[Unit] | None = None, run: str = ""
 ) -> list[Curve]:
     """Return a curve for each element of a port; in the units ``like``, if given.
 
@@ -139,25 +144,14 @@ def curves_of(
     ------
     LogError
         If there is no such component, signal or element.
-    UsageError
-        If the port begins after the last time shown, or ends before the first.
     """
     found = recorded_port(recording, port)
     rows = rows_of(recording, port, like=like)
     times = recording.time_ns(found.channel.name) / 1e9
-    start, stop = options.window
-    if len(times) and (start > times[-1] or stop < times[0]):
-        raise UsageError(
-            "start, stop: no rows in this interval; expected a part of "
-            f"{times[0]:g} s to {times[-1]:g} s"
-        )
     names = Port.parse(port).element_names(found.size)
-    return [
-        Curve(name, unit, times, values, found.signal.variability == "discrete", run).within(
-            options
-        )
-        for name, unit, values in zip(names, like or found.measures, rows.T, strict=True)
-    ]
+    held = found.signal.variability == "discrete"
+    elements = zip(names, like or found.measures, rows.T, strict=True)
+    return [Curve(name, unit, times, values, held, run) for name, unit, values in elements]
 
 
 def difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
@@ -167,50 +161,65 @@ def difference_curves(first: Recording, other: Recording, port: str) -> list[Cur
     return [replace(curve, times=times, values=column) for curve, column in pairs]
 
 
-def estimate_curves(
-    recording: Recording, estimate: str, options: PictureOptions = STANDARD
-) -> list[Curve]:
+def estimate_curves(recording: Recording, estimate: str) -> list[Curve]:
     """Return the elements of an estimate; of theta with the band of its 95 % interval.
 
     Where its component records no ``standard_error`` there is no band.
     """
-    curves = curves_of(recording, estimate, options)
+    curves = curves_of(recording, estimate)
     component, _, signal = estimate.rpartition(".")
     error = f"{component}.standard_error"
     if signal != "theta" or not has_signal(recording, error):
         return curves
     quantile = normal_two_sided(CONFIDENCE)
-    errors = curves_of(recording, error, options)
+    errors = curves_of(recording, error)
     if len(errors) != len(curves):  # of a component of a user
         return curves
     pairs = zip(curves, errors, strict=True)
     return [replace(curve, band=quantile * one.values) for curve, one in pairs]
 
 
-def error_curves(
-    recording: Recording, estimate: str, options: PictureOptions = STANDARD
-) -> list[Curve]:
+def truth_curves(recording: Recording, estimate: str) -> list[Curve]:
+    """Return the true signals of an estimate, or its true values all the time; none: not known."""
+    true = truth_of(recording).get(estimate)
+    if true is None:
+        return []
+    ports = truth_ports(true)
+    if ports:
+        units = stacked_units(recording, ports, estimate)
+        pairs = zip(ports, units, strict=True)
+        return [one for port, like in pairs for one in curves_of(recording, port, like=like)]
+    values = np.atleast_1d(np.array(true, np.float64))
+    elements = zip(curves_of(recording, estimate), values, strict=True)
+    return [replace(one, values=np.full(len(one.times), value)) for one, value in elements]
+
+
+def error_curves(recording: Recording, estimate: str) -> list[Curve]:
     """Return estimate minus truth, at the instants that they share, with the band of the estimate.
 
-    An estimate that lags is compared with the truth that much earlier.
+    An estimate that lags is compared with the truth that much earlier. None: there is no truth.
     """
-    true = truth_of(recording)[estimate]
+    true = truth_of(recording).get(estimate)
+    if true is None:
+        return []
+    curves = estimate_curves(recording, estimate)
+    times = curves[0].times
+    rows = rows_of(recording, estimate)
     ports = truth_ports(true)
-    whole = estimate_curves(recording, estimate)
-    times = whole[0].times
     if ports:
-        times_ns, estimated, truth = beside_truth(recording, estimate, ports)
-        times = times_ns / 1e9
-        errors = estimated - truth
-    else:
-        errors = rows_of(recording, estimate) - np.array(true, np.float64)
-    curves = []
-    for curve, values in zip(whole, errors.T, strict=True):
-        band = curve.band if len(times) == len(curve.times) else None
-        name = f"error of {curve.name}"
-        error = replace(curve, name=name, times=times, values=values, band=band)
-        curves.append(error.within(options))
-    return curves
+        time_ns, rows, true = beside_truth(recording, estimate, ports)
+        times = time_ns / 1e9
+    has_all = len(times) == len(curves[0].times)
+    return [
+        replace(
+            curve,
+            name=f"error of {curve.name}",
+            times=times,
+            values=values,
+            band=curve.band if has_all else None,
+        )
+        for curve, values in zip(curves, (rows - np.array(true, np.float64)).T, strict=True)
+    ]
 
 
 # --- what a panel shows ---
@@ -250,36 +259,33 @@ def _bracketed(unit: Unit) -> str:
     return "" if unit.name is None else f"[{shown_text(unit.name)}]"
 
 
-def draw_truth(
-    panel: Any, recording: Recording, estimate: str, options: PictureOptions = STANDARD
-) -> list[Vector]:
-    """Draw the true signals, or values, of an estimate in gray; return what is drawn."""
-    true = truth_of(recording)[estimate]
-    ports = truth_ports(true)
-    if not ports:
-        values = np.atleast_1d(np.array(true, np.float64))
-        for value in values:
-            panel.axhline(value, **TRUTH)
-        return [values]
-    drawn = []
-    for port, units in zip(ports, stacked_units(recording, ports, estimate), strict=True):
-        for curve in curves_of(recording, port, options, like=units):
-            curve.draw(panel, TRUTH)
-            drawn.append(curve.values)
-    return drawn
+def draw_pair(
+    panels: Sequence[Any], curves: Sequence[Curve], truth: Sequence[Curve], errors: Sequence[Curve]
+) -> Sequence[Curve]:
+    """Draw an estimate over its truth in gray, and beside it what is returned.
+
+    These are its errors; where they are not known, the half widths of its bands, if it has any.
+    """
+    left, right = panels
+    for one in truth:
+        one.draw(left, TRUTH)
+    draw_curves(left, curves)
+    beside = errors or [
+        replace(one, name=f"95 % of {one.name}", values=one.band, band=None)
+        for one in curves
+        if one.band is not None
+    ]
+    if beside:
+        draw_curves(right, beside)
+        right.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
+    if errors:
+        right.axhline(0.0, **ZERO)
+    return beside
 
 
-def draw_errors(panel: Any, errors: Sequence[Curve], *, has_zero: bool = True) -> None:
-    """Draw errors, or how wide bands are, with small numbers; errors with a line at zero."""
-    draw_curves(panel, errors)
-    panel.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
-    if has_zero:
-        panel.axhline(0.0, **ZERO)
-
-
-def limit_to_settled(panel: Any, curves: Iterable[Curve], truth: Sequence[Vector] = ()) -> None:
+def limit_to_settled(panel: Any, curves: Sequence[Curve], truth: Sequence[Curve] = ()) -> None:
     """Limit a panel to the truth and the second half of curves: transients would hide these."""
-    parts = [np.zeros(0), *truth]
+    parts = [np.zeros(0), *(one.values for one in truth)]
     for curve in curves:
         parts += map(second_half, (curve.values, *curve.edges))
     values = np.concatenate(parts)

@@ -14,17 +14,15 @@ from cosim.report.plots.curves import (
     SCIENTIFIC,
     Curve,
     draw_curves,
-    draw_errors,
-    draw_truth,
+    draw_pair,
     error_curves,
     estimate_curves,
     limit_to_settled,
+    truth_curves,
 )
 from cosim.report.plots.picture import STANDARD, Picture, color_styles, need_plot
-from cosim.report.recorded_rows import recorded_port, stacked_rows_of
-from cosim.scenario.document.schema import truth_ports
+from cosim.report.recorded_rows import recorded_port
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
-from cosim.scenario.record import truth_of
 from cosim.theory.assessment.spectrum import whiteness_spectrum
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.documents import Verdict
@@ -112,11 +110,10 @@ def _draw_disturbance(panels: Sequence[Any], identification: LogIdentification, 
     """
     record = identification.records[index]
     estimate = f"{identification.identified.observer}.delta"
-    title = "estimated disturbance"
     try:
         smoothed = identification.smoothed(index)
     except AssumptionError as error:  # of an unstable plant
-        _set_title(panels[0], title)
+        _set_title(panels[0], "estimated disturbance")
         place = {"transform": panels[0].transAxes, "ha": "center", "wrap": True}
         panels[0].text(0.5, 0.5, str(error), **place)
         return
@@ -128,59 +125,42 @@ def _draw_disturbance(panels: Sequence[Any], identification: LogIdentification, 
     band = None if unsure else smoothed.disturbance_half_width
     unit = recorded_port(record.log, estimate).measures[0]
     delta = Curve("delta", unit, smoothed.t, smoothed.disturbance, band=band)
+    truth = truth_curves(record.log, estimate)
     errors = []
-    true = truth_of(record.log).get(estimate)
-    if true is not None:
-        draw_truth(panels[0], record.log, estimate)
-        ports = truth_ports(true)
-        if ports:
-            times, rows = stacked_rows_of(record.log, ports, like=estimate)
-            true = np.interp(record.data.t, times / 1e9, rows[:, 0])
-        values = delta.values - np.array(true, np.float64)
-        errors.append(replace(delta, name="error of delta", values=values))
-    _draw_pair(panels, [delta], errors, title, "".join(unsure[:1]))
+    if truth:
+        true = np.interp(delta.times, truth[0].times, truth[0].values)
+        errors.append(replace(delta, name="error of delta", values=delta.values - true))
+    beside = draw_pair(panels, [delta], truth, errors)
+    _set_titles(panels, "estimated disturbance", beside, errors, "".join(unsure[:1]))
 
 
 def _draw_theta(panels: Sequence[Any], record: IdentifierRecord) -> None:
     """Draw theta as it was estimated during the run, with its recorded interval."""
     estimate = f"{record.identifier}.theta"
     curves = estimate_curves(record.log, estimate)
-    errors: list[Curve] = []
-    if estimate in truth_of(record.log):
-        truth = draw_truth(panels[0], record.log, estimate)
+    truth = truth_curves(record.log, estimate)
+    errors = error_curves(record.log, estimate)
+    beside = draw_pair(panels, curves, truth, errors)
+    _set_titles(panels, "theta during the run", beside, errors)
+    if truth:
         limit_to_settled(panels[0], curves, truth)
-        errors = error_curves(record.log, estimate)
-    drawn = _draw_pair(panels, curves, errors, "theta during the run")
-    limit_to_settled(panels[1], drawn)
+    limit_to_settled(panels[1], beside)
 
 
-def _draw_pair(
+def _set_titles(
     panels: Sequence[Any],
-    curves: Sequence[Curve],
-    errors: Sequence[Curve],
     title: str,
+    beside: Sequence[Curve],
+    errors: Sequence[Curve],
     missing: str = "",
-) -> Sequence[Curve]:
-    """Draw curves, and beside them their errors; where these are not known, how wide bands are.
-
-    ``missing`` is why there are no bands. Return what is drawn on the right.
-    """
-    left, right = panels
-    draw_curves(left, curves)
-    widths = [
-        replace(one, name=f"95 % of {one.name}", values=one.band, band=None)
-        for one in curves
-        if one.band is not None
-    ]
-    drawn = errors or widths
-    words = missing or ("95 % band" if widths else "")
-    if drawn:
-        draw_errors(right, drawn, has_zero=bool(errors))
+) -> None:
+    """Say what is drawn, with its errors or half widths beside it; or why bands are missing."""
+    has_band = any(one.band is not None for one in errors)
+    words = missing
     if errors:
         title += "; gray: truth"
-        words = ("; " if missing else ", and ").join(filter(None, ("its error", words)))
-    elif widths:
-        words = f"half width of its {words}"
-    _set_title(right, words)
-    _set_title(left, f"{title}\n{missing}" if missing else title)
-    return drawn
+        words = "its error" + (f"; {missing}" if missing else ", and 95 % band" if has_band else "")
+    elif beside:
+        words = "half width of its 95 % band"
+    _set_title(panels[0], f"{title}\n{missing}" if missing else title)
+    _set_title(panels[1], words)

@@ -38,8 +38,6 @@ _NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
 _MARGIN: Final = 0.97  # of the room of a text, that is used
 _ROOMY: Final = 0.5  # of the part of a picture that a panel has: its axes have more mostly
 _MOST_COLUMNS: Final = 6  # of a legend
-_APART: Final = 1.25  # of the length of a number: from one to the next
-_GAP: Final = 3.0  # between numbers [dots]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +154,7 @@ class Picture:
         for empty in places[count:]:
             empty.set_visible(False)
         for panel in self.panels:
-            panel.ticklabel_format(useOffset=False)  # numbers as they are, not from 1e-5+4
+            panel.ticklabel_format(axis="y", useOffset=False)  # as they are, not from 1e-5+4
             panel.grid(alpha=0.3)
 
     def legend(self, lines: list[Any], *, below: bool = False, title: str = "") -> None:
@@ -217,8 +215,8 @@ class Picture:
             raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
     def _fit_axes(self) -> None:
-        """Break long names at the axes; leave out numbers that would run into others."""
-        from matplotlib.ticker import MaxNLocator
+        """Break long names at the axes; write numbers between powers of ten as short as can be."""
+        from matplotlib.ticker import LogFormatter
 
         share = _ROOMY * self._figure.bbox.size / (self._columns, self._rows)
         axes = [axis for panel in self._figure.axes for axis in (panel.xaxis, panel.yaxis)]
@@ -233,13 +231,7 @@ class Picture:
                 self._figure.draw_without_rendering()
         for axis in axes:
             if axis.get_scale() == "log":
-                _thin_out(axis)
-        for panel in self._figure.axes:
-            locator = panel.xaxis.get_major_locator()
-            widths = [text.get_window_extent().width for text in panel.xaxis.get_majorticklabels()]
-            room = panel.get_window_extent().width / max(_APART * max(widths, default=0.0), 1.0)
-            if isinstance(locator, MaxNLocator) and room < len(widths):
-                locator.set_params(nbins=max(int(room), 1))
+                axis.set_minor_formatter(LogFormatter())
 
 
 def show_legend(panel: Any) -> None:
@@ -301,19 +293,6 @@ def _fit(artist: Any, room: float, *, is_upright: bool = False) -> None:
         longest = max(map(len, artist.get_text().split("\n")))
         count = max(min(int(_MARGIN * longest * room / length), count - 1), 1)
         artist.set_text(broken(text, count))
-
-
-def _thin_out(axis: Any) -> None:
-    """Write the numbers between powers of ten only where they have room."""
-    direction = 0 if axis.axis_name == "x" else 1
-    taken = [label.get_window_extent() for label in axis.get_majorticklabels()]
-    texts = {}
-    for label in axis.get_minorticklabels():
-        extent = label.get_window_extent().padded(_GAP)
-        if label.get_text() and not any(extent.overlaps(other) for other in taken):
-            taken.append(extent)
-            texts[label.get_position()[direction]] = label.get_text()
-    axis.set_minor_formatter(lambda value, _: texts.get(value, ""))
 
 
 def _format(out: Path) -> str:

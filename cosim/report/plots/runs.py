@@ -21,12 +21,12 @@ from cosim.report.plots.curves import (
     curves_of,
     difference_curves,
     draw_curves,
-    draw_errors,
-    draw_truth,
+    draw_pair,
     error_curves,
     estimate_curves,
     limit_to_settled,
     second_half,
+    truth_curves,
 )
 from cosim.report.plots.picture import (
     COLORS,
@@ -97,7 +97,7 @@ def plot_signals(
         styles: list[Style] = []
         for run, label, line in zip(runs, labels, lines, strict=True):
             for port in split_names(entry):
-                curves += curves_of(run, port, options, run=label)
+                curves += [one.within(options) for one in curves_of(run, port, run=label)]
             styles += [line] * (len(curves) - len(styles))
         colored = zip(color_styles(len(curves)), styles, strict=True)
         draw_curves(panel, curves, [{**color, **line} for color, line in colored])
@@ -126,12 +126,12 @@ def plot_run(recording: Recording, out: Path, options: PictureOptions = STANDARD
     picture = Picture(2 * len(estimates), options, columns=2)
     panels = picture.panels
     for left, right, estimate in zip(panels[::2], panels[1::2], estimates, strict=True):
-        curves = estimate_curves(recording, estimate, options)
-        truth = draw_truth(left, recording, estimate, options)
-        draw_curves(left, curves)
+        curves, truth, errors = (
+            [one.within(options) for one in whole(recording, estimate)]
+            for whole in (estimate_curves, truth_curves, error_curves)
+        )
+        draw_pair((left, right), curves, truth, errors)
         limit_to_settled(left, curves, truth)
-        errors = error_curves(recording, estimate, options)
-        draw_errors(right, errors)
         limit_to_settled(right, errors)
     panels[0].set_title("estimates (lines) and truth (gray)", fontsize="medium")
     panels[1].set_title("errors", fontsize="medium")
@@ -148,10 +148,9 @@ def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, titl
         raise UsageError("the run has no outputs to show; name signals: cosim plot LOG SIGNAL...")
     if len(names) > MOST_OUTPUTS:
         title = f"{title}: the first {MOST_OUTPUTS} of {len(names)} outputs"
-    picture = Picture(min(len(names), MOST_OUTPUTS), options)
-    for panel, name in zip(picture.panels, names, strict=False):
-        draw_curves(panel, curves_of(recording, name, options))
-    picture.save(out, title=title)
+    if options.title is None:
+        options = replace(options, title=title)
+    plot_signals(recording, names[:MOST_OUTPUTS], out, options)
 
 
 def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: Path) -> None:
@@ -219,7 +218,9 @@ def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> 
         runs = {run: one for run, one in recordings.items() if has_signal(one, estimate)}
         for recording in runs.values():
             if truth_of(recording).get(estimate) == true:
-                truth = draw_truth(left, recording, estimate)
+                truth = truth_curves(recording, estimate)
+                for curve in truth:
+                    curve.draw(left, TRUTH)
                 limit_to_settled(left, curves_of(recording, estimate), truth)
                 break
         drawn: list[Curve] = []
