@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import chain
-from typing import Final, NamedTuple
+from typing import Final
 
 from cosim.core.graph import Graph
 from cosim.core.port import Port
@@ -17,27 +17,17 @@ from cosim.scenario.building.build import describe
 from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling
 
-
-class InputCourse(NamedTuple):
-    """What an input has within a communication step: in words, and as the line of an arrow."""
-
-    text: str
-    color: str
-    dashes: str
-
-
-COURSES: Final[Mapping[str, InputCourse]] = {
-    "linear": InputCourse("linear interpolation", "#444444", "-"),
-    "linear over period": InputCourse("linear interpolation over its period", "#444444", "-."),
-    "mean": InputCourse("mean of both ends", "#444444", "-."),
-    "latest": InputCourse("latest value, which may have jumped", "#444444", ":"),
-    "zero-order hold": InputCourse("zero-order hold", "#1f6fb2", ":"),
-    "sampled": InputCourse("zero-order hold of its samples", "#1f6fb2", "-."),
-    "delayed": InputCourse(
-        "delayed, so its value at the start of the step is exact", "#1f6fb2", "--"
-    ),
-    "extrapolated": InputCourse("extrapolated: held from the start of the step", "#c0392b", "--"),
-    "solved": InputCourse("solved", "#2e7d32", "-"),
+# what an input has within a communication step: in words, and color and dashes of its arrow
+COURSES: Final[Mapping[str, tuple[str, str, str]]] = {
+    "linear": ("linear interpolation", "#444444", "-"),
+    "linear over period": ("linear interpolation over its period", "#444444", "-."),
+    "mean": ("mean of both ends", "#444444", "-."),
+    "latest": ("latest value, which may have jumped", "#444444", ":"),
+    "zero-order hold": ("zero-order hold", "#1f6fb2", ":"),
+    "sampled": ("zero-order hold of its samples", "#1f6fb2", "-."),
+    "delayed": ("delayed, so its value at the start of the step is exact", "#1f6fb2", "--"),
+    "extrapolated": ("extrapolated: held from the start of the step", "#c0392b", "--"),
+    "solved": ("solved", "#2e7d32", "-"),
 }
 
 
@@ -269,7 +259,7 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
         (one.name, str(one.stage), one.kind, one.rate, _feedthrough_text(one))
         for one in schedule.components
     ]
-    connections = [(one.source, one.to, COURSES[one.course].text) for one in schedule.connections]
+    connections = [(one.source, one.to, COURSES[one.course][0]) for one in schedule.connections]
     headings = ("", "stage", "kind", "outputs change", "direct feedthrough")
     tables = [
         new_table(title, ("", "components", "advance"), stages),

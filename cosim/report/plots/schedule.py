@@ -56,12 +56,12 @@ def plot_schedule(schedule: GraphSchedule, out: Path) -> None:
         panel.text(place, place - 0.08, _about(component), fontsize=7, va="top", **style)
     _draw_arrows(panel, schedule, order)
     courses = {connection.course for connection in schedule.connections}
-    shown = {course: look for course, look in COURSES.items() if course in courses}
-    if shown:
-        lines = [
-            Line2D([], [], color=look.color, linestyle=look.dashes, label=course)
-            for course, look in shown.items()
-        ]
+    lines = [
+        Line2D([], [], color=color, linestyle=dashes, label=course)
+        for course, (_, color, dashes) in COURSES.items()
+        if course in courses
+    ]
+    if lines:
         picture.legend(lines, below=True)
     picture.save(out, title=f"{schedule.scenario}: communication step {schedule.step:g} s")
 
@@ -115,12 +115,12 @@ def _draw_arrows(panel: Any, schedule: GraphSchedule, order: dict[str, int]) -> 
         y = source + _BOX[1] * _share(leaving, (target, course))
         x = target + _BOX[0] * _share(entering, (-source, course))
         sign = 1 if is_forward else -1
-        look = COURSES[course]
+        _, color, dashes = COURSES[course]
         style = {
             "arrowstyle": "-|>",
             "connectionstyle": _TURNING if source != target else _TO_ITSELF,
-            "color": look.color,
-            "linestyle": look.dashes,
+            "color": color,
+            "linestyle": dashes,
             "shrinkA": 0.0,
             "shrinkB": 0.0,
             "mutation_scale": 8,
@@ -134,7 +134,7 @@ def _draw_arrows(panel: Any, schedule: GraphSchedule, order: dict[str, int]) -> 
             ha="right" if is_forward else "left",
             va="bottom",
             fontsize=6.5,
-            color=look.color,
+            color=color,
             zorder=5,
         )
 
