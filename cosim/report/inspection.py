@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from decimal import Decimal
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cosim.log.foreign.survey import TopicSurvey
 
 Section = dict[str, Any]
+_Found = TypeVar("_Found")
 
 VERSIONS: Final = ("cosim", "python", "numpy", "scipy", "mcap")
 MOST_MESSAGES = 10_000  # that are shown of a log
@@ -64,16 +65,28 @@ def describe_log(path: str) -> Section:
     log = open_log(path)
     events = log.events()
     problems: dict[str, None] = {}
-    content: Section = {"run": _about_run(log, events, problems)}
+
+    def read(reader: Callable[[Log], _Found]) -> _Found | None:
+        """Note what cannot be understood; the rest of the log is described all the same."""
+        try:
+            return reader(log)
+        except LogError as error:
+            problems[str(error)] = None
+            return None
+
+    window = read(record.recorded_window)
+    start = window[0] if window else read(record.recorded_start) or 0.0
+    about = _about_run(log, events, start)
+    if "replay" in record.run_metadata(log):
+        origin = read(record.replay_origin)
+        about |= {} if origin is None else {"replay of": asdict(origin)}
+    content: Section = {"run": about}
     if log.partial is not None:
         missing = log.partial.missing(log.channels)
         content["partial"] = {**log.partial.overview(log.channels), "not recorded": missing}
-    content["loops"] = []
-    with _noted(problems):
-        content["loops"] = [gain_values(gain) for gain in record.recorded_loop_gains(log)]
-    with _noted(problems):
-        counts = record.recorded_substep_counts(log)
-        content |= {"substeps": list(map(_substep_row, counts))} if counts else {}
+    content["loops"] = [gain_values(gain) for gain in read(record.recorded_loop_gains) or ()]
+    counts = read(record.recorded_substep_counts)
+    content |= {"substeps": list(map(_substep_row, counts))} if counts else {}
     signals = [
         row
         for name, channel in log.channels.items()
@@ -82,40 +95,24 @@ def describe_log(path: str) -> Section:
     metadata = {}
     differences = {}
     for name in declared_channels(log.channels):
-        with _noted(problems):
-            entry = record.component_table(log, name)
-            report = entry.pop("swap_report", {})
-            if report:
-                rows = report.get("ports", [])
-                differences[name] = [r for r in rows if r["verdict"] not in ("ok", "unknown")]
-            if entry:
-                metadata[name] = entry
+        entry = read(partial(record.component_table, component=name)) or {}
+        report = entry.pop("swap_report", {})
+        if report:
+            rows = report.get("ports", [])
+            differences[name] = [row for row in rows if row["verdict"] not in ("ok", "unknown")]
+        if entry:
+            metadata[name] = entry
     content |= {"signals": signals, "metadata": metadata, "differences": differences}
     overrides = [event for event in events if event.cause not in ("follow", "jump")]
     content |= _limited("overrides", list(map(_event_row, overrides)), MOST_OVERRIDES)
-    with _noted(problems):
-        if record.recorded_certificate(log) is not None:  # a summary reads all signals
-            content |= _certificate(log)
+    content |= read(_certificate) or {}
     content |= _messages(log)
     return {**content, "problems": list(problems)} if problems else content
 
 
-@contextmanager
-def _noted(problems: dict[str, None]) -> Iterator[None]:
-    """Note what cannot be understood of a log; the rest of it is described all the same."""
-    try:
-        yield
-    except LogError as error:
-        problems[str(error)] = None
-
-
-def _about_run(log: Log, events: Sequence[SignalEvent], problems: dict[str, None]) -> Section:
+def _about_run(log: Log, events: Sequence[SignalEvent], start: float) -> Section:
     """Return how a run went, and by what and on which machine it was recorded."""
     run = record.run_metadata(log)
-    start = 0.0
-    with _noted(problems):
-        window = record.recorded_window(log)
-        start = record.recorded_start(log) if window is None else window[0]
     recorded = log.metadata.get("cosim.env", {})
     versions = [f"{name} {recorded[name]}" for name in VERSIONS if name in recorded]
     machine = [recorded[name] for name in ("processor", "platform") if name in recorded]
@@ -137,12 +134,7 @@ def _about_run(log: Log, events: Sequence[SignalEvent], problems: dict[str, None
     causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
     texts = [f"{counts.total()} by overrides: {causes}"] if counts else []
     texts += [f"{jumps} jumps of continuous outputs"] if jumps else []
-    if texts:
-        about["events"] = "; ".join(texts)
-    if "replay" in run:
-        with _noted(problems):
-            about["replay of"] = asdict(record.replay_origin(log))
-    return about
+    return {**about, "events": "; ".join(texts)} if texts else about
 
 
 def _clock(start: float, stop: float, steps: int, step: object) -> str:
@@ -177,7 +169,9 @@ def _substep_row(counts: SubstepCounts) -> Section:
 
 
 def _certificate(log: Log) -> Section:
-    """Return the certificate of a run that has one."""
+    """Return the certificate of a run, where it has one."""
+    if record.recorded_certificate(log) is None:  # a summary reads all signals
+        return {}
     certificate = certificate_of(log, summarize(log))
     assert certificate is not None
     notes = enumerate(certificate.notes(), start=1)

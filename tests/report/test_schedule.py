@@ -7,21 +7,11 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.cli import main
 from cosim.report.plots.picture import Picture
 from cosim.report.plots.schedule import plot_schedule
 from cosim.report.schedule import schedule_of
 from tests.scenario import certified
 from tests.scenario.certified import write
-
-
-def run(capsys, *arguments, code=0):
-    """Run a command; return what it prints."""
-    with pytest.raises(SystemExit) as left:
-        main([*map(str, arguments)])
-    assert (left.value.code or 0) == code
-    output = capsys.readouterr()
-    return output.err if code else output.out
 
 
 def courses(name):
@@ -39,6 +29,7 @@ def test_loop_has_its_members_in_order_and_what_is_extrapolated():
     late = [ports for ports, course in found.items() if course == "extrapolated"]
     assert late == [("error.y", "controller.u")]
     assert found["reference.y", "error.u1"] == "linear"
+    assert courses("compensation")["identifier.theta", "compensator.theta"] == "delayed"
 
 
 def test_rates_and_feedthrough_are_those_of_the_interfaces():
@@ -47,11 +38,6 @@ def test_rates_and_feedthrough_are_those_of_the_interfaces():
     assert components["plant"].period is None
     assert components["plant"].feedthrough == {"y": ("u",), "x_a": (), "x_b": ("u",)}
     assert components["u"].stage < components["plant"].stage < components["observer"].stage
-
-
-def test_delayed_inputs_are_named():
-    found = courses("compensation")
-    assert found["identifier.theta", "compensator.theta"] == "delayed"
 
 
 SAMPLED = """
@@ -115,14 +101,15 @@ def test_sampled_input_is_held_from_the_offset_on(sampled):
     assert recorded["own.x"][-1] == pytest.approx(-np.expm1(-0.6) * np.sin(0.2), abs=1e-15)
 
 
-def test_text_and_picture_show_period_and_offset(sampled, tmp_path, capsys):
+def test_text_and_picture_show_period_and_offset(sampled, tmp_path, call):
     pytest.importorskip("matplotlib")
     out = tmp_path / "graph.svg"
-    lines = run(capsys, "info", sampled(OFFSET), "--graph", "--out", out).splitlines()
+    lines = call("info", sampled(OFFSET), "--graph", "--out", out)[1].splitlines()
     assert "own\t2\tcontroller\tevery 0.6 s, first 0.2 s after the start\tnone" in lines
     assert "sine.y\town.u\tzero-order hold of its samples" in lines
     assert "every 0.6 s + 0.2 s" in out.read_text()
     assert "every 0.2 s<" in out.read_text()
+    assert lines[-1] == str(out)
 
 
 def test_newton_solves_for_its_inputs(tmp_path):
@@ -162,23 +149,23 @@ plant = { kind = "lag", time_constant = 1.0 }
 """
 
 
-def test_what_takes_substeps_is_named(tmp_path, capsys):
+def test_what_takes_substeps_is_named(tmp_path, call):
     """Of FMUs by their descriptions; not a sampled controller, but the loop inside its own."""
     path = tmp_path / "lags.toml"
     path.write_text(LAGS.format('{ kind = "lag", time_constant = 1.0 }'), encoding="utf-8")
-    run(capsys, "export", path, "--component", "one", "--out", tmp_path / "one.fmu")
+    call("export", path, "--component", "one", "--out", tmp_path / "one.fmu")[1]
     for interface_type in ("me", "cs"):
         table = f'{{ kind = "fmu", path = "one.fmu", interface_type = "{interface_type}" }}'
         path.write_text(LAGS.format(table), encoding="utf-8")
-        line = run(capsys, "info", path, "--graph").splitlines()[2]
+        line = call("info", path, "--graph")[1].splitlines()[2]
         assert line.endswith("; in substeps of at least 0.001 s")
     path.write_text(CONTROL, encoding="utf-8")
-    line = run(capsys, "info", path, "--graph").splitlines()[2]
+    line = call("info", path, "--graph")[1].splitlines()[2]
     assert line.endswith("; force, plant in substeps of at least 0.001 s")
 
 
-def test_text_shows_stages_components_and_connections(capsys):
-    lines = run(capsys, "info", "closed-loop", "--graph").splitlines()
+def test_text_shows_stages_components_and_connections(call):
+    lines = call("info", "closed-loop", "--graph")[1].splitlines()
     assert lines[0] == "closed-loop: stages in order, communication step 0.001 s"
     assert (
         "3\tcontroller, plant, observer, feedback, error\tstep by step, gauss-seidel: advance "
@@ -188,30 +175,25 @@ def test_text_shows_stages_components_and_connections(capsys):
     assert "plant\t3\tdescriptor\tevery step\ty from u, x_b from u, none: x_a" in lines
     assert "identifier\t5\tidentifier\tevery 0.1 s\tnone" in lines
     assert "error.y\tcontroller.u\textrapolated: held from the start of the step" in lines
-    content = json.loads(run(capsys, "info", "closed-loop", "--graph", "--json"))
+    content = json.loads(call("info", "closed-loop", "--graph", "--json")[1])
+    assert list(content) == ["scenario", "step", "stages", "components", "connections"]
     assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
 
 
-def test_picture_is_written(tmp_path, capsys):
-    pytest.importorskip("matplotlib")
-    out = tmp_path / "graph.svg"
-    shown = run(capsys, "info", "closed-loop", "--graph", "--out", out)
-    assert shown.endswith(f"{out}\n")
-    for text in ("controller", "loop: gauss-seidel, first order", "every 0.1 s"):
-        assert text in out.read_text("utf-8")
-
-
-def test_wrong_use_is_one_error_each(tmp_path, capsys):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(b"")
-    error = run(capsys, "info", path, "--graph", code=2)
-    assert re.search(rf"--graph {re.escape(str(path))}: .*a scenario.*a log", error)
-    error = run(capsys, "info", "academic", "--out", tmp_path / "a.png", code=2)
-    assert re.search("--out .*--graph", error)
-    error = run(capsys, "info", "academic", "--graph", "--out", tmp_path / "a.xyz", code=2)
-    assert "'.xyz'" in error
-    error = run(capsys, "info", write(tmp_path, certified.ECHO), "--graph", code=2)
-    assert "the ports of echo are defined by user code" in error
+def test_wrong_use_is_refused(tmp_path, call):
+    """A log has no graph, a picture is one of a graph, of a known type; ports must be known."""
+    (tmp_path / "a.mcap").touch()
+    echo = write(tmp_path, certified.ECHO)
+    wrong = {
+        ("a.mcap", "--graph"): "--graph a.mcap: .*a scenario.*a log",
+        ("academic", "--out", "a.png"): "--out .*--graph",
+        ("academic", "--graph", "--out", "a.xyz"): "'.xyz'",
+        (echo, "--graph"): "the ports of echo are defined by user code",
+    }
+    for arguments, text in wrong.items():
+        code, output, error = call("info", *arguments)
+        assert (code, output) == (2, "")
+        assert re.search(text, error)
 
 
 def test_components_stand_on_the_diagonal_and_arrows_do_not_touch(tmp_path, monkeypatch):
@@ -238,6 +220,7 @@ def test_components_stand_on_the_diagonal_and_arrows_do_not_touch(tmp_path, monk
     expected = [(c.source.split(".")[0], c.to.split(".")[0]) for c in schedule.connections]
     assert found == {(order[source], order[to]) for source, to in expected}
     (loop,) = [stage for stage in schedule.stages if stage.coupling]
+    assert "loop: gauss-seidel, first order" in {text.get_text() for text in panel.texts}
     frame = max(panel.patches, key=lambda patch: patch.get_width())
     first, last = order[loop.members[0]], order[loop.members[-1]]
     assert (frame.get_x(), frame.get_x() + frame.get_width()) == pytest.approx(
