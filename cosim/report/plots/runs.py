@@ -108,8 +108,8 @@ def plot_run(recording: Recording, out: Path, options: PictureOptions = STANDARD
     """Draw the standard picture of a run.
 
     A row for each estimate: on the left with its truth, on the right its error, both with the 95 %
-    interval where the standard error is recorded. For a run without
-    truth a panel for each output; states only of components that have no other.
+    interval where the standard error is recorded. For a run without truth a panel for each output;
+    states only of components that have no other.
 
     Raises
     ------
@@ -148,9 +148,10 @@ def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, titl
         raise UsageError("the run has no outputs to show; name signals: cosim plot LOG SIGNAL...")
     if len(names) > MOST_OUTPUTS:
         title = f"{title}: the first {MOST_OUTPUTS} of {len(names)} outputs"
-    if options.title is None:
-        options = replace(options, title=title)
-    plot_signals(recording, names[:MOST_OUTPUTS], out, options)
+    picture = Picture(min(len(names), MOST_OUTPUTS), options)
+    for panel, name in zip(picture.panels, names, strict=False):
+        draw_curves(panel, [one.within(options) for one in curves_of(recording, name)])
+    picture.save(out, title=title)
 
 
 def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: Path) -> None:
