@@ -81,7 +81,7 @@ def _show_graph(source: str, out: Path | None, *, as_json: bool) -> None:
     schedule = schedule_of(source)
     print_schedule(schedule, as_json=as_json)
     if out is not None:
-        from cosim.report.plots.schedule import plot_schedule
+        from cosim.report.schedule import plot_schedule
 
         plot_schedule(schedule, out)
         if not as_json:

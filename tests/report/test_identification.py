@@ -11,7 +11,7 @@ import pytest
 
 import cosim
 from cosim.report.plots import identification
-from cosim.report.plots.curves import Curve, estimate_curves
+from cosim.report.plots.runs import Curve, estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.estimates import IF_WRONG, estimate_notes
 from cosim.report.tables.identification import report_identification
@@ -302,7 +302,7 @@ def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
 def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     """Without a truth there is no gray line, and the half width takes the place of the error."""
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr("cosim.report.plots.curves.truth_of", lambda log: {})
+    monkeypatch.setattr("cosim.report.plots.runs.truth_of", lambda log: {})
     found = identify_records([identifier_record(logs["first"])])
     identification.plot_identification(found, tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text("utf-8")

@@ -13,9 +13,17 @@ from cosim.errors import UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.report.plots import runs
-from cosim.report.plots.curves import Curve, curves_of, draw_curves, error_curves
 from cosim.report.plots.picture import Picture, PictureOptions, broken
-from cosim.report.plots.runs import near_most, plot_difference, plot_run, plot_signals
+from cosim.report.plots.runs import (
+    Curve,
+    curves_of,
+    draw_curves,
+    error_curves,
+    near_most,
+    plot_difference,
+    plot_run,
+    plot_signals,
+)
 from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
 

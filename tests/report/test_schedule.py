@@ -8,8 +8,7 @@ import pytest
 
 import cosim
 from cosim.report.plots.picture import Picture
-from cosim.report.plots.schedule import plot_schedule
-from cosim.report.schedule import schedule_of
+from cosim.report.schedule import plot_schedule, schedule_of
 from tests.scenario import certified
 from tests.scenario.certified import write
 

@@ -1,6 +1,6 @@
 """Pictures of runs; they need the extra ``[plot]``.
 
 * ``picture``: figure, panels, colors, format and file.
-* ``curves``: what is drawn into a panel, with names, units and bands.
-* ``runs``, ``identification``, ``schedule``: the pictures.
+* ``runs``: curves of recorded signals, and pictures of runs.
+* ``identification``: the picture of an identification from logs.
 """

@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.errors import AssumptionError
-from cosim.report.plots.curves import (
+from cosim.report.plots.picture import STANDARD, Picture, color_styles, need_plot
+from cosim.report.plots.runs import (
     SCIENTIFIC,
     Curve,
     draw_curves,
@@ -20,7 +21,6 @@ from cosim.report.plots.curves import (
     limit_to_settled,
     truth_curves,
 )
-from cosim.report.plots.picture import STANDARD, Picture, color_styles, need_plot
 from cosim.report.recorded_rows import recorded_port
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.spectrum import whiteness_spectrum
