@@ -128,7 +128,9 @@ def _draw_disturbance(panels: Sequence[Any], identification: LogIdentification, 
     truth = truth_curves(record.log, estimate)
     errors = []
     if truth:
-        true = np.interp(delta.times, truth[0].times, truth[0].values)
+        true = truth[0].values
+        if len(truth[0].times):
+            true = np.interp(delta.times, truth[0].times, true)
         errors.append(replace(delta, name="error of delta", values=delta.values - true))
     beside = draw_pair(panels, [delta], truth, errors)
     _set_titles(panels, "estimated disturbance", beside, errors, "".join(unsure[:1]))

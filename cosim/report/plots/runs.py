@@ -206,7 +206,7 @@ def estimate_curves(recording: Recording, estimate: str) -> list[Curve]:
 
 
 def truth_curves(recording: Recording, estimate: str) -> list[Curve]:
-    """Return the true signals of an estimate, or its true values all the time; none: not known."""
+    """Return the true signals of an estimate, or values without times; none: they are not known."""
     true = truth_of(recording).get(estimate)
     if true is None:
         return []
@@ -217,7 +217,7 @@ def truth_curves(recording: Recording, estimate: str) -> list[Curve]:
         return [one for port, like in pairs for one in curves_of(recording, port, like=like)]
     values = np.atleast_1d(np.array(true, np.float64))
     elements = zip(curves_of(recording, estimate), values, strict=True)
-    return [replace(one, values=np.full(len(one.times), value)) for one, value in elements]
+    return [replace(one, times=np.zeros(0), values=value[np.newaxis]) for one, value in elements]
 
 
 def error_curves(recording: Recording, estimate: str) -> list[Curve]:
@@ -285,6 +285,15 @@ def _bracketed(unit: Unit) -> str:
     return "" if unit.name is None else f"[{shown_text(unit.name)}]"
 
 
+def draw_truth(panel: Any, truth: Sequence[Curve]) -> None:
+    """Draw true signals in gray, and true values as lines all the time."""
+    for one in truth:
+        if len(one.times):
+            one.draw(panel, TRUTH)
+        else:
+            panel.axhline(one.values[0], **TRUTH)
+
+
 def draw_pair(
     panels: Sequence[Any], curves: Sequence[Curve], truth: Sequence[Curve], errors: Sequence[Curve]
 ) -> Sequence[Curve]:
@@ -293,8 +302,7 @@ def draw_pair(
     These are its errors; where they are not known, the half widths of its bands, if it has any.
     """
     left, right = panels
-    for one in truth:
-        one.draw(left, TRUTH)
+    draw_truth(left, truth)
     draw_curves(left, curves)
     beside = errors or [
         replace(one, name=f"95 % of {one.name}", values=one.band, band=None)
@@ -493,8 +501,7 @@ def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> 
         for recording in runs.values():
             if truth_of(recording).get(estimate) == true:
                 truth = truth_curves(recording, estimate)
-                for curve in truth:
-                    curve.draw(left, TRUTH)
+                draw_truth(left, truth)
                 limit_to_settled(left, curves_of(recording, estimate), truth)
                 break
         drawn: list[Curve] = []
