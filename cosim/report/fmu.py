@@ -19,7 +19,6 @@ from cosim.report.tables.console import (
 from cosim.units import BASE
 
 if TYPE_CHECKING:
-    from cosim.arrays import Matrix
     from cosim.fmi.checking.structure import Finding
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.variable import Variable
@@ -248,27 +247,23 @@ def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
     title = f"{one.name} at t = {one.t:g} s"
     print_table(new_table(title, ("", "value", "derivative"), point))
     derivatives = [f"der({name})" for name in one.states]
-    matrices = {
-        "A": (one.A, derivatives, one.states),
-        "B": (one.B, derivatives, one.inputs),
-        "C": (one.C, one.outputs, one.states),
-        "D": (one.D, one.outputs, one.inputs),
-    }
-    for letter, matrix in matrices.items():
-        error = one.errors[letter]
-        _print_matrix(letter if error is None else f"{letter}, error up to {error:.1g}", *matrix)
+    matrices = [
+        ("A", one.A, derivatives, one.states),
+        ("B", one.B, derivatives, one.inputs),
+        ("C", one.C, one.outputs, one.states),
+        ("D", one.D, one.outputs, one.inputs),
+    ]
+    if gain is not None:
+        matrices.append(("static gain D - C A^-1 B", gain, one.outputs, one.inputs))
+    for name, matrix, rows, columns in matrices:
+        error = one.errors.get(name)
+        title = name if error is None else f"{name}, error up to {error:.1g}"
+        cells = [[f"{value:.6g}" for value in values] for values in matrix.tolist()]
+        lines = [[row, *texts] for row, texts in zip(rows, cells, strict=True)]
+        if matrix.size:
+            print_table(new_table(title, ("", *columns), lines))
     about = [("poles", ", ".join(map(pole_text, poles)) or "none")]
-    if gain is None:
-        about.append(("static gain", "none, as A is singular"))
-    else:
-        _print_matrix("static gain D - C A^-1 B", gain, one.outputs, one.inputs)
+    about += [("static gain", "none, as A is singular")] if gain is None else []
     about.append(("method", ", ".join(dict.fromkeys(one.made.values()))))
     about += [("note", note) for note in one.notes]
     print_table(new_table("", ("", ""), about))
-
-
-def _print_matrix(title: str, matrix: Matrix, rows: Sequence[str], columns: Sequence[str]) -> None:
-    if matrix.size:
-        cells = [[f"{value:.6g}" for value in values] for values in matrix.tolist()]
-        lines = [[name, *texts] for name, texts in zip(rows, cells, strict=True)]
-        print_table(new_table(title, ("", *columns), lines))

@@ -23,6 +23,7 @@ from cosim.report.plots.runs import (
     plot_difference,
     plot_run,
     plot_signals,
+    truth_curves,
 )
 from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
@@ -219,6 +220,8 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(out):
     errors = error_curves(run, "identifier.theta")
     for curve, values, true in zip(errors, run["identifier.theta"].T, (-0.1, -0.3), strict=True):
         assert np.array_equal(curve.values, values - true, equal_nan=True)
+    truth = [(one.values.tolist(), len(one.times)) for one in truth_curves(run, "identifier.theta")]
+    assert truth == [([-0.1], 0), ([-0.3], 0)]  # which are drawn over the whole axis
 
 
 @pytest.mark.slow
