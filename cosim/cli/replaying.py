@@ -197,7 +197,7 @@ def replay(
             )
             again = resources.enter_context(replayed)
         if plot is not None:
-            from cosim.report.plots import plot_run
+            from cosim.report.plots.runs import plot_run
 
             plot_run(again, plot)
         if verify and isinstance(replays, LogReplays):

@@ -253,7 +253,7 @@ def run(
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:
-        from cosim.report.plots import plot_run
+        from cosim.report.plots.runs import plot_run
 
         plot_run(log, plot)
     if rotate is not None and is_rotated(log):

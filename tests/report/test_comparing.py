@@ -11,7 +11,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report import comparing
 from cosim.report.comparing import compare
-from cosim.report.plots import plot_comparison
+from cosim.report.plots.runs import plot_comparison
 from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.methods import METHODS

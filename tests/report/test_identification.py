@@ -11,10 +11,8 @@ import pytest
 
 import cosim
 from cosim.report.estimators import IF_WRONG
-from cosim.report.plots import identification as plots
-from cosim.report.plots.curves import draw_curves
-from cosim.report.plots.picture import PictureOptions
-from cosim.report.plots.runs import estimate_curves
+from cosim.report.plots import identification
+from cosim.report.plots.runs import Curve, estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.identification import report_identification
 from cosim.scenario.identifying import identifier_record, identify_records
@@ -268,18 +266,19 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
 def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict, band, title):
     """Where noise does not explain the residual, the titles say why there is none."""
     pytest.importorskip("matplotlib")
-    bands = []
+    draw = Curve.draw
+    bands = {}
 
-    def keep(panel, curves, styles=None):
-        draw_curves(panel, curves, styles)
-        bands.append([curve.band is not None for curve in curves])
+    def keep(curve, panel, style, *, label=None):
+        draw(curve, panel, style, label=label)
+        bands[curve.name] = curve.band is not None
 
-    monkeypatch.setattr(plots, "draw_curves", keep)
+    monkeypatch.setattr(Curve, "draw", keep)
     found = identify_records([identifier_record(logs["first"])], bounds=bounds)
     assert {one.verdict for one in found.assessment.parameters} == {verdict}
-    plots.plot_identification(found, tmp_path / "a.svg")
+    identification.plot_identification(found, tmp_path / "a.svg")
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
-    assert bands[1:3] == [[band], [band]]  # of delta, behind the residual
+    assert (bands["delta"], bands["error of delta"]) == (band, band)
     assert title.format(verdict) in texts
     assert texts.count(f"no 95 % band: theta[0] is {verdict}") == (not band)
 
@@ -300,9 +299,9 @@ def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
 def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     """Without a truth there is no gray line, and the half width takes the place of the error."""
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr(plots, "truth_of", lambda log: {})
+    monkeypatch.setattr("cosim.report.plots.runs.truth_of", lambda log: {})
     found = identify_records([identifier_record(logs["first"])])
-    plots.plot_identification(found, tmp_path / "a.svg")
+    identification.plot_identification(found, tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text("utf-8")
     assert "gray: truth" not in text
     assert "its error" not in text
@@ -311,10 +310,10 @@ def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):
     """The standard picture draws it around theta; other estimates have none."""
-    curves = estimate_curves(logs["first"], "identifier.theta", PictureOptions())
+    curves = estimate_curves(logs["first"], "identifier.theta")
     recorded = logs["first"]["identifier.standard_error"]
     for curve, error in zip(curves, recorded.T, strict=True):
         expected = NormalDist().inv_cdf(0.975) * error
         np.testing.assert_allclose(curve.band, expected, rtol=1e-12)
-    (delta,) = estimate_curves(logs["first"], "observer.delta", PictureOptions())
+    (delta,) = estimate_curves(logs["first"], "observer.delta")
     assert delta.band is None
