@@ -16,21 +16,9 @@ from cosim.core.recording import Recording
 from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
-<<<<<<< HEAD
 from cosim.report.estimators import bad_verdicts, by_reason, value_text
-from cosim.report.recorded_rows import signal_of
-from cosim.report.summary import Summary, span, summarize
-=======
-from cosim.report.estimators import (
-    CompensationSummary,
-    DeltaReconstruction,
-    Identification,
-    bad_verdicts,
-    numbers_text,
-)
 from cosim.report.recorded_rows import recorded_port
-from cosim.report.summary import SignalError, Summary, span, summarize
->>>>>>> 6d96afa31ff2fad359263a21e3a674e2251e9fdf
+from cosim.report.summary import Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_tables
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
@@ -165,32 +153,8 @@ def _path_of(recording: Recording) -> Path | None:
     return None
 
 
-<<<<<<< HEAD
 def _signal_table(summary: Summary, recording: Recording) -> Table:
     """Return the table of estimated signals beside the true ones; without a truth the last rows."""
-=======
-def _value_tables(summary: Summary, recording: Recording) -> Iterator[Table]:
-    """Yield the tables of numbers: signals, then constants and parameters; none that is empty."""
-    if summary.signals:
-        yield _signal_table(summary.signals)
-    elif summary.last:  # there is no truth to compare with
-        rows = []
-        for name, last in summary.last.items():
-            values = last if isinstance(last, list) else [last]
-            text = " ".join(f"{value:.6g}" for value in values)
-            rows.append((name, text, recorded_port(recording, name).signal.unit_text))
-        unit = "unit" if any(row[-1] for row in rows) else ""
-        yield new_table("", ("signal", "final value", unit), rows)
-    estimates = estimate_rows(summary)
-    if estimates:
-        yield estimate_table(estimates)
-
-
-def _signal_table(signals: Sequence[SignalError]) -> Table:
-    """Return the table of estimated signals beside the true ones."""
-    begins = [f" for t >= {signal.since:g} s" for signal in signals]
-    is_same = len(set(begins)) == 1
->>>>>>> 6d96afa31ff2fad359263a21e3a674e2251e9fdf
     rows = []
     for signal in summary.signals:
         largest = "no value" if math.isnan(signal.largest) else f"{signal.largest:.3g}"
@@ -203,7 +167,7 @@ def _signal_table(signals: Sequence[SignalError]) -> Table:
     for name, value in summary.last.items():
         values = value if isinstance(value, list) else [value]
         text = " ".join(f"{element:.6g}" for element in values)
-        last_rows.append((name, text, signal_of(recording, name).unit_text))
+        last_rows.append((name, text, recorded_port(recording, name).signal.unit_text))
     unit = "unit" if any(row[-1] for row in last_rows) else ""
     return new_table("", ("signal", "final value", unit), last_rows)
 
