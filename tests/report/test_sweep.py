@@ -8,8 +8,8 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
+from cosim.report.comparing import results_of
 from cosim.report.summary import summarize
-from cosim.report.sweep import results_of
 from cosim.scenario.running import replay
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 
