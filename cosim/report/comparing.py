@@ -186,9 +186,12 @@ class Comparison:
                     "summary": None if summary is None else summary.to_dict(),
                 }
             )
-        differences = [asdict(row) for row in self.differences]
-        own = {"scenario": self.scenario, "component": self.component}
-        return {**own, "plants": plants, "differences": differences}
+        return {
+            "scenario": self.scenario,
+            "component": self.component,
+            "plants": plants,
+            "differences": [asdict(row) for row in self.differences],
+        }
 
 
 def compare(

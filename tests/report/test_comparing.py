@@ -129,15 +129,26 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
     assert "nix: failed: --swap plant: components.plant: " in err
 
 
-def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypatch):
-    """All of them at once, exit 2; that a file is missing is the outcome of its plant."""
+@pytest.mark.parametrize(
+    ("options", "places"),
+    [
+        (
+            ["--swap=plant=/dev/zero", "--swap=plant=a.fmu", "--swap=plant=a.fmu#xs"],
+            ["--swap plant: .*'/dev/zero'", "--swap plant: .*'#xs'"],
+        ),
+        (["--estimators=all", "--swap=plant=a.fmu", "--swap=plant=b.fmu"], [".*--swap plant"]),
+        (["--estimators=all", "--no-base"], ["--no-base"]),
+        ([], [".*--swap or --estimators"]),
+    ],
+    ids=["paths that no plant has", "several plants", "no base", "nothing"],
+)
+def test_wrong_use_is_refused_before_the_first_run(call, monkeypatch, options, places):
+    """All of it at once, exit 2; that a file is missing is the outcome of its plant."""
     monkeypatch.setattr(NO_RUN, None)
-    swaps = [f"--swap=plant={path}" for path in ("/dev/zero", "a.fmu", "a.fmu#xs")]
-    code, out, err = call("compare", "academic", *swaps)
+    code, out, err = call("compare", "academic", *options)
     assert (code, out) == (2, "")
-    first, second = err.splitlines()
-    assert re.match(r"cosim: --swap plant: .*'/dev/zero'", first)
-    assert re.match(r"cosim: --swap plant: .*'#xs'", second)
+    for line, place in zip(err.splitlines(), places, strict=True):
+        assert re.match(f"cosim: {place}", line)
 
 
 @pytest.mark.slow
@@ -282,23 +293,18 @@ def test_keys_of_another_method_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("estimators", "text"),
+    ("scenario", "estimators", "text"),
     [
-        ("rayleih", "'rayleih'.*'rayleigh'"),
-        (["drem", "drem"], "drem .*twice"),
-        ([], "got none"),
+        ("academic", "rayleih", "'rayleih'.*'rayleigh'"),
+        ("academic", ["drem", "drem"], "drem .*twice"),
+        ("academic", [], "got none"),
+        ("pair", "all", "identifier.* got none"),
     ],
 )
-def test_unknown_methods_are_refused(estimators, text):
+def test_unknown_methods_and_missing_identifiers_are_refused(scenario, estimators, text):
     """Before the run."""
     with pytest.raises(UsageError, match=text):
-        cosim.compare_estimators("academic", estimators=estimators)
-
-
-def test_a_scenario_needs_one_identifier():
-    """Without one there is nothing to compare."""
-    with pytest.raises(UsageError, match=r"identifier.* got none"):
-        cosim.compare_estimators("pair")
+        cosim.compare_estimators(scenario, estimators=estimators)
 
 
 @pytest.mark.slow
@@ -324,20 +330,6 @@ def test_the_table_and_json_say_the_same(call, tmp_path):
     code, _, err = call(*arguments, "--out", tmp_path)
     assert code == 2
     assert "--force" in err
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (["--estimators=all", "--swap=plant=a.fmu", "--swap=plant=b.fmu"], "--swap plant"),
-        (["--estimators=all", "--no-base"], "--no-base"),
-        ([], "--swap or --estimators"),
-    ],
-)
-def test_estimators_and_plants_are_compared_one_after_the_other(call, options, named):
-    """Several plants beside --estimators, or nothing to compare, is wrong use."""
-    code, _, err = call("compare", "academic", *options)
-    assert (code, named in err) == (2, True)
 
 
 @pytest.mark.parametrize(
