@@ -327,7 +327,7 @@ def _mapped(
 
 
 def _map_problem(document: Document, component: str) -> str:
-    """Return why a component cannot be built with its map; empty: it can."""
+    """Return why a component cannot be built with its map; empty: it can. Nothing of it runs."""
     scenario, problems = read(document, parse)
     with ExitStack() as resources:
         builder = Builder(scenario, resources, problems=problems, describes=True)
@@ -616,10 +616,7 @@ class ReplaySweep:
     @property
     def columns(self) -> tuple[str, ...]:
         """The names of all results that a row has."""
-        names: dict[str, None] = {}
-        for row in self.rows:
-            names |= dict.fromkeys(row.results)
-        return tuple(names)
+        return tuple(dict.fromkeys(chain.from_iterable(row.results for row in self.rows)))
 
     def __getitem__(self, column: str) -> list[SweepValue]:
         """Return a result in every row; None where there is none."""

@@ -168,8 +168,14 @@ def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch
 @pytest.mark.slow
 def test_a_map_is_for_those_that_have_its_names(folder):
     """The renamed FMU needs it, the exported one keeps the scenario's names; each name counts."""
-    for elements in ("s", "[s[0],s[1]]", ["s[0]", "s[1]"]):
-        found = compare_two(folder, map={**MAP, "plant.x_a": elements})
+    others = {port: names for port, names in MAP.items() if port != "plant.x_a"}
+    for entries in (
+        {"plant.x_a": "s"},
+        {"plant.x_a": "[s[0],s[1]]"},
+        {"plant.x_a": ["s[0]", "s[1]"]},
+        {"plant.x_a[1]": "s[1]", "plant.x_a[0]": "s[0]"},
+    ):
+        found = compare_two(folder, map={**others, **entries})
         assert errors(found) == ["", ""]
         assert found.estimates["observer.x_a"] == "plant.x_a"
         plain, renamed_plant = found.recordings.values()
