@@ -251,7 +251,7 @@ def _replay_each(
     quiet: bool,
 ) -> None:
     """Replay with every combination of values; exit with 1 if one fails."""
-    from cosim.report.sweep import sweep_of
+    from cosim.report.comparing import sweep_of
     from cosim.report.tables.comparison import print_sweep
 
     values = read_variations(vary)

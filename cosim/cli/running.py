@@ -293,7 +293,7 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
     UsageError
         If the scenario cannot run with them.
     """
-    from cosim.report.tables.comparison import print_dry_run
+    from cosim.report.tables.preparation import print_dry_run
     from cosim.scenario.swapping.swap_comparison import dry_run
 
     with prints_to_stderr():

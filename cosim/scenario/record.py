@@ -43,6 +43,8 @@ EIGENVALUE_FIGURES: Final = frozenset(
 _TIMES: Final = ("T_obs", "T_f", "D_max", "T_id")
 
 _Numbers: TypeAlias = tuple[float, ...]
+PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
+SAME_SIZE: Final = 10.0  # factor up to which two numbers are of one size
 # older logs have the number, or the row, of their one output
 _OneAnOutput = Annotated[
     _Numbers, Field(strict=False), BeforeValidator(lambda v: v if isinstance(v, list) else [v])
@@ -139,18 +141,52 @@ class LinearizationRecord(_Table):
     result: dict[str, Any]
 
 
-class _SwapRow(_Table):
+@document
+class ComparedAspect:
+    """One aspect of a port in a swapped component and in the one it replaces.
+
+    Parameters
+    ----------
+    port : str
+        Empty: the component as a whole.
+    aspect : str
+    before, after : plain value; None: unknown, or there is none
+    verdict : PortVerdict
+    connected : bool
+        Whether the scenario names the port.
+    ratio : float or None
+        Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
+    source : str or None
+        What the port stands for in the new component; None: the port of its name.
+    """
+
     port: str
     aspect: str
     before: Any
     after: Any
-    verdict: str
-    connected: Any
+    verdict: PortVerdict
+    connected: bool = True
+    ratio: float | None = None
     source: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The port, and what it stands for in the new component."""
+        return port_label(self.port, self.source)
+
+    @property
+    def of_another_size(self) -> bool:
+        """Whether the numbers differ by so much that the unit is probably another."""
+        return self.ratio is not None and not 1.0 / SAME_SIZE <= self.ratio <= SAME_SIZE
+
+
+def port_label(port: str, source: str | None) -> str:
+    """Return a port, and behind an arrow what it stands for in a new component."""
+    return port if source is None else f"{port} -> {source}"
 
 
 class _SwapReport(_Table):
-    ports: tuple[_SwapRow, ...] = ()
+    ports: tuple[ComparedAspect, ...] = ()
 
 
 class ComponentRecord(_Table):
