@@ -47,7 +47,7 @@ from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.environment import environment_changes
 from cosim.log.contents.layout import signals_json
-from cosim.log.contents.result import RESULT, RESULT_FILE
+from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.scenario.actions.settings import recorded_designs as settings_designs
 from cosim.scenario.record import (
     EIGENVALUE_FIGURES,
@@ -65,8 +65,8 @@ from cosim.scenario.recordings.recorded_scenario import recorded_stop
 _OTHER_KEYS: Final = frozenset({"edits", "format", "replay", "stop", "warnings"})
 # what follows from components or signals that a replay may not have
 _OF_ALL_KEYS: Final = frozenset({"truth", "first_order_loops", "loop_gains", "models"})
-_LAST: Final = f"{RESULT_FILE}.last"
-_OF_ALL: Final = ("connections", "stages", "warnings", "messages", _LAST, "verdicts")
+# sections of which a replay may have less
+_OF_ALL: Final = ("connections", "schedule", "warnings", "last row", "verdicts")
 _END_KEYS: Final = ("status", "reason", "steps", "end_ns", "content_hash")
 _VERDICTS: Final = ("parameters", "estimate", "amplitudes", "undetected", "irregular")
 _SENTENCES: Final = {"reason", "text", "remedy", "problem", "unsolved"}  # of verdicts, or why none
@@ -87,7 +87,7 @@ class Contradiction:
     Parameters
     ----------
     statement : str
-        The place: ``connections.observer.u``, ``components.plant.table``, ...
+        The place: ``connections.observer.u``, ``component tables.plant.kind``, ...
     found, expected
         What the log and its replay have there; None: nothing.
     """
@@ -132,59 +132,45 @@ class Statements:
         self._has_all = _signals_of(self._known) == _signals_of(declared)
         # another version may say the same otherwise
         self._has_own_words = "cosim" not in environment_changes(source)
-        self._found = self._tree(source)
-        self._expected = self._tree(again)
-        for key in () if self._has_all else _OF_ALL:
+        recorded = {**source.designs, **settings_designs(source)}
+        # an earlier version of cosim had other arrays; a replay goes by those
+        self._older = [n for n, own in (designs or {}).items() if own.keys() != recorded[n].keys()]
+        anew = None if designs is None else {n: designs[n] for n in designs if n not in self._older}
+        self._found = self._tree(source, anew and {name: recorded[name] for name in anew})
+        self._expected = self._tree(again, anew)
+        for key in () if self._has_all else self._found.keys() & _OF_ALL:
             found = self._found[key]
             kept = [one for one in found if one in self._expected[key]]
             self._found[key] = {k: found[k] for k in kept} if isinstance(found, dict) else kept
-        self._has_designs = designs is not None
-        recorded = {**source.designs, **settings_designs(source)}
-        for tree, own in ((self._found, recorded), (self._expected, designs or {})):
-            tree["designs"] = {
-                name: {key: array.tolist() for key, array in own[name].items()}
-                for name in designs or {}
-            }
 
     def __str__(self) -> str:
+        sections = dict.fromkeys(self._expected)
         identified, again = map(recorded_identification, (self._source, self._again))
-        of_log, anew = self._found["designs"], self._expected["designs"]
-        older = ", ".join(name for name in anew if of_log[name].keys() != anew[name].keys())
-        designs = (
-            f"designs but that of {older}, of another version of cosim" if older else "designs"
-        )
-        is_known = self._source.status != "unfinished" and identified.keys() <= again.keys()
-        sections = [
-            "truth" if self._has_all else None,
-            "connections, schedule, times, component tables",
-            designs if self._has_designs else None,
-            "overrides, substeps",
-            "warnings" if self._has_own_words else None,
-            "last row" if self._found[_LAST] else None,
-            "verdicts" if is_known else None,
-        ]
+        if not identified.keys() <= again.keys():
+            sections.pop("verdicts", None)
+        text = ", ".join(sections)
+        if self._older:
+            kept = f"designs but that of {', '.join(self._older)}, of another version of cosim"
+            text = text.replace("designs", kept)
         of = "" if self._has_all else f"; as far as they concern {', '.join(self._again.channels)}"
-        return f"{', '.join(filter(None, sections))}{of}"
+        return f"{text}{of}"
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield the places where the log says something else than its replay."""
-        yield from _differences(self._found, self._expected)
         for statement, found, expected in self._said_twice():
             if found != expected:
                 yield Contradiction(statement, found, expected)
+        yield from _differences(self._found, self._expected)
 
     def _said_twice(self) -> Iterator[tuple[str, Any, Any]]:
         """Yield what the log says a second time itself, or by its tables and rows."""
         source = self._source
-        for name in self._known:
-            table = json.loads(component_metadata(self._again, name)["table"])
-            yield f"components.{name}.kind", source.kinds.get(name), table["kind"]
         stop = repr(recorded_stop(source))
-        yield "run.stop", run_metadata(source).get("stop"), stop
+        yield "times.stop", run_metadata(source).get("stop"), stop
         if source.status == "complete" and not source.reason:
             yield "end of the run [ns]", source.end_ns, int(Decimal(stop).scaleb(9))
         step = source.metadata.get("cosim.schedule", {}).get("step_ns")
-        yield "step of the schedule [ns]", step, str(source.step_ns)
+        yield "schedule.step_ns", step, str(source.step_ns)
         if self._has_own_words and source.status == "complete":
             noted = {warning[1:] for warning in source.warnings}
             warned = {one[1:] for one in DistinctWarnings(source.messages())}
@@ -195,44 +181,67 @@ class Statements:
             text = value if value is None else str(value)
             yield f"{RESULT_FILE}.{key}", text, source.metadata.get(RESULT, {}).get(key)
 
-    def _tree(self, run: Log | Memory) -> dict[str, Any]:
-        """Return what a run, the log or its replay, says of what both may have."""
-        omitted = _OTHER_KEYS if self._has_all else _OTHER_KEYS | _OF_ALL_KEYS
-        stages = list(run.schedule)
-        if not self._has_all:
-            # of those that do not depend on each other, others decide on the order
-            stages = sorted(one for one in stages if set(self._computed) & set(one.split()))
-        components: dict[str, dict[str, Any]] = {
-            name: {"table": component_metadata(run, name).get("table")} for name in self._known
-        }
-        for name in self._computed:
-            interface = declared_channels(run.channels)[name].interface
-            components[name] |= {
-                "tables it rests on": component_metadata(run, name).get("fingerprint"),
-                "held inputs": run.held[name].tolist(),
-                "signals": json.loads(signals_json(interface)),
-                "initial": dict(interface.initial),
-                "delayed": interface.delayed,
-                "metadata": component_table(run, name),
+    def _tree(
+        self, run: Log | Memory, designs: Mapping[str, Design] | None
+    ) -> dict[str, dict[str, Any] | list[Any]]:
+        """Return what a run, the log or its replay, says of what both may have, by section."""
+        of_run = run_metadata(run)
+        tree: dict[str, dict[str, Any] | list[Any]] = {}
+        schedule = list(run.schedule)
+        if self._has_all:
+            tree["truth"] = {key: text for key, text in of_run.items() if key in _OF_ALL_KEYS}
+        else:  # of stages that do not depend on each other, others decide on the order
+            schedule = sorted(one for one in schedule if set(self._computed) & set(one.split()))
+        omitted = _OTHER_KEYS | _OF_ALL_KEYS
+        tree["connections"] = dict(run.metadata.get("cosim.connections", {}))
+        tree["schedule"] = schedule
+        tree["times"] = {key: text for key, text in of_run.items() if key not in omitted}
+        tree["component tables"] = {name: self._component(run, name) for name in self._known}
+        if designs is not None:
+            tree["designs"] = {
+                name: {key: array.tolist() for key, array in own.items()}
+                for name, own in designs.items()
             }
-        warnings: list[tuple[str, str]] = []
-        messages: list[tuple[str, str]] = []
+        tree["overrides"] = self._events(run)
+        tree["substeps"] = self._substeps(run)
         if self._has_own_words:
+            texts = [("recorded", *warning) for warning in recorded_warnings(run)]
             # "run" is how the run ended: a replay ends where the log does, whatever the reason
-            warnings = [one for one in recorded_warnings(run) if one[0] in self._computed]
             named = [one for one in run.messages() if one.source != "run"]
-            messages = [(one.source, one.text) for one in named if one.source in self._computed]
-        return {
-            "run": {k: text for k, text in run_metadata(run).items() if k not in omitted},
-            "connections": run.metadata.get("cosim.connections", {}),
-            "stages": stages,
-            "components": components,
-            "overrides": self._events(run),
-            "substeps": self._substeps(run),
-            "warnings": warnings,
-            "messages": messages,
-            _LAST: self._last_row(run),
-            "verdicts": self._verdicts(run),
+            texts += [("message", one.source, one.text) for one in named]
+            tree["warnings"] = [text for text in texts if text[1] in self._computed]
+        source = self._source
+        if source.status == "unfinished":
+            return tree
+        is_part = source.status == PARTIAL_STATUS  # whose last row is that of the whole run
+        if source.status == "complete" or not (is_part or source.results.get("last") is None):
+            last = run.results.get("last")
+            items = last.items() if isinstance(last, dict) else ()
+            tree["last row"] = {k: v for k, v in items if run is source or k in source}
+        verdicts = {}
+        for name, said in recorded_identification(run).items():
+            own = plain(said)
+            verdicts[name] = {key: own[key] for key in _VERDICTS if own.get(key)}
+        # a log without any says nothing false of identifiers
+        is_said = any(recorded_identification(source).values())
+        tree["verdicts"] = {name: own for name, own in verdicts.items() if own and is_said}
+        return tree
+
+    def _component(self, run: Log | Memory, name: str) -> dict[str, Any]:
+        own = component_metadata(run, name)
+        kinds = self._source.kinds  # the log has it with the channels, too
+        kind = kinds.get(name) if run is self._source else json.loads(own["table"])["kind"]
+        said = {"table": own.get("table"), "kind": kind}
+        if name not in self._computed:
+            return said
+        interface = declared_channels(run.channels)[name].interface
+        return said | {
+            "fingerprint": own.get("fingerprint"),
+            "held": run.held[name].tolist(),
+            "signals": json.loads(signals_json(interface)),
+            "initial": dict(interface.initial),
+            "delayed": interface.delayed,
+            "metadata": component_table(run, name),
         }
 
     def _events(self, run: Log | Memory) -> list[tuple[Any, ...]]:
@@ -265,31 +274,6 @@ class Statements:
         kept = [own for own in counts if self._has_all or own["components"] in there]
         return {**steps, "counts": kept}
 
-    def _last_row(self, run: Log | Memory) -> dict[str, Any]:
-        """Return the last row in the results; of a replay what the log has to have of it."""
-        source = self._source
-        last = source.results.get("last")
-        labels = last if isinstance(last, dict) else {}
-        # on a full disk there is none, and a part has that of the whole run
-        has_one = source.status == "complete" or (
-            source.status in ("failed", "interrupted") and last is not None
-        )
-        own = run.results.get("last") if has_one else None
-        if not isinstance(own, dict):
-            return {}
-        return {k: v for k, v in own.items() if run is source or k in source or k in labels}
-
-    def _verdicts(self, run: Log | Memory) -> dict[str, Any]:
-        """Return what is said of identifiers; a log without any says nothing false of them."""
-        verdicts = {}
-        if recorded_identification(self._source):
-            for name, said in recorded_identification(run).items():
-                own = plain(said)
-                own = {key: own[key] for key in _VERDICTS if own.get(key)}
-                if own:
-                    verdicts[name] = own
-        return verdicts
-
 
 def _signals_of(channels: Mapping[str, Channel]) -> set[tuple[str, str]]:
     return {(name, signal) for name, channel in channels.items() for signal in channel.by_name}
@@ -321,10 +305,8 @@ def _agree(place: tuple[str | int, ...], found: Any, expected: Any) -> bool:
         return True
     rtol = 0.0
     match place:
-        case ("components", _, "metadata", figure) if figure in EIGENVALUE_FIGURES:
+        case ("component tables", _, "metadata", figure) if figure in EIGENVALUE_FIGURES:
             return _are_close(found, expected)
-        case ("designs", _) if found.keys() != expected.keys():
-            return True  # an earlier version of cosim had other arrays; a replay goes by those
         case ("designs", _, _) if np.shape(found) == np.shape(expected):
             scale = _OF_LARGEST * np.abs(expected).max(initial=0.0)
             near = np.isclose(found, expected, rtol=_ESTIMATE_RTOL, atol=scale, equal_nan=True)
