@@ -218,13 +218,14 @@ class Statements:
             last = run.results.get("last")
             items = last.items() if isinstance(last, dict) else ()
             tree["last row"] = {k: v for k, v in items if run is source or k in source}
-        verdicts = {}
-        for name, said in recorded_identification(run).items():
-            own = plain(said)
-            verdicts[name] = {key: own[key] for key in _VERDICTS if own.get(key)}
+        tree["verdicts"] = verdicts = {}
         # a log without any says nothing false of identifiers
-        is_said = any(recorded_identification(source).values())
-        tree["verdicts"] = {name: own for name, own in verdicts.items() if own and is_said}
+        judged = run if recorded_identification(source) else source
+        for name, verdict in recorded_identification(judged).items():
+            own = plain(verdict)
+            said = {key: own[key] for key in _VERDICTS if own.get(key)}
+            if said:
+                verdicts[name] = said
         return tree
 
     def _component(self, run: Log | Memory, name: str) -> dict[str, Any]:

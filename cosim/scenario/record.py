@@ -219,8 +219,8 @@ class ModelRecord:
 
 
 @document
-class _RecordedGain(LoopGain):
-    """The gain of a loop, with what a figure of it may be."""
+class _CheckedGain(LoopGain):
+    """The gain of a loop as a log has it, with what each figure may be."""
 
     h: Annotated[float, Field(gt=0.0)]
     steps: Annotated[int, Field(ge=1, lt=2**63)]
@@ -507,7 +507,8 @@ def recorded_models(recording: Recording) -> dict[str, ModelRecord]:
 
 def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     """Return the gains of the loops of a run, as they were before it."""
-    return _of_run(recording, "loop_gains", tuple[_RecordedGain, ...]) or ()
+    gains = _of_run(recording, "loop_gains", tuple[_CheckedGain, ...]) or ()
+    return tuple(LoopGain(**vars(gain)) for gain in gains)
 
 
 def first_order_loops(recording: Recording) -> list[str]:
