@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from textwrap import TextWrapper
@@ -18,6 +17,7 @@ from rich.table import Table
 from cosim.processes import COMMAND_VARIABLE
 from cosim.report.printable import printable, printable_line
 
+_WIDTH: Final = 80  # columns of a terminal that does not say
 _GAP: Final = 2  # blanks between columns
 _FOLDED: Final = 40  # characters of a word in the last column, such as a path, that may be broken
 _NO_NUMBERS: Final = {"NaN": "nan", "Infinity": "inf", "-Infinity": "-inf"}  # in JSON
@@ -94,7 +94,13 @@ def terminal_width() -> int | None:
     of_parent = os.environ.get(COMMAND_VARIABLE)
     if of_parent is not None:
         return int(of_parent) or None
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    if not sys.stdout.isatty():
+        return None
+    chosen = os.environ.get("COLUMNS", "")
+    if chosen.isdecimal() and int(chosen):
+        return int(chosen)
+    # of what stands for stdout, which need not be the first one of the process
+    return os.get_terminal_size(sys.stdout.fileno()).columns or _WIDTH
 
 
 def print_line(text: str, *, error: bool = False) -> None:
