@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from cosim.log.comparison.diff import diff
     from cosim.log.reading.reader import open_log
     from cosim.report.certificate import certificate
-    from cosim.report.comparing import compare, compare_estimators
-    from cosim.report.sweep import replay_sweep
+    from cosim.report.comparing import compare, compare_estimators, replay_sweep
     from cosim.scenario.assumptions.report import check_assumptions
-    from cosim.scenario.context.models import model_table
+    from cosim.scenario.building.models import model_table
     from cosim.scenario.data_files.field_file import read_field_data
     from cosim.scenario.experiment_design.ranking import design
-    from cosim.scenario.identifying import identify
     from cosim.scenario.running.execution import load, run
+    from cosim.scenario.running.identifying import identify
     from cosim.scenario.running.replay import replay
     from cosim.studies.metrics import metrics
     from cosim.studies.study import open_study
@@ -39,15 +38,15 @@ _HOMES = {
     "compare_estimators": "cosim.report.comparing",
     "design": "cosim.scenario.experiment_design.ranking",
     "diff": "cosim.log.comparison.diff",
-    "identify": "cosim.scenario.identifying",
+    "identify": "cosim.scenario.running.identifying",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
     "metrics": "cosim.studies.metrics",
-    "model_table": "cosim.scenario.context.models",
+    "model_table": "cosim.scenario.building.models",
     "open_log": "cosim.log.reading.reader",
     "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",
-    "replay_sweep": "cosim.report.sweep",
+    "replay_sweep": "cosim.report.comparing",
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
     "study": "cosim.studies.studying",

@@ -16,7 +16,7 @@ from cosim.errors import CosimError
 from cosim.files import FileType, expanded, file_type
 
 if TYPE_CHECKING:
-    from cosim.scenario.parsing import Scenario
+    from cosim.scenario.building.parsing import Scenario
 
 _READABLE: Final[tuple[FileType, ...]] = ("FMU", "log", "table")
 FAILURES: Final = ("inconsistent", "no-estimate", "warning")  # that --fail-on takes
@@ -25,7 +25,7 @@ SETTINGS = "scenario"  # the table whose keys --set reaches like those of a comp
 
 def complete_scenario(incomplete: str) -> list[str]:
     """Return the shipped scenarios and the scenario files that begin so."""
-    from cosim.scenario.text import shipped
+    from cosim.scenario.document.document import shipped
 
     names = [name for name in shipped() if name.startswith(incomplete)]
     return names + list(_files(incomplete, "scenario"))
@@ -44,7 +44,7 @@ def complete_checked(incomplete: str) -> list[str]:
 def complete_kind(incomplete: str) -> list[str]:
     """Return the component kinds that begin so."""
     from cosim.scenario.kinds import KINDS
-    from cosim.scenario.user_kinds.installed_kinds import installed_classes
+    from cosim.scenario.kinds.installed_kinds import installed_classes
 
     names = dict.fromkeys([*KINDS, *installed_classes()])
     return [name for name in names if name.startswith(incomplete)]
@@ -99,9 +99,9 @@ def complete_estimators(incomplete: str) -> list[str]:
 
 
 def _settings(scenario: Scenario) -> Iterator[str]:
+    from cosim.scenario.document.document import short
+    from cosim.scenario.document.schema import Settings
     from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.schema import Settings
-    from cosim.scenario.text import short
 
     for name, kind in scenario.specs.items():
         for parameter in parameters_of(type(kind)):
@@ -121,8 +121,8 @@ def _scenario(context: typer.Context) -> Scenario | None:
     Nothing of it is built, as that may run code of its user.
     """
     from cosim.scenario.building.build import parse
-    from cosim.scenario.parsing import read
-    from cosim.scenario.text import find
+    from cosim.scenario.building.parsing import read
+    from cosim.scenario.document.document import find
 
     # an option that still lacks its value leaves the arguments before it unread
     candidates = [context.params.get("scenario"), *context.args]

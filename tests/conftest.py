@@ -176,7 +176,7 @@ def frozen_heap() -> None:
 @pytest.fixture
 def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the verdicts of all runs, as ``scenario.verdicts = false`` does of one."""
-    from cosim.scenario.identification.run_verdicts import Assessor
+    from cosim.scenario.kinds.run_verdicts import Assessor
 
     monkeypatch.setattr(Assessor, "results", lambda assessor: {})
 
@@ -197,7 +197,7 @@ def verdicts_once(request: pytest.FixtureRequest) -> Iterator[None]:
     if request.path.relative_to(HERE).parts[0] not in OF_EQUAL_RUNS:
         yield
         return
-    from cosim.scenario.identification import run_verdicts
+    from cosim.scenario.kinds import run_verdicts
 
     assess = run_verdicts.assess
 

@@ -11,7 +11,7 @@ from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError
 from cosim.files import read_bounded, regular
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import Document, find
+from cosim.scenario.document.document import Document, find
 
 SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
 

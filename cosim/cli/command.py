@@ -102,14 +102,14 @@ def _number(text: str) -> float:
 
 def read_edits(texts: list[str], name: str = "set") -> dict[str, Any]:
     """Read pairs whose values are TOML where they can be; the last one of a key counts."""
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
 
     return _each(dict(read_pairs(texts, name)), name, parse_value)
 
 
 def read_sweep(texts: list[str], name: str) -> dict[str, list[Any]]:
     """Read KEY=V1,V2,...; the values are TOML where they can be."""
-    from cosim.scenario.text import parse_values
+    from cosim.scenario.document.document import parse_values
 
     return _each(read_unique_pairs(texts, name), name, parse_values)
 
@@ -161,7 +161,7 @@ def read_step(text: str, name: str) -> float | str:
 
 def read_members(text: str, name: str) -> Any:
     """Read which logs are kept: numbers, or a text."""
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
 
     numbers = parse_value(f"[{text}]")
     return numbers if isinstance(numbers, list) else text
@@ -169,7 +169,7 @@ def read_members(text: str, name: str) -> Any:
 
 def read_deviations(text: str, name: str) -> list[float]:
     """Read a number or a list of numbers."""
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
 
     value = parse_value(text)
     listed = value if isinstance(value, list) else [value]

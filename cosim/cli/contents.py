@@ -33,7 +33,7 @@ def info(given: Given) -> None:
 
         print_contents(given.source, as_json=given.json)
         return
-    from cosim.report.schedule import print_schedule, schedule_of
+    from cosim.report.schedule import plot_schedule, print_schedule, schedule_of
 
     type_name = file_type(given.source)
     if type_name in ("log", "FMU", "table"):
@@ -42,8 +42,6 @@ def info(given: Given) -> None:
     schedule = schedule_of(given.source)
     print_schedule(schedule, as_json=given.json)
     if given.out is not None:
-        from cosim.report.plots.schedule import plot_schedule
-
         plot_schedule(schedule, given.out)
         if not given.json:
             print_text(given.out)
@@ -71,7 +69,7 @@ def list_(given: Given) -> None:
 @command(shared("scenario"))
 def show(given: Given) -> None:
     """Print the text of a scenario, as a template for your own."""
-    from cosim.scenario.text import find
+    from cosim.scenario.document.document import find
 
     # a pipe ends in a terminal, too; what is escaped here is in no scenario that can be read
     typer.echo(printable(find(given.scenario).text), nl=False)

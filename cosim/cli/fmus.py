@@ -35,7 +35,7 @@ def check(given: Given) -> bool:
         if given.strict:
             raise UsageError("--strict is for FMUs; omit it")
         run_in_child(given.arguments)
-        from cosim.report.tables.assumptions import print_assumptions
+        from cosim.report.tables.preparation import print_assumptions
 
         with prints_to_stderr():
             report = cosim.check_assumptions(str(given.subject), set=given.set)

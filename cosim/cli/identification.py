@@ -32,9 +32,9 @@ def identify(given: Given) -> bool:
     verdict on every parameter and tests of the residual.
     """
     from cosim.report.tables.identification import print_identification, report_identification
-    from cosim.scenario.identification.model import bounds_of
-    from cosim.scenario.identifying import identifier_record, identify_records
-    from cosim.scenario.text import parse_value
+    from cosim.scenario.document.document import parse_value
+    from cosim.scenario.kinds.identified_plant import bounds_of
+    from cosim.scenario.running.identifying import identifier_record, identify_records
 
     irregular = given.irregular
     if irregular is not None and not 0.0 < irregular < float("inf"):
@@ -55,7 +55,7 @@ def identify(given: Given) -> bool:
             identification, others=others, irregular=irregular, watch=watch
         )
     if given.plot is not None:
-        from cosim.report.plots import plot_identification
+        from cosim.report.plots.identification import plot_identification
 
         plot_identification(identification, given.plot)
     print_identification(report, as_json=given.json)
@@ -81,7 +81,7 @@ def design(given: Given) -> None:
     Ranks delays, filters, steps and windows relative to the Cramer-Rao bound of y, which the
     output-error method attains.
     """
-    from cosim.report.tables.experiment_design import print_design
+    from cosim.report.tables.preparation import print_design
 
     with prints_to_stderr():
         result = cosim.design(given.scenario, **given.only("noise theta longest input set"))

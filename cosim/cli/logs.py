@@ -133,7 +133,8 @@ def _metrics_of(place: str, log: str) -> dict[str, str]:
 )
 def plot(given: Given) -> None:
     """Plot signals of one or several logs over time."""
-    from cosim.report.plots import PictureOptions, plot_run, plot_signals
+    from cosim.report.plots.picture import PictureOptions
+    from cosim.report.plots.runs import plot_run, plot_signals
 
     options = PictureOptions(given.size, given.from_, given.to, given.title)
     logs = [cosim.open_log(source) for source in given.sources if file_type(source) == "log"]
@@ -223,7 +224,7 @@ def diff(given: Given) -> bool:
     if given.plot is not None and difference.worst is None:
         print_notice(f"{given.plot}: not drawn, as the largest difference of two values is 0")
     elif given.plot is not None:
-        from cosim.report.plots import plot_difference
+        from cosim.report.plots.runs import plot_difference
 
         plot_difference(difference, logs, given.plot)
         if not given.json:

@@ -132,8 +132,8 @@ def run(given: Given) -> bool:
         scenario = load(given.scenario).edit(**given.only("set swap map"))
     start_collecting()
     if given.dry_run:
-        from cosim.report.tables.comparison import print_dry_run
-        from cosim.scenario.swapping.swap_comparison import dry_run
+        from cosim.report.tables.preparation import print_dry_run
+        from cosim.scenario.recordings.swap_comparison import dry_run
 
         with prints_to_stderr():
             reports = dry_run(scenario)
@@ -203,7 +203,7 @@ def replay(given: Given) -> bool:
     shown = {"as_json": given.json, "quiet": given.quiet}
     target = given.only("out force")
     if given.vary:
-        from cosim.report.sweep import sweep_of
+        from cosim.report.comparing import sweep_of
         from cosim.report.tables.comparison import print_sweep
 
         with show_progress(given.quiet or given.json) as progress, prints_to_stderr():
@@ -235,7 +235,7 @@ def replay(given: Given) -> bool:
 
 def _draw(run: Any, plot: Path | None) -> None:
     if plot is not None:
-        from cosim.report.plots import plot_run
+        from cosim.report.plots.runs import plot_run
 
         plot_run(run, plot)
 
@@ -290,7 +290,7 @@ def compare(given: Given) -> bool:
         else:
             comparison = cosim.compare(scenario, swap=given.swap, base=given.base, **options)
     if given.plot is not None and comparison.recordings:
-        from cosim.report.plots import plot_comparison
+        from cosim.report.plots.runs import plot_comparison
 
         plot_comparison(comparison, given.plot)
     if isinstance(comparison, EstimatorComparison):

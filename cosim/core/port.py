@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from cosim.core.signals import Signal
 from cosim.errors import GraphError
@@ -154,3 +154,12 @@ def split_element(name: str) -> tuple[str, ElementIndex]:
     if match[3] is None:
         return match[1], first
     return match[1], range(first, int(match[3]))
+
+
+def named_ports(value: Any) -> list[str]:
+    """Return the ports that a value lists, one or several; none where it is numbers."""
+    if isinstance(value, str):
+        return [value]
+    if isinstance(value, list | tuple):
+        return [entry for entry in value if isinstance(entry, str)]
+    return []

@@ -52,7 +52,7 @@ Opener: TypeAlias = Callable[[ExitStack, bool], Opened]
 
 @final
 class Session:
-    """A scenario advanced by the caller; :meth:`cosim.scenario.parsing.Scenario.start` returns it.
+    """A scenario advanced by the caller; :meth:`Scenario.start` returns it.
 
     A context manager: on exit the log is completed and FMUs are closed. Only the thread that
     started a session may use it. The log of a session that is garbage-collected is completed, too,

@@ -21,7 +21,7 @@ from cosim.errors import UsageError
 from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
 from cosim.scenario.data_files.tables import read_texts
-from cosim.scenario.text import parse_value, plain
+from cosim.scenario.document.document import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.study_file import absolute, varied_key
 

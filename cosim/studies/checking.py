@@ -22,10 +22,10 @@ from cosim.errors import UsageError, command, listing, option, quoted
 from cosim.files import file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import Document
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.scenario.text import Document
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember, member_of
 from cosim.studies.design import StudyDesign, edited_scenario
 from cosim.studies.members import MemberSources, OpenedSubject, inspect_member

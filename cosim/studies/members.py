@@ -26,10 +26,10 @@ from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
+from cosim.report.comparing import results_of
 from cosim.report.summary import summarize
-from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, record, run_rows
 from cosim.scenario.running.replay import replays_of
 from cosim.studies.contracts import (
@@ -47,7 +47,7 @@ from cosim.studies.study_file import load_scenario
 from cosim.temporary import without_folders
 
 if TYPE_CHECKING:
-    from cosim.scenario.swapping.swap_report import SwapReports
+    from cosim.scenario.recordings.swap_report import SwapReports
 
 CODE: Final = "code of "  # before the name of a class of users
 _OPEN_LOGS: Final = 4  # whose rows may be in memory
@@ -189,7 +189,7 @@ class OpenedSubject:
                     experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
                 files, modules = (
                     {path: self._digests.of(path) for path in sorted(map(str, paths))}
-                    for paths in (experiment.files, experiment.modules)
+                    for paths in (experiment.built.files, experiment.built.modules)
                 )
                 return MemberSources("", files, modules, _codes(experiment))
         except UsageError as error:
@@ -215,7 +215,7 @@ class OpenedSubject:
 
     def _compare(self, swaps: tuple[tuple[str, str], ...]) -> SwapReports | None:
         """Compare swaps without what is varied beside them; None: they are refused without it."""
-        from cosim.scenario.swapping.swap_comparison import compare_swaps  # rarely needed
+        from cosim.scenario.recordings.swap_comparison import compare_swaps
 
         subject = self.subject
         try:
@@ -232,7 +232,7 @@ class OpenedSubject:
         for name, digest in _codes(experiment).items():
             if self._expected.setdefault(name, digest) != digest:
                 raise ChangedFileError(f"the {name} has changed since this study began")
-        read = [*map(str, experiment.files | experiment.modules), *_parts(member)]
+        read = [*map(str, experiment.built.files | experiment.built.modules), *_parts(member)]
         for path in read:
             if path not in self._expected:
                 self._expected[path] = self._digests.of(path)

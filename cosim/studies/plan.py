@@ -20,9 +20,9 @@ from cosim.log.contents.environment import environment
 from cosim.log.contents.metadata import read_json
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import parse_value
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.scenario.text import parse_value
 from cosim.studies.checking import Inspected, check_design
 from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
 from cosim.studies.design import StudyDesign, plan_design

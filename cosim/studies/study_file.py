@@ -22,20 +22,27 @@ from cosim.errors import UsageError, nearest, option, quoted
 from cosim.files import expanded, file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
-from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.places import Key, Problem, report
-from cosim.scenario.problems import TableProblems, problems_of
-from cosim.scenario.recordings.recorded_scenario import recorded_document
-from cosim.scenario.running.execution import load
-from cosim.scenario.schema import (
+from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.document.document import (
+    COMPONENTS,
+    Document,
+    find,
+    plain,
+    shipped,
+    short,
+)
+from cosim.scenario.document.places import Key, Problem, report
+from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.scenario.document.schema import (
     LARGEST_SEED,
     Flag,
     Number,
     TomlTable,
     Whole,
 )
-from cosim.scenario.schema import Name as NameOfStudy
-from cosim.scenario.text import COMPONENTS, Document, find, plain, shipped, short
+from cosim.scenario.document.schema import Name as NameOfStudy
+from cosim.scenario.recordings.recorded_scenario import recorded_document
+from cosim.scenario.running.execution import load
 from cosim.studies.contracts import SWAP, StudySubject
 from cosim.studies.variations import (
     FORMS,

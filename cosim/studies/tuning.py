@@ -20,7 +20,7 @@ from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted, warn
 from cosim.files import file_type
 from cosim.log.foreign.topics import is_foreign
-from cosim.scenario.text import find, plain
+from cosim.scenario.document.document import find, plain
 from cosim.studies.cases import packed
 from cosim.studies.contracts import COMPLETE, RECORDING, SWAP, MemberOutcome, StudyMember, member_of
 from cosim.studies.dataset import StudyDataset

@@ -30,15 +30,15 @@ from pydantic import Field, ValidationError
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError, nearest, quoted
-from cosim.scenario.places import Key
-from cosim.scenario.problems import TableProblems, problems_of
-from cosim.scenario.schema import (
+from cosim.scenario.document.document import parse_values, plain
+from cosim.scenario.document.places import Key
+from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.scenario.document.schema import (
     Number,
     NumberRow,
     TomlTable,
     Whole,
 )
-from cosim.scenario.text import parse_values, plain
 from cosim.studies.contracts import SWAP
 
 

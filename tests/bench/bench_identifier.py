@@ -19,7 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import cosim
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error

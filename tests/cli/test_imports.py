@@ -67,7 +67,7 @@ def test_a_run_imports_no_part_of_cosim_for_what_it_has_not(tmp_path):
         "cosim.scenario.kinds.arithmetic",
         "cosim.scenario.kinds.compensators",
         "cosim.scenario.kinds.field_data",
-        "cosim.scenario.swapping.swap_comparison",
+        "cosim.scenario.recordings.swap_comparison",
         "cosim.theory.assessment.noise_color",
         "cosim.theory.bounded",
         "cosim.theory.compensation",

@@ -10,10 +10,10 @@ from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.variable import Variable
-from cosim.report.tables.comparison import print_dry_run
+from cosim.report.tables.preparation import print_dry_run
 from cosim.scenario.assumptions.report import check_assumptions
+from cosim.scenario.recordings.swap_comparison import compare_swaps
 from cosim.scenario.running.execution import load as load_scenario
-from cosim.scenario.swapping.swap_comparison import compare_swaps
 from tests.fmi import small
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3

@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 import cosim
 from cosim.log import open_log
 from cosim.log.contents.content import hash_input
-from cosim.scenario.text import shipped
+from cosim.scenario.document.document import shipped
 from tests.log.decoding import message_class
 from tests.log.mcap_file.killed import Job, killed_run, whole_run
 from tests.log.recordings import STEP_NS, same_bits

@@ -11,8 +11,8 @@ import pytest
 import cosim
 from cosim.native.numerics.expression import FUNCTIONS
 from cosim.report.tables.catalog import print_catalog, print_kind
+from cosim.scenario.document.schema import ModelTable, Settings
 from cosim.scenario.kinds import KINDS
-from cosim.scenario.schema import ModelTable, Settings
 
 
 @pytest.mark.parametrize(("entry", "table"), [("settings", Settings), ("models", ModelTable)])

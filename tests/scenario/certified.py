@@ -4,7 +4,7 @@ from pathlib import Path
 from textwrap import dedent
 
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.document.document import Document
 
 MODULE = '''
 import numpy as np

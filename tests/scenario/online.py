@@ -13,8 +13,8 @@ import cosim
 from cosim.arrays import Matrix
 from cosim.core.contracts import Component
 from cosim.scenario.building.build import Builder
+from cosim.scenario.document.document import find
 from cosim.scenario.running.execution import load
-from cosim.scenario.text import find
 
 H = 0.01
 ONLINE = {"identifier.method": "output-error", "identifier.period": 0.1}

@@ -8,9 +8,9 @@ from typing import Any
 from cosim.core import Memory
 from cosim.core import run as run_graph
 from cosim.scenario.building.build import Builder
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import PortNames
 from cosim.scenario.running.execution import load
-from cosim.scenario.text import PortNames
 
 # 700 steps in place of 7000: the filter follows them, and identification begins at 6.52 s
 COARSE = {"scenario.step": 0.01, "scenario.stop": 7.0, "observer.filter_rate": 100.0}

@@ -16,9 +16,9 @@ from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
-from cosim.scenario.context.build_context import ScenarioBuildContext
+from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.text import find
 from tests.scenario.exported import (
     ACADEMIC,
     COMPONENTS,

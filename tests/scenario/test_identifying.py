@@ -10,8 +10,8 @@ import pytest
 import cosim
 from cosim.documents import plain
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import IDENTIFICATION
+from cosim.scenario.running.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cosim.scenario.building.build import build_context
+from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.exporting import export_component
 from cosim.scenario.running.execution import load
 
@@ -26,7 +26,7 @@ OBSERVER = range(2, 9)  # references of x_a, delta, x_b, z, q
 def models():
     loaded = load("academic").set(CHANGES)
     with ExitStack() as resources:
-        context = build_context(loaded, resources)
+        context = ScenarioBuildContext(loaded, resources)
         return {
             name: loaded.specs[name].linear_model(name, context) for name in ("plant", "observer")
         }

@@ -15,9 +15,9 @@ import cosim
 from cosim.errors import LogError, NonFiniteError, RunError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
+from cosim.scenario.document.document import shipped
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import ReplayOrigin, replay_origin
-from cosim.scenario.text import shipped
 from tests.fmi import eventful, lag
 from tests.scenario.signals import COARSE
 

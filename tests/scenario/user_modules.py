@@ -3,7 +3,7 @@
 import textwrap
 
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.document.document import Document
 
 RELAY = '''
 import numpy as np

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import cosim
 from cosim.digests import sha256_of
 from cosim.errors import ChangedFileError, CosimError, Interrupted
-from cosim.scenario.swapping.swap_comparison import compare_swaps
+from cosim.scenario.recordings.swap_comparison import compare_swaps
 from cosim.studies import members as module
 from cosim.studies.contracts import COMPLETE, FAILED, StudyMember, StudySubject
 from cosim.studies.members import OpenedSubject, inspect_member, run_member
@@ -231,7 +231,7 @@ def test_a_swap_is_compared_once_and_without_what_is_varied_beside_it(study, mon
         compared.append(scenario.tree["components"]["plant"]["start"]["A"])
         return compare_swaps(scenario, fmus)
 
-    monkeypatch.setattr("cosim.scenario.swapping.swap_comparison.compare_swaps", compare)
+    monkeypatch.setattr("cosim.scenario.recordings.swap_comparison.compare_swaps", compare)
     for number, name in enumerate("bcbc"):
         member = swapping(folder, name, **{"plant.start.A": -2.0 - number})
         assert run_member(subject, member).status == COMPLETE

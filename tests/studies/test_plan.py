@@ -12,7 +12,7 @@ import cosim
 from cosim.cli.app import main
 from cosim.cli.command import read_edits, read_unique_pairs
 from cosim.errors import RunError, UsageError
-from cosim.scenario.swaps import port_names
+from cosim.scenario.document.swaps import port_names
 from cosim.studies.checking import check_design
 from cosim.studies.contracts import StudyMember
 from cosim.studies.plan import RecordedStudy, plan_study, run_command

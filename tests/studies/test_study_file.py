@@ -9,7 +9,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError, shell_language
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
 from cosim.studies.contracts import StudySubject
 from cosim.studies.design import find_recordings
 from cosim.studies.study_file import KeptLogs, read_study

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from cosim.errors import UsageError
-from cosim.scenario.problems import TableProblems
+from cosim.scenario.document.problems import TableProblems
 from cosim.studies.variations import (
     GridVariation,
     SampledVariation,

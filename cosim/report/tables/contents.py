@@ -54,7 +54,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
 
 def _sections(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield the sections; differences between swapped and replaced components by component."""
-    from cosim.scenario.swapping.swap_report import row_texts
+    from cosim.scenario.recordings.swap_report import row_texts
 
     for title, section in content.items():
         if title == "problems":  # printed as an error

@@ -16,11 +16,11 @@ from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.changed_loops import changed_loops
-from cosim.scenario.building.coupling_check import CouplingReport, report_behind, report_on
+from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.coupling import CouplingReport, report_behind, report_on
 from cosim.scenario.building.experiment import Experiment, warnings_among
-from cosim.scenario.context.build_context import DependsOnInvalid
+from cosim.scenario.document.places import Problem
 from cosim.scenario.kinds.initial_states import change_text, changed_states
-from cosim.scenario.places import Problem
 
 BEGINNING: Final = "beginning of the run"
 
@@ -79,7 +79,7 @@ class Beginning:
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
         """What the run warns of before its first step, by component, each once."""
-        warnings = [*self._builder.context.records.warnings, *self._of_fmus]
+        warnings = [*self._builder.context.warnings, *self._of_fmus]
         return tuple(dict.fromkeys(warnings))
 
     def check(self) -> Evidence:

@@ -12,7 +12,7 @@ from cosim.errors import AssumptionError
 from cosim.native.numerics.householder import triangle
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.building.build import Builder
-from cosim.scenario.context.build_context import DependsOnInvalid
+from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.identification_start import start_time
@@ -70,7 +70,7 @@ class IdentifierCheck:
     def _start(self) -> Evidence:
         context = self.builder.context
         T_id = start_time(self.kind.start, self._source, context)
-        times = context.records.metadata.get(self.name, {})
+        times = context.metadata.get(self.name, {})
         clock = self.builder.clock
         values: dict[str, Any] = {"start_time": T_id, "stop": clock.stop}
         parts = ""

@@ -24,15 +24,20 @@ from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.coupling_check import COUPLING, CouplingReport, gain_text, gain_values
+from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.coupling import (
+    COUPLING,
+    CouplingReport,
+    gain_text,
+    gain_values,
+)
 from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
-from cosim.scenario.context.build_context import DependsOnInvalid
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import (
     DECOUPLING,
@@ -150,7 +155,7 @@ class _Check:
         )
         for check in checks:  # what rests on another comes behind it
             for name, kind in self._scenario.specs.items():
-                self._context.records.begin(name)
+                self._context.begin(name)
                 for verdict in check(name, kind):
                     verdicts.append((name, _resting_on(verdicts, verdict)))
         others = self._others(verdicts)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import ExitStack
-from copy import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,35 +17,43 @@ from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
+from cosim.core.structure.feedthrough import find_feedthrough
 from cosim.core.structure.ports import Ports, layout_of
-from cosim.errors import CosimError, RollbackError, UsageError
-from cosim.scenario.actions.stopping import check_until, until_warnings
+from cosim.errors import AlgebraicLoopError, CosimError, GraphError, RollbackError, UsageError
+from cosim.scenario.building.context import (
+    TABLES_ALONE,
+    DependsOnInvalid,
+    NotImported,
+    Origins,
+    ScenarioBuildContext,
+    clock_of,
+)
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
-from cosim.scenario.building.recorded_connections import as_in_run
-from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
-from cosim.scenario.building.truth import check_truth
-from cosim.scenario.context.build_context import DependsOnInvalid, ScenarioBuildContext, clock_of
-from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
-from cosim.scenario.context.models import form_problems
-from cosim.scenario.context.user_classes import NotImported
-from cosim.scenario.identification.model import IdentifiedPlant
-from cosim.scenario.kinds import BuildContext, Kind
+from cosim.scenario.building.graph_checks import (
+    as_in_run,
+    check_substeps,
+    check_truth,
+    held_disturbances,
+    jump_problems,
+    substep_tolerance,
+)
+from cosim.scenario.building.models import form_problems
+from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.building.stopping import check_until, until_warnings
+from cosim.scenario.document.document import Document
+from cosim.scenario.document.places import Key, Problem
+from cosim.scenario.document.problems import TableProblems
+from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
+from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.places import Key, Problem
-from cosim.scenario.problems import TableProblems
 from cosim.scenario.record import component_record
-from cosim.scenario.swaps import MapEntry, ports_in, unknown_ports
-from cosim.scenario.text import Document
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
-    from cosim.fmi.unpacked import UnpackedFmus
 
 
 class Builder:
@@ -57,27 +64,16 @@ class Builder:
     scenario : Scenario
     resources : ExitStack
         Closes what was opened, FMUs above all, when the run is over.
+    origins : Origins
+        Where components come from, beside their tables.
     problems : iterable of Problem
         Of the scenario, as far as they are known.
-    recording : Recording, optional
-        Take from it every component that cannot be computed again from the log: plants, FMUs,
-        files.
-    named_files : collection of str, optional
-        With a recording: the files that may be opened all the same.
-    left_out : collection of str
-        With a recording: components that are taken from it although they could be computed.
-    fmus_again : mapping of component name to RecordedFmu
-        With a recording: FMUs of its run that are run again.
     block : int, optional
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
         The whole scenario, where only a part of it is built: what kinds ask of it.
-    describes : bool
-        Read of FMUs their descriptions only: what is built shows what there is, and cannot run.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
 
     Attributes
     ----------
@@ -86,8 +82,6 @@ class Builder:
         Those that could be built.
     port_maps : mapping of component name to PortMap
         Of those of them whose ports are renamed.
-    periods : mapping of component name to int
-        Communication steps between the rows that their log channels keep.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
     unknown : set of str
@@ -103,42 +97,26 @@ class Builder:
         self,
         scenario: Scenario,
         resources: ExitStack,
+        origins: Origins = TABLES_ALONE,
         *,
         problems: Iterable[Problem] = (),
-        recording: Recording | None = None,
-        named_files: Collection[str] = (),
-        left_out: Collection[str] = (),
-        fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN,
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
-        describes: bool = False,
-        unpacked: UnpackedFmus | None = None,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
+        self._origins = origins
         self._block = block
         self._resources = resources
-        self._describes = describes
-        self.context = ScenarioBuildContext(
-            beside or scenario,
-            resources,
-            recording,
-            named_files,
-            invalid=self._check_times(),
-            describes=describes,
-            fmus_again=fmus_again,
-            unpacked=unpacked,
-        )
+        invalid = self._check_times()
+        self.context = ScenarioBuildContext(beside or scenario, resources, origins, invalid)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
-        self._recording = recording
-        self._left_out = frozenset(left_out)
-        self._fmus_again = fmus_again
-        self._replaced = replaced or {}
-        self.periods: dict[str, int] = {}
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
+        self._replaced = replaced or {}
+        self._periods: dict[str, int] = {}  # steps between the rows that their log channels keep
         self._invalid: set[str] = set()  # components whose connections are not checked
         self._cause: Exception | None = None  # what the first component raised that was not built
         self._check_models()
@@ -150,8 +128,8 @@ class Builder:
         self._drop_repeated_problems()
         self._invalid |= self._names() - self.components.keys()
         self._connections: Mapping[Port, Connection] = scenario.connections
-        if recording is not None:  # with the conversions of its run
-            self._connections = as_in_run(scenario.connections, recording, self.components)
+        if origins.recording is not None:  # with the conversions of its run
+            self._connections = as_in_run(scenario.connections, origins.recording, self.components)
         self._check_connections()
         self._truth, truth_problems = check_truth(
             scenario.file, self.components, self._invalid, self.context.warn
@@ -162,7 +140,6 @@ class Builder:
         self._check_actions()
         self._check_until()
         self._check_record()
-        self.built_warnings: list[tuple[str, tuple[str, str]]] = []  # by the component being built
 
     def _check_times(self) -> set[Key]:
         """Add the problems of the times; return the settings that are then not known."""
@@ -232,14 +209,14 @@ class Builder:
 
     def _build(self, name: str, spec: Kind) -> None:
         """Build a component, or add the problem of that."""
-        self.context.records.begin(name)
+        self.context.begin(name)
         try:
             component = self._component(name, spec)
             period = spec.period_steps(name, self.context.step_ns)
-            if name in self._left_out:
+            if name in self._origins.left_out:
                 component = self._recording_of(name, spec, component, period)
             self.components[name] = spec.with_period(component, period)
-            self.periods[name] = spec.recorded_period(period)
+            self._periods[name] = spec.recorded_period(period)
             given = spec.given_states(name, self.context)
             if given is not None:
                 self.given_states[name] = given
@@ -260,7 +237,7 @@ class Builder:
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""
         known = {(".".join(map(str, key)), text) for key, text in self.problems}
-        read_by = self.context.records.reads
+        read_by = self.context.reads
         kept = []
         for key, text in self.problems:
             others: set[str] = set()
@@ -271,15 +248,16 @@ class Builder:
         self.problems = kept
 
     def _component(self, name: str, spec: Kind) -> Component:
-        if self._recording is not None and not spec.computable:
+        recording = self._origins.recording
+        if recording is not None and not spec.computable:
             for model in spec.models:
                 self.context.model(model)  # what it was made of: a replay cannot change that
-            record = component_record(self._recording, name)
+            record = component_record(recording, name)
             if record.lags:
                 self.context.add_metadata(name, {"lags": record.lags})
             if record.code is not None:
                 self.context.add_metadata(name, {"code": record.code.model_dump(by_alias=True)})
-            return Replay(self._recording, name)  # recorded under the scenario's names
+            return Replay(recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
         entries = self.scenario.maps.get(name)
         if entries:
@@ -296,7 +274,8 @@ class Builder:
         UsageError
             If the log lacks one of its outputs.
         """
-        assert self._recording is not None, "only a replay leaves components out"
+        recording = self._origins.recording
+        assert recording is not None, "only a replay leaves components out"
         outputs = component.interface.outputs
         has_samples = any(spec.samples_of(signal.name) for signal in outputs)
         if has_samples and spec.recorded_period(period) > 1:
@@ -304,7 +283,7 @@ class Builder:
                 f"cannot be substituted from the log, which has a row only every {period} "
                 "communication steps and no marks of missing samples; recompute it, too"
             )
-        return Replay(self._recording, name)
+        return Replay(recording, name)
 
     def _renamed(
         self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
@@ -381,7 +360,11 @@ class Builder:
 
     @property
     def _declared(self) -> Mapping[str, Channel]:
-        return {} if self._recording is None else declared_channels(self._recording.channels)
+        return (
+            {}
+            if self._origins.recording is None
+            else declared_channels(self._origins.recording.channels)
+        )
 
     def _settings(self) -> dict[tuple[int, str], Action]:
         """Return what sets parameters, by time [ns] and component."""
@@ -398,11 +381,11 @@ class Builder:
 
     def _check_actions(self) -> None:
         """Check the actions; a replay follows those that were recorded."""
-        if not self.scenario.actions or self._recording is not None:
+        if not self.scenario.actions or self._origins.recording is not None:
             return
-        from cosim.scenario.actions.acting import ActionChecker  # rarely needed
-        from cosim.scenario.actions.settings import SettingBuilder
-        from cosim.scenario.actions.timed_swaps import SwapBuilder
+        from cosim.scenario.building.acting import ActionChecker
+        from cosim.scenario.building.settings import SettingBuilder
+        from cosim.scenario.building.timed_swaps import SwapBuilder
 
         known = {name: c for name, c in self.components.items() if name not in self._invalid}
         try:
@@ -411,15 +394,9 @@ class Builder:
             return
         settings = None
         swaps = None
-        if not self._describes:
-            swaps = SwapBuilder(self.scenario, self.context, known, self._resources)
-            settings = SettingBuilder(
-                self.scenario,
-                self.context,
-                known,
-                resources=self._resources,
-                recording=None,
-            )
+        if not self._origins.describes:
+            swaps = SwapBuilder(self.scenario, self.context, known)
+            settings = SettingBuilder(self.scenario, self.context, known)
         connections = self.scenario.connections
         unknown = self._names() - known.keys()
         checker = ActionChecker(
@@ -449,12 +426,30 @@ class Builder:
         is_unread = ("components",) in self.scenario.invalid
         is_unknown = is_unread or any(key[:1] == ("connections",) for key in keys)
         if self._invalid or is_known or is_unknown:
-            return []
+            return self._loop_problems()
         try:
             graph = self._graph()
         except CosimError as error:
             return self._problems_of(error)
         return jump_problems(self.scenario, graph)
+
+    def _loop_problems(self) -> list[Problem]:
+        """Return the problems of algebraic loops among what is right, where not all of it is."""
+        known = {n: c.interface for n, c in self.components.items() if n not in self._invalid}
+        sources: dict[str, dict[str, tuple[Port, ...]]] = {}
+        for name, interface in known.items():
+            sources[name] = {signal.name: () for signal in interface.inputs}
+        ports = Ports(layout_of({name: self.components[name] for name in known}))
+        for to, connection in self._connections.items():
+            with suppress(GraphError):  # which is told of the connection
+                signal = ports.input(to).port.signal
+                outputs = [ports.output(source).port for source in connection.sources]
+                sources[to.component][signal] += tuple(outputs)
+        try:
+            find_feedthrough(known, sources, iterates=True)
+        except AlgebraicLoopError as error:
+            return [_problem_of(error)]
+        return []
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -465,29 +460,19 @@ class Builder:
             With every problem of the file.
         """
         self.check()
-        context = self.context
-        records = context.records
         graph = self.graph()
         jumps = jump_problems(self.scenario, graph)
         if jumps:
             raise self.scenario.document.report(jumps)
-        self.built_warnings = list(records.warned)
         self._warn(graph)
         return Experiment(
             self.scenario,
             graph,
             self.clock,
+            self.context,
             truth=self._truth,
-            metadata=records.metadata,
-            warnings=tuple(records.warnings),
-            reads=records.reads,
-            attachments=records.attachments,
-            fmus=context.fmus.opened,
             port_maps=self.port_maps,
-            files=frozenset(context.files.paths),
-            modules=frozenset(context.files.modules),
             identified=self._judged(graph),
-            models=context.models.records,
             given_states=self.given_states,
             actions=self._actions,
             reactions=self._reactions,
@@ -495,7 +480,6 @@ class Builder:
             settings=self._settings(),
             recorded=self._recorded_names(),
             declared=self._declared,
-            fmu_files=context.fmus.paths,
         )
 
     def _judged(self, graph: Graph) -> dict[str, IdentifiedPlant]:
@@ -516,33 +500,8 @@ class Builder:
 
     def _recorded_names(self) -> tuple[str, ...]:
         """Return the components that are taken from the recording."""
-        if self._recording is None:
-            return ()
-        specs = self.scenario.specs
-        return tuple(n for n in specs if not specs[n].computable or n in self._left_out)
-
-    def warnings_of(
-        self, scenario: Scenario, context: ScenarioBuildContext, graph: Graph
-    ) -> list[tuple[str, str]]:
-        """Return the warnings of the graph with other tables of some components.
-
-        Parameters
-        ----------
-        scenario : Scenario
-            With these tables.
-        context : ScenarioBuildContext
-            In which these components were built again.
-        graph : Graph
-            With them in their places.
-        """
-        again = context.records.looked_up
-        kept = [warning for name, warning in self.built_warnings if name not in again or not name]
-        other = copy(self)
-        other.scenario = scenario
-        other.context = context
-        other.components = dict(graph.components)
-        other._warn(graph)
-        return [*kept, *context.records.warnings]
+        specs = self.scenario.specs.items()
+        return tuple(name for name, spec in specs if self._origins.copies(name, spec))
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""
@@ -557,7 +516,7 @@ class Builder:
         for name, spec in self.scenario.specs.items():
             for text in self.advice(name, spec, graph):
                 self.context.warn(name, text)
-        for name, fmu in self.context.fmus.opened.items():
+        for name, fmu in self.context.fmus.items():
             if name in graph.components:  # not a plant that an action puts in its place later
                 graph.wire(name)
             for text in fmu.component.notes:
@@ -565,7 +524,10 @@ class Builder:
         keys = ["until"] if self.scenario.file.scenario.until is not None else []
         keys += ["when"] if self._reactions else []
         held_inputs = held_disturbances(self.scenario, graph, self.clock.step_ns)
-        others = (*held_inputs, *until_warnings(keys, graph), *substep_warnings(graph))
+        others = [*held_inputs, *until_warnings(keys, graph)]
+        if graph.substeps is not None and not graph.substep_controls:
+            text = "there is no loop that takes any, so that they change nothing"
+            others.append(("scenario.substeps", text))
         for name, text in (*graph.warnings, *others):
             self.context.warn(name, text)
 
@@ -595,7 +557,7 @@ class Builder:
         """Return what is wrong with a graph, and why FMUs cannot go back where that matters."""
         problems = [_problem_of(error)]
         if isinstance(error, RollbackError):
-            for name, fmu in self.context.fmus.opened.items():
+            for name, fmu in self.context.fmus.items():
                 if fmu.unsaved:
                     problems.append((("components", name), fmu.unsaved))
         return problems
@@ -610,14 +572,14 @@ class Builder:
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
             means=[name for name, spec in specs.items() if self._gets_means(name, spec)],
-            periods=self.periods,
+            periods=self._periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,
         )
 
     def _gets_means(self, name: str, spec: Kind) -> bool:
         """Return whether inputs with one value over a step get their mean, as in a run of old."""
-        again = self._fmus_again.get(name)
+        again = self._origins.fmus_again.get(name)
         return asks_for_means(spec) or (again is not None and again.means)
 
 
@@ -651,7 +613,7 @@ def parse(document: Document) -> Scenario:
     scenario, problems = read(document, parse)
     if problems:
         with ExitStack() as resources:
-            Builder(scenario, resources, problems=problems, describes=True).check()
+            Builder(scenario, resources, Origins(describes=True), problems=problems).check()
     return scenario
 
 
@@ -689,20 +651,8 @@ def describe(document: Document) -> DescribedScenario:
     """
     scenario, problems = read(document, parse)
     with ExitStack() as resources:
-        builder = Builder(scenario, resources, problems=problems, describes=True)
+        builder = Builder(scenario, resources, Origins(describes=True), problems=problems)
         builder.check()
         graph = None if builder.unknown else builder.experiment().graph
-        metadata = builder.context.records.metadata
+        metadata = builder.context.metadata
         return DescribedScenario(scenario, builder.clock, builder.components, graph, metadata)
-
-
-def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
-    """Return what a single kind needs to build its component, outside a run.
-
-    Raises
-    ------
-    ClockError
-        If one of the times is off the grid.
-    """
-    clock_of(scenario)
-    return ScenarioBuildContext(scenario, resources, None)

@@ -22,8 +22,8 @@ from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION
 from cosim.errors import CosimError
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.places import Key
-from cosim.scenario.schema import ActionTable
+from cosim.scenario.document.places import Key
+from cosim.scenario.document.schema import ActionTable
 
 NOT_LINEARIZED: Final = ("delay", "drop")  # actions on an input that leave the loop closed
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cosim.core.clock import Clock
@@ -14,9 +13,10 @@ from cosim.core.graph import Graph
 from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
-from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.parsing import Scenario
 from cosim.scenario.record import ReplayOrigin
 
 if TYPE_CHECKING:
@@ -54,50 +54,28 @@ def warnings_among(messages: Mapping[str, Sequence[Message]]) -> list[tuple[str,
     return warnings
 
 
-@dataclass(frozen=True)
+@dataclass
 class Experiment:
     """A scenario ready to run.
+
+    Whoever prepares it for its run fills in what is known only then, such as the gains of loops, or
+    the recorded events of a replay.
 
     Parameters
     ----------
     scenario : Scenario
     graph : Graph
     clock : Clock
+    built : ScenarioBuildContext
+        What the components were built in: what was read, opened and recorded for that.
     truth : mapping of estimate to its truth
         What the report compares.
-    metadata : mapping of component name to plain values
-        What the log keeps of a component.
-    warnings : tuple of (component, text)
-    reads : mapping of component name to names of tables
-        That were read to build the component, beside its own.
-    attachments : mapping of file name to text
-        For the log: modelDescription.xml of each FMU.
-    fmus : mapping of component name to MessageSource
-        What was opened for this run and may have messages.
     port_maps : mapping of component name to PortMap
         Of components that have other ports than those shown.
-    files : frozenset of Path
-        What is read beside the scenario.
-    modules : frozenset of Path
-        The files of the classes of users.
     identified : mapping of identifier to IdentifiedPlant
         What its estimates are judged by.
-    models : mapping of name to plain values
-        Of those that were read from files: file, hash and matrices.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
-    plan : Plan or None
-        Of the graph, where it was prepared already.
-    gains : tuple of LoopGain
-        Of its loops; of a replay as they were recorded.
-    designs : mapping of component name to Design, or None
-        Of a replay: the recorded designs that it takes; where it has a plan, that has them.
-    messages : mapping of component name to list of Message
-        What was drained from ``fmus`` already.
-    origin : ReplayOrigin or None
-        Of a replay: the log it is made from.
-    events : tuple of SignalEvent
-        Of a replay: overrides and releases of inputs, and what followed them.
     actions : tuple of TimedAction
         What happens at communication points.
     reactions : tuple of ConditionalAction
@@ -106,14 +84,24 @@ class Experiment:
         The condition where it ends before its stop.
     settings : mapping of (int, str) to Action
         What sets parameters, by time [ns] and component; those of a replay too.
-    setting_designs : mapping of str to str
-        The designs of the components that take the places of others, for the log.
     recorded : tuple of str
         Of a replay: the components that are taken from the recording.
     declared : mapping of component name to Channel
         Of a replay: all that the recorded run had, some of which need not be here.
-    fmu_files : mapping of SHA-256 to Path
-        The files of the FMUs that components are.
+    plan : Plan or None
+        Of the graph, where it was prepared already.
+    gains : tuple of LoopGain
+        Of its loops; of a replay as they were recorded.
+    designs : mapping of component name to Design, or None
+        Of a replay: the recorded designs that it takes; where it has a plan, that has them.
+    setting_designs : mapping of str to str
+        The designs of the components that take the places of others, for the log.
+    messages : mapping of component name to list of Message
+        What was drained from FMUs already.
+    origin : ReplayOrigin or None
+        Of a replay: the log it is made from.
+    events : tuple of SignalEvent
+        Of a replay: overrides and releases of inputs, and what followed them.
     absent : mapping of component name to str
         Of a replay of a partial log: why components are not here.
     uncomputed : mapping of component name to str
@@ -123,34 +111,41 @@ class Experiment:
     scenario: Scenario
     graph: Graph
     clock: Clock
+    built: ScenarioBuildContext
     truth: Mapping[str, Any]
-    metadata: Mapping[str, Mapping[str, Any]]
-    warnings: tuple[tuple[str, str], ...]
-    reads: Mapping[str, frozenset[str]]
-    attachments: Mapping[str, str]
-    fmus: Mapping[str, MessageSource]
-    files: frozenset[Path]
-    modules: frozenset[Path] = frozenset()
-    port_maps: Mapping[str, PortMap] = field(default_factory=dict)
-    identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
-    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    given_states: Mapping[str, GivenStates] = field(default_factory=dict)
+    port_maps: Mapping[str, PortMap]
+    identified: Mapping[str, IdentifiedPlant]
+    given_states: Mapping[str, GivenStates]
+    actions: tuple[TimedAction, ...]
+    reactions: tuple[ConditionalAction, ...]
+    until: str | None
+    settings: Mapping[tuple[int, str], Action]
+    recorded: tuple[str, ...]
+    declared: Mapping[str, Channel]
     plan: Plan | None = None
     gains: tuple[LoopGain, ...] = ()
     designs: Mapping[str, Design] | None = None
+    setting_designs: Mapping[str, str] = field(default_factory=dict)
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None
     events: tuple[SignalEvent, ...] = ()
-    actions: tuple[TimedAction, ...] = ()
-    reactions: tuple[ConditionalAction, ...] = ()
-    until: str | None = None
-    settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
-    setting_designs: Mapping[str, str] = field(default_factory=dict)
-    recorded: tuple[str, ...] = ()
-    declared: Mapping[str, Channel] = field(default_factory=dict)
-    fmu_files: Mapping[str, Path] = field(default_factory=dict)
     absent: Mapping[str, str] = field(default_factory=dict)
     uncomputed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def metadata(self) -> dict[str, dict[str, Any]]:
+        """What the log keeps of a component, by its name."""
+        return self.built.metadata
+
+    @property
+    def fmus(self) -> Mapping[str, MessageSource]:
+        """What was opened for this run and may have messages."""
+        return self.built.fmus
+
+    @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What it warns of before its first step, each with its component."""
+        return tuple(self.built.warnings)
 
     @property
     def has_events(self) -> bool:

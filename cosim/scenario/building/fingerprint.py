@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.core.clock import exact_nanoseconds
 from cosim.instants import step_value
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.building.parsing import Scenario
 
 
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:

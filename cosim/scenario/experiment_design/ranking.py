@@ -14,6 +14,8 @@ import numpy as np
 from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import short
 from cosim.scenario.experiment_design.designs import (
     ExperimentDesign,
     OmittedDesigns,
@@ -22,9 +24,7 @@ from cosim.scenario.experiment_design.designs import (
 from cosim.scenario.experiment_design.subject import DesignSubject, subject_of
 from cosim.scenario.experiment_design.trial import Trial, trial_of
 from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
-from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
-from cosim.scenario.text import short
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.predictions import PredictedEstimate, RegressionExperiment
 

@@ -19,6 +19,7 @@ from cosim.scenario.building.known_truth import (
     noise_of,
     parameters_by_term,
 )
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
@@ -26,7 +27,6 @@ from cosim.scenario.kinds.plants import RecordingKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.sources import NoiseKind
-from cosim.scenario.parsing import Scenario
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -20,10 +20,10 @@ from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.build import Builder
 from cosim.scenario.experiment_design.subject import DesignSubject
-from cosim.scenario.identification.feedback import inputs_in_feedback
-from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.experiment_design.bound import AccuracyBound, accuracy_bound
@@ -331,7 +331,7 @@ def _identified(subject: DesignSubject, builder: Builder) -> IdentifiedPlant:
 def _start(builder: Builder, identifier: str, longest: float) -> tuple[int, int | None]:
     """Return when delta has settled, and the first point that counts where that is given."""
     clock = builder.clock
-    start_time = float(builder.context.records.metadata[identifier]["start_time"])
+    start_time = float(builder.context.metadata[identifier]["start_time"])
     start = round((start_time - clock.start_time) / clock.h)
     settled = start - round(longest / clock.h)
     kind = builder.scenario.specs[identifier]

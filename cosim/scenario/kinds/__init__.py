@@ -17,7 +17,7 @@ package, and add it to ``KINDS`` below. A dead zone, for example::
     from cosim.core.signals import Interface, Signal
     from cosim.errors import UsageError
     from cosim.scenario.kinds.base import BuildContext, Kind
-    from cosim.scenario.schema import Number
+    from cosim.scenario.document.schema import Number
 
 
     class DeadZoneKind(Kind):
@@ -44,7 +44,7 @@ of its kinds is asked for.
 
 * ``kind`` is the name as a ``Literal``. Every other field is a key of the table; without a default
   it must be given. Numbers are ``Number``, ``Whole`` or ``Flag``, lists ``NumberRow`` or
-  ``NumberRows``, of :mod:`cosim.scenario.schema`: they accept no other type. Tables
+  ``NumberRows``, of :mod:`cosim.scenario.document.schema`: they accept no other type. Tables
   inside derive from ``TomlTable``. The ``description`` of a field stands in ``cosim list`` and in
   the message where the key is missing.
 * Every kind has the key ``unit``: units by port, or one, which is that of ``y``. A kind where one

@@ -17,8 +17,7 @@ from cosim.core.signals import Interface
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.kinds.base import BuildContext, ExportableKind, PortUnits, Wiring, unit_of
-from cosim.scenario.schema import (
+from cosim.scenario.document.schema import (
     Flag,
     Number,
     NumberRow,
@@ -26,6 +25,7 @@ from cosim.scenario.schema import (
     Size,
     matrix,
 )
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, PortUnits, Wiring, unit_of
 
 
 class SumKind(ExportableKind):

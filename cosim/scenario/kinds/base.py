@@ -20,9 +20,9 @@ from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit, Signal
 from cosim.instants import StepNs
-from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.document.schema import AnyUnit, StepTime, TomlTable
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.schema import AnyUnit, StepTime, TomlTable
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
-    from cosim.scenario.user_kinds.user_code import UserClass
+    from cosim.scenario.kinds.user_code import UserClass
 
 T = TypeVar("T")
 AnyKind = TypeVar("AnyKind", bound="Kind")

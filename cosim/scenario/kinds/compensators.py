@@ -16,6 +16,15 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.documents import plain
 from cosim.errors import UsageError
+from cosim.scenario.document.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    PoleRow,
+    Whole,
+    matrix,
+)
 from cosim.scenario.kinds.base import BuildContext, Kind, PortUnits, unit_of
 from cosim.scenario.kinds.compensator_terms import (
     ClassTerm,
@@ -28,15 +37,6 @@ from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.terms import FamilyTerm
 from cosim.scenario.record import Compensation
-from cosim.scenario.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    NumberRows,
-    PoleRow,
-    Whole,
-    matrix,
-)
 from cosim.theory.compensation.design import (
     CompensatorGains,
     decay_rate_of,

@@ -21,6 +21,13 @@ from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.instants import StepNs, step_part, step_seconds
 from cosim.native.numerics.linear import first_order_hold
+from cosim.scenario.document.schema import (
+    Number,
+    NumberRow,
+    NumberRows,
+    StepTime,
+    matrix,
+)
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -28,13 +35,6 @@ from cosim.scenario.kinds.base import (
     PeriodicKind,
     Sampling,
     Wiring,
-)
-from cosim.scenario.schema import (
-    Number,
-    NumberRow,
-    NumberRows,
-    StepTime,
-    matrix,
 )
 
 

@@ -16,6 +16,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.blocks.control import LARGEST_NUMBER
+from cosim.scenario.document.schema import Number, NumberRow, Size
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -25,7 +26,6 @@ from cosim.scenario.kinds.base import (
     Wiring,
     unit_of,
 )
-from cosim.scenario.schema import Number, NumberRow, Size
 
 
 class LagKind(LinearKind):

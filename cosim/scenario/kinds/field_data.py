@@ -29,10 +29,10 @@ from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import field_data, listed_columns
 from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
+from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.table_keys import TableKeys
-from cosim.scenario.schema import Number, UnitName, Whole
 
 MOST_SAMPLES: Final = 1000  # in one communication step
 FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line

@@ -28,7 +28,14 @@ from cosim.core.signals import PortUnit
 from cosim.errors import AssumptionError, UsageError
 from cosim.instants import StepNs
 from cosim.native.estimation.rayleigh import MOST_TERMS
-from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
+from cosim.scenario.document.schema import (
+    Flag,
+    Limit,
+    Number,
+    NumberRow,
+    NumberRows,
+    StepTime,
+)
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
     BuildContext,
@@ -45,18 +52,11 @@ from cosim.scenario.kinds.identification_source import (
     sample_connections,
 )
 from cosim.scenario.kinds.identification_start import StartTable, start_time
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
-from cosim.scenario.schema import (
-    Flag,
-    Limit,
-    Number,
-    NumberRow,
-    NumberRows,
-    StepTime,
-)
 from cosim.theory.disturbances import regression
 from cosim.theory.estimators import defaults
 from cosim.theory.estimators.rayleigh import rayleigh_constants

@@ -11,9 +11,9 @@ from cosim.core.clock import LARGEST_NS, Clock
 from cosim.errors import AssumptionError, UsageError
 from cosim.instants import StepNs, step_seconds
 from cosim.native.estimation.alphas import signals_among
+from cosim.scenario.document.schema import Number, TomlTable
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identification_source import IdentifierSource
-from cosim.scenario.schema import Number, TomlTable
 from cosim.theory.observers.observer import IdentificationStartTime, identification_start_time
 
 

@@ -16,9 +16,9 @@ from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import Extrapolation
 from cosim.scenario.data_files.tables import read_table
+from cosim.scenario.document.schema import NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.table_keys import TableKeys
-from cosim.scenario.schema import NumberRow, NumberRows, matrix
 
 Points = tuple[list[Vector], Matrix]  # of each input, and the values on their grid
 

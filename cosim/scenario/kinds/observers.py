@@ -19,6 +19,16 @@ from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
 from cosim.instants import StepNs, step_seconds
+from cosim.scenario.document.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    PoleRow,
+    TomlTable,
+    Whole,
+    matrix,
+)
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -45,16 +55,6 @@ from cosim.scenario.kinds.reconstruction import (
     recorded_noise,
 )
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
-from cosim.scenario.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    NumberRows,
-    PoleRow,
-    TomlTable,
-    Whole,
-    matrix,
-)
 from cosim.theory.observers import observer
 from cosim.theory.observers.assumptions import plain_modes
 from cosim.theory.plants.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce

@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from cosim.scenario.document.problems import table_in
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.table_keys import TableKeys
-from cosim.scenario.problems import table_in
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,12 @@ from cosim.core.recording import SignalEvent, Substep
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS, Grid
+from cosim.scenario.document.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    Whole,
+)
 from cosim.scenario.kinds.base import (
     BuildContext,
     Kind,
@@ -28,12 +34,6 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.record import component_record
-from cosim.scenario.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    Whole,
-)
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:

@@ -21,6 +21,7 @@ from cosim.errors import UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.native.estimation.regression import RegressorConstants
+from cosim.scenario.document.schema import NumberRow
 from cosim.scenario.kinds.alphas import (
     ALPHA,
     KnownAlphas,
@@ -39,7 +40,6 @@ from cosim.scenario.kinds.base import (
     Wiring,
 )
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
-from cosim.scenario.schema import NumberRow
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha

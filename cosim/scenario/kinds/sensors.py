@@ -15,8 +15,7 @@ from cosim.core.contracts import Component
 from cosim.core.signals import samples_of
 from cosim.errors import UsageError
 from cosim.instants import StepNs
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
-from cosim.scenario.schema import (
+from cosim.scenario.document.schema import (
     Flag,
     Number,
     NumberRow,
@@ -24,6 +23,7 @@ from cosim.scenario.schema import (
     StepTime,
     Whole,
 )
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
 
 EACH = ", one number or one per element"
 

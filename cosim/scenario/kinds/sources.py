@@ -26,6 +26,15 @@ from cosim.native.blocks.functions import LinearResponse
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.native.numerics.jumps import depends_on_time, jumps, jumps_with_signals
+from cosim.scenario.document.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    Size,
+    Whole,
+    matrix,
+)
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import (
@@ -36,15 +45,6 @@ from cosim.scenario.kinds.jumps import (
 )
 from cosim.scenario.kinds.table_keys import TableKeys
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
-from cosim.scenario.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    NumberRows,
-    Size,
-    Whole,
-    matrix,
-)
 
 if TYPE_CHECKING:
     from cosim.blocks.modulated_source import Modulation

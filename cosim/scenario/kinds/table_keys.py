@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cosim.scenario.data_files.table import TableForm
-from cosim.scenario.schema import TomlTable, Whole
+from cosim.scenario.document.schema import TomlTable, Whole
 
 
 class TableKeys(TomlTable):

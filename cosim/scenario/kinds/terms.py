@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import Field
 
 from cosim.errors import UsageError
-from cosim.scenario.kinds.alphas import ALPHA_KEY, TermAlpha, naming
-from cosim.scenario.schema import (
+from cosim.scenario.document.schema import (
     Number,
     NumberRow,
     NumberRows,
@@ -18,6 +17,7 @@ from cosim.scenario.schema import (
     Whole,
     matrix,
 )
+from cosim.scenario.kinds.alphas import ALPHA_KEY, TermAlpha, naming
 from cosim.theory.disturbances.families import (
     FAMILIES,
     SETTINGS,

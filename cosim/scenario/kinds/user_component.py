@@ -1,8 +1,8 @@
 """Components of users: a Python class in the scenario's folder, on sys.path, or installed.
 
 What else the table has are the parameters of the class's constructor, by name and annotation:
-:mod:`cosim.scenario.user_kinds.constructor`. How the class is found:
-:mod:`cosim.scenario.user_kinds.user_code`.
+:mod:`cosim.scenario.kinds.constructor`. How the class is found:
+:mod:`cosim.scenario.kinds.user_code`.
 
 The code of a class runs where its component is built: in a run, a dry run, and whatever needs the
 component. It does not run to show a scenario. A log names classes too, and may come from anywhere:
@@ -19,9 +19,9 @@ from pydantic import AfterValidator, ConfigDict, Field, StrictStr
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
 from cosim.scenario.kinds.base import BuildContext, Kind
-from cosim.scenario.user_kinds.constructor import construct
-from cosim.scenario.user_kinds.installed_kinds import installed_class
-from cosim.scenario.user_kinds.user_code import class_name_parts
+from cosim.scenario.kinds.constructor import construct
+from cosim.scenario.kinds.installed_kinds import installed_class
+from cosim.scenario.kinds.user_code import class_name_parts
 
 
 def _check_class_name(name: str) -> str:

@@ -11,10 +11,10 @@ from cosim.core.recording import CompleteRecording
 from cosim.errors import LogError, command
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import parse
+from cosim.scenario.building.parsing import read
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS
-from cosim.scenario.parsing import read
 from cosim.scenario.record import component_metadata, component_record, run_metadata
-from cosim.scenario.text import Document
 
 
 def recorded_document(log: CompleteRecording) -> Document:

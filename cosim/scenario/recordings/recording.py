@@ -142,7 +142,7 @@ def record(
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
         return memory
-    is_read = Path(os.path.realpath(log_path(out))) in experiment.files
+    is_read = Path(os.path.realpath(log_path(out))) in experiment.built.files
     if is_read and not target.numbered:
         raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target)

@@ -14,11 +14,11 @@ from cosim.errors import ScenarioError, UsageError, command, flag, option
 from cosim.instants import step_value
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.document.document import ACTIONS, Document, short
+from cosim.scenario.document.swaps import PortNames, component_table
 from cosim.scenario.kinds import Kind
-from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recordings.recorded_span import check_end
-from cosim.scenario.swaps import PortNames, component_table
-from cosim.scenario.text import ACTIONS, Document, short
 
 EVERYWHERE = {  # what matters to all inputs
     "scenario.input_interpolation",
@@ -218,7 +218,7 @@ def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
     """Return the components that are changed themselves, or by a table that they read."""
     origins = set()
     for name in experiment.scenario.specs:
-        if f"components.{name}" in changed or experiment.reads[name] & changed:
+        if f"components.{name}" in changed or experiment.built.reads[name] & changed:
             origins.add(name)
     for table in changed:
         kind, _, name = table.partition(".")

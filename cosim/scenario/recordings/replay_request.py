@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,13 +24,13 @@ from cosim.log import Log
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.record import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
 from cosim.scenario.recordings.replay_changes import Swaps, check_changes
-from cosim.scenario.recordings.replaying import rebuilt, valid_designs, with_setting_designs
+from cosim.scenario.recordings.replaying import add_setting_designs, rebuilt, valid_designs
 from cosim.scenario.recordings.window import ReplayWindow, window_of
-from cosim.scenario.swaps import PortNames
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
@@ -200,9 +200,13 @@ def prepared_replay(
         uncomputed=dict(uncomputed),
     )
     gains = () if request.changes or swaps.paths else recorded_loop_gains(source)
-    warnings = (*experiment.warnings, *_recorded_warnings(experiment, source))
-    experiment = replace(experiment, origin=origin, designs=designs, gains=gains, warnings=warnings)
-    return with_setting_designs(experiment, source, designs)
+    for name, text in list(_recorded_warnings(experiment, source)):
+        experiment.built.warn(name, text)
+    experiment.origin = origin
+    experiment.designs = designs
+    experiment.gains = gains
+    add_setting_designs(experiment, source, designs)
+    return experiment
 
 
 def _recorded_warnings(experiment: Experiment, source: Log) -> Iterator[tuple[str, str]]:

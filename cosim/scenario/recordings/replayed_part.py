@@ -20,16 +20,15 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 from cosim.core.connections import Connection
-from cosim.core.port import Port
+from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import PartialRecord, RecordSelection, partial_of
 from cosim.core.recording import CompleteRecording
 from cosim.core.signals import Channel
 from cosim.core.structure.cycles import strongly_connected
 from cosim.errors import LogError
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.recordings.outputs_of_log import OutputsOfLog, RecordedColumns
-from cosim.scenario.schema import truth_ports
 
 _NOT_RECORDED: Final = "which is neither computed nor recorded at each step"
 _OF_OUTPUTS: Final = ("jump", "follow")  # causes of events that change no input
@@ -323,7 +322,7 @@ class _PartSearch:
                 connections[to] = connection
         truth = {}
         for estimate, true in scenario.file.truth.items():
-            ports = [Port.parse(text) for text in (estimate, *truth_ports(true))]
+            ports = [Port.parse(text) for text in (estimate, *named_ports(true))]
             if all(_has(columns, port) for port in ports):
                 truth[estimate] = true
         file = scenario.file.model_copy(update={"truth": truth})

@@ -15,24 +15,23 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of
 from cosim.core.recording import CompleteRecording, SignalEvent
 from cosim.core.signals import Interface
-from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, ScenarioError, UsageError, flag, listing, nearest, quoted
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.context import Origins, RecordedFmu
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
-from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
+from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.document.swaps import is_map_key
 from cosim.scenario.kinds import Kind
-from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.record import MEANS, CodeRecord, component_metadata, component_record
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
 from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps, replay_changes
-from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
-from cosim.scenario.swaps import is_map_key
+from cosim.scenario.recordings.rerunning import add_recorded_reports, fmu_paths, rerun_specs
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
@@ -106,7 +105,7 @@ def rebuilt(
         problems = [(key, text) for key, text in problems if not is_map_key(key)]
     named = texts_in(wanted) | texts_in(swaps.tables(document))
     specs = _with_code(scenario.specs, named, allow_code=allow_code)
-    fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN
+    fmus_again: Mapping[str, RecordedFmu] = {}
     if rerun:
         again = rerun_specs(source, specs, swaps.paths, allow_code=allow_code)
         fmus_again = recorded_fmus(source, fmu_paths(again), resources)
@@ -123,27 +122,30 @@ def rebuilt(
     builder = Builder(
         runs,
         resources,
+        Origins(
+            recording=source if part is None else part.recording,
+            named=named,
+            left_out=left_out,
+            fmus_again=fmus_again,
+            unpacked=unpacked,
+        ),
         problems=problems,
-        recording=source if part is None else part.recording,
-        named_files=named,
-        left_out=left_out,
-        fmus_again=fmus_again,
         block=block,
-        unpacked=unpacked,
         replaced=_replaced(source, swaps.paths),
         beside=scenario,
     )
     experiment = _compared(builder, source, swaps.paths)
     if rerun:
-        experiment = with_recorded_reports(experiment, source)
+        add_recorded_reports(experiment, source)
     if part is not None:
-        experiment = _with_absent(experiment, part)
+        _add_absent(experiment, part)
         if not wanted and not swaps.paths:
             _check_held(experiment, source)
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
-        experiment = replace(experiment, until=None)
-    return _with_events(experiment, builder, source, resources)
+        experiment.until = None
+    _add_events(experiment, builder, source)
+    return experiment
 
 
 def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str]) -> Experiment:
@@ -158,9 +160,9 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
     names = [n for n in swapped if n in builder.components and n in declared]
     if not names:
         return builder.experiment()
-    from cosim.scenario.preparing import with_reports  # rarely needed
-    from cosim.scenario.swapping.swap_comparison import compare_with_recorded
-    from cosim.scenario.swapping.swap_report import SwapReports
+    from cosim.scenario.recordings.preparing import with_reports
+    from cosim.scenario.recordings.swap_comparison import compare_with_recorded
+    from cosim.scenario.recordings.swap_report import SwapReports
 
     reports = SwapReports({name: compare_with_recorded(builder, source, name) for name in names})
     try:
@@ -169,18 +171,13 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
         raise ScenarioError("\n".join([str(error), *reports.hints])) from error
 
 
-def _with_absent(experiment: Experiment, part: ReplayedPart) -> Experiment:
-    """Return an experiment that knows what is not in it, and warns of that."""
-    warnings = list(experiment.warnings)
+def _add_absent(experiment: Experiment, part: ReplayedPart) -> None:
+    """Fill in what is not in an experiment, and warn of that."""
     for name, reason in {**part.uncomputed, **part.absent}.items():
         verb = "not in this replay" if name in part.absent else "copied, not computed"
-        warnings.append((name, f"{verb}: {reason}"))
-    return replace(
-        experiment,
-        warnings=tuple(warnings),
-        absent=part.absent,
-        uncomputed=part.uncomputed,
-    )
+        experiment.built.warn(name, f"{verb}: {reason}")
+    experiment.absent = part.absent
+    experiment.uncomputed = part.uncomputed
 
 
 def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
@@ -240,30 +237,19 @@ def _replaced(source: CompleteRecording, names: Iterable[str]) -> dict[str, Inte
     return {name: channels[name].interface for name in names if name in channels}
 
 
-def _with_events(
-    experiment: Experiment, builder: Builder, source: CompleteRecording, resources: ExitStack
-) -> Experiment:
-    """Return an experiment with the events of its recording, and what sets parameters in them.
+def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecording) -> None:
+    """Fill in the events of the recording, and what sets parameters in them.
 
     What jumps by itself does so again.
     """
     events = tuple(event for event in source.events() if _happens(experiment, event))
-    settings: dict[tuple[int, str], Action] = {}
+    experiment.events = events
+    experiment.settings = {}
     if any(event.cause == "set" for event in events):
-        from cosim.scenario.actions.settings import (  # rarely needed
-            SettingBuilder,
-            recorded_settings,
-        )
+        from cosim.scenario.building.settings import SettingBuilder, recorded_settings
 
-        making = SettingBuilder(
-            experiment.scenario,
-            builder.context,
-            builder.components,
-            resources=resources,
-            recording=source,
-        )
-        settings = recorded_settings(making, events, experiment.recorded)
-    return replace(experiment, events=events, settings=settings)
+        making = SettingBuilder(experiment.scenario, builder.context, builder.components)
+        experiment.settings = recorded_settings(making, events, experiment.recorded)
 
 
 def _happens(experiment: Experiment, event: SignalEvent) -> bool:
@@ -277,24 +263,25 @@ def _happens(experiment: Experiment, event: SignalEvent) -> bool:
     return event.cause in OF_COMPONENTS or port.find(known) is not None
 
 
-def with_setting_designs(
+def add_setting_designs(
     experiment: Experiment, source: CompleteRecording, designs: Mapping[str, Design]
-) -> Experiment:
+) -> None:
     """Prepare the components that take the places of others, with designs of the recording.
 
     ``designs`` are those of the components themselves that still hold.
     """
     if not experiment.settings:
-        return experiment
-    from cosim.scenario.actions.settings import prepare_settings, recorded_designs  # rarely needed
+        return
+    from cosim.scenario.building.settings import prepare_settings, recorded_designs
 
     taken = {}
     for key, design in recorded_designs(source).items():
         if key.partition(" ")[2] in designs:
             taken[key] = design
     step_ns = experiment.clock.step_ns
-    prepared = prepare_settings(experiment.graph, step_ns, experiment.settings, taken)
-    return replace(experiment, setting_designs=prepared)
+    experiment.setting_designs = prepare_settings(
+        experiment.graph, step_ns, experiment.settings, taken
+    )
 
 
 def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) -> dict[str, Kind]:
@@ -358,7 +345,7 @@ def valid_designs(
         if name in replaced:
             continue
         recorded = component_metadata(source, name)
-        current = fingerprint(experiment.scenario, name, experiment.reads[name])
+        current = fingerprint(experiment.scenario, name, experiment.built.reads[name])
         same_tables = recorded.get("fingerprint") == current
         held = experiment.graph.held[name]
         same_code = spec.code is None or _same_code(experiment, source, name)
@@ -382,7 +369,7 @@ def designs_anew(experiment: Experiment) -> dict[str, Design]:
         if recorded and name not in experiment.recorded:
             anew[name] = experiment.graph.prepare_one(name, step_ns, {})
     if experiment.setting_designs:
-        from cosim.scenario.actions.settings import prepare_settings  # rarely needed
+        from cosim.scenario.building.settings import prepare_settings
 
         texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
         anew |= {key: decode_design(text) for key, text in texts.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 
 from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
@@ -12,7 +11,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.record import component_table, recorded_warnings
-from cosim.scenario.swapping.swap_report import SWAP_WARNINGS
+from cosim.scenario.recordings.swap_report import SWAP_WARNINGS
 
 
 def rerun_specs(
@@ -58,24 +57,22 @@ def rerun_specs(
     return again
 
 
-def with_recorded_reports(experiment: Experiment, source: CompleteRecording) -> Experiment:
-    """Return an experiment with the recorded swap reports of what is computed again.
+def add_recorded_reports(experiment: Experiment, source: CompleteRecording) -> None:
+    """Add the recorded swap reports of what is computed again.
 
     What a plant of the run had replaced is not there any more to be compared with.
     """
-    metadata = dict(experiment.metadata)
+    metadata = experiment.metadata
     compared = {name for name, text in experiment.warnings if text.startswith(SWAP_WARNINGS)}
     again = metadata.keys() - set(experiment.recorded) - compared
     again = {name for name in again if "swap_report" not in metadata[name]}
     for name in again:
         recorded = component_table(source, name)
         if "swap_report" in recorded:
-            metadata[name] = {**metadata[name], "swap_report": recorded["swap_report"]}
-    warnings = list(experiment.warnings)
+            experiment.built.add_metadata(name, {"swap_report": recorded["swap_report"]})
     for name, text in recorded_warnings(source):
         if name in again and text.startswith(SWAP_WARNINGS):
-            warnings.append((name, text))
-    return replace(experiment, metadata=metadata, warnings=tuple(warnings))
+            experiment.built.warn(name, text)
 
 
 def fmu_paths(specs: Mapping[str, Kind]) -> dict[str, str]:

@@ -9,12 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.core.connections import Connection
-from cosim.core.port import Port
+from cosim.core.port import Port, named_ports
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel
 from cosim.errors import UnknownSignalError
 from cosim.log.contents.viewer_layout import ViewerPanel, output_panels
-from cosim.scenario.schema import truth_ports
 
 # Estimates that are shown where no truth is given; of the others there are only some beside these.
 _SHOWN: Final = ("delta", "theta")
@@ -76,12 +75,12 @@ def _recorded(channels: Mapping[str, Channel], names: Iterable[str]) -> Iterator
 
 def _estimate_panel(channels: Mapping[str, Channel], estimate: str, truth: Any) -> ViewerPanel:
     """Return an estimate with the signals, or the values, that it should have."""
-    names = [estimate, *truth_ports(truth)]
+    names = [estimate, *named_ports(truth)]
     signals = tuple(_recorded(channels, names))
     return ViewerPanel(estimate, signals, tuple(_levels(truth)))
 
 
 def _levels(truth: Any) -> Iterator[float]:
     """Yield the values of a truth that names no signals."""
-    if truth is not None and not truth_ports(truth):
+    if truth is not None and not named_ports(truth):
         yield from np.atleast_1d(np.array(truth, np.float64)).tolist()

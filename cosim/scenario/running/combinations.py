@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.arguments import mapping_argument
 from cosim.errors import UsageError, option, quoted
-from cosim.scenario.text import plain, short
+from cosim.scenario.document.document import plain, short
 
 MOST_COMBINATIONS: Final = 1000
 

@@ -29,8 +29,10 @@ from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import Document, find
+from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
     Beside,
     LiveView,
@@ -42,11 +44,9 @@ from cosim.scenario.recordings.recording import (
     run_into,
     shown,
 )
-from cosim.scenario.swaps import PortNames
-from cosim.scenario.text import Document, find
 
 if TYPE_CHECKING:
-    from cosim.scenario.certification.certificate import Certification
+    from cosim.scenario.running.certificate import Certification
     from cosim.scenario.session import Session
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
@@ -315,13 +315,13 @@ def _certified(
     """Return a scenario, with the step that keeps tolerances if any, and what certifies its run."""
     # Most runs need none of it.
     if tolerances is not None:
-        from cosim.scenario.certification.step_search import find_step
+        from cosim.scenario.running.step_search import find_step
 
         search = find_step(scenario, mapping_argument("find_step", tolerances), progress)
         found = scenario.edit(set={"scenario.step": search.step})
         return found, search.certifier.certification()
     if certify:
-        from cosim.scenario.certification.certificate import certification_of
+        from cosim.scenario.running.certificate import certification_of
 
         return scenario, certification_of(scenario, progress)
     return scenario, None

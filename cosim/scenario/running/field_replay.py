@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cosim.arguments import mapping_argument, swap_argument
 from cosim.errors import UsageError, flag, option
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.swaps import PortNames, WrittenPorts, ports_in
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.swaps import PortNames, WrittenPorts, ports_in
 
 
 def with_recorded_components(
@@ -28,7 +28,7 @@ def with_recorded_components(
     swaps : mapping of component name to path or None
         Of other components, or of these, to take them from elsewhere.
     maps : mapping of port to names or None
-        Fields of the recording; see :mod:`cosim.scenario.swaps`.
+        Fields of the recording; see :mod:`cosim.scenario.document.swaps`.
 
     Raises
     ------

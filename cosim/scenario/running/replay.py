@@ -27,8 +27,9 @@ from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
     LiveView,
     Notice,
@@ -46,7 +47,6 @@ from cosim.scenario.recordings.replay_request import (
 from cosim.scenario.recordings.replaying import designs_anew
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
-from cosim.scenario.swaps import PortNames
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus

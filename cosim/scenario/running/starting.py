@@ -15,9 +15,9 @@ from cosim.core.simulation import Simulation
 from cosim.errors import UsageError
 from cosim.log.mcap_file.paths import log_path
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.recordings.message_recorder import MessageRecorder
+from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, check_target, chosen_of, log_recorder
 from cosim.scenario.recordings.records import metadata_of
 from cosim.scenario.session import Opened, Session
@@ -26,7 +26,7 @@ from cosim.scenario.session import Opened, Session
 def start(
     scenario: Scenario, out: str | Path | None, *, force: bool = False, numbered: bool = False
 ) -> Session:
-    """Start a scenario; see :meth:`cosim.scenario.parsing.Scenario.start`.
+    """Start a scenario; see :meth:`cosim.scenario.building.parsing.Scenario.start`.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
         return Opened(simulation, unlogged, lambda: None, lambda: unlogged.warnings)
     if is_next:
         target = Target(out, numbered=True)
-    elif log_path(out).resolve() in experiment.files and not target.numbered:
+    elif log_path(out).resolve() in experiment.built.files and not target.numbered:
         raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target, events=True)
     recorder = MessageRecorder(chosen_of(experiment, log), experiment)

@@ -11,7 +11,7 @@ from cosim.core.recorded.run import span_ns
 from cosim.core.recorders import Memory
 from cosim.errors import LogError, UnknownSignalError, UsageError
 from cosim.log.comparison.diff import diff
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
 from tests.log.recordings import STEP_NS, plan, same_bits
 
 SHORT = {"scenario.stop": 0.1}

@@ -10,7 +10,7 @@ import cosim
 from cosim.core.recorders import Memory
 from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
 from tests.fmi.compiled import compile_fmu
 from tests.scenario.refusals import check_refused
 

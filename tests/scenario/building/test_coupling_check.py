@@ -9,7 +9,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import LogError, NonFiniteError, ScenarioError
 from cosim.report.summary import summarize
-from cosim.scenario.building.coupling_check import gain_text
+from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import recorded_loop_gains, recorded_warnings
 

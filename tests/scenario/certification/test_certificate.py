@@ -10,8 +10,8 @@ from scipy.linalg import block_diag, expm
 
 import cosim
 from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalError, UsageError
-from cosim.scenario.certification import certificate as certificate_module
 from cosim.scenario.exporting import export_component
+from cosim.scenario.running import certificate as certificate_module
 from tests.fmi import lag
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write

@@ -6,7 +6,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import RunError, UnknownSignalError, UsageError
-from cosim.scenario.certification import step_search
+from cosim.scenario.running import step_search
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
 

@@ -10,8 +10,8 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
-from cosim.scenario.schema import File
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
+from cosim.scenario.document.schema import File
 from tests.scenario.refusals import check_refused
 
 TEXT = find("academic").text

@@ -17,8 +17,14 @@ import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, UsageError
 from cosim.scenario.building.build import parse
-from cosim.scenario.places import key_lines, report
-from cosim.scenario.text import Document, find, parse_value, plain, shipped
+from cosim.scenario.document.document import (
+    Document,
+    find,
+    parse_value,
+    plain,
+    shipped,
+)
+from cosim.scenario.document.places import key_lines, report
 from tests.scenario.refusals import check_refused
 
 TEXT = find("academic").text

@@ -4,7 +4,7 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
-from cosim.scenario.text import component_in, short
+from cosim.scenario.document.document import component_in, short
 
 TABLES = ["scenario", "models", "connections", "truth", "actions", "record", "swap", "components"]
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
-from cosim.scenario.places import written
-from cosim.scenario.text import parts_of
+from cosim.scenario.document.document import parts_of
+from cosim.scenario.document.places import written
 from tests.scenario.refusals import check_refused
 
 THETA = [-0.1, -0.3]

@@ -10,7 +10,7 @@ import tomllib
 import pytest
 
 import cosim
-from cosim.scenario.text import find
+from cosim.scenario.document.document import find
 
 SHIPPED = ["academic", "academic-as-printed", "closed-loop"]
 

@@ -3,7 +3,7 @@
 from cosim.blocks.renaming import Renaming
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.scenario.swaps import MapEntry, with_recorded_inputs
+from cosim.scenario.document.swaps import MapEntry, with_recorded_inputs
 
 PLANT_U = Port.parse("plant.u")
 OBSERVER_U = Port.parse("observer.u")

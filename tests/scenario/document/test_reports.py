@@ -13,7 +13,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.text import Document, find
+from cosim.scenario.document.document import Document, find
 from cosim.theory.disturbances import regression
 from cosim.theory.observers import observer
 
@@ -76,6 +76,44 @@ def test_mistakes_of_all_layers_come_together():
             lines,
         )
     assert len(lines) == len(expected), lines
+
+
+SIX_LAYERS = """
+[scenario]
+name = "six"
+stop = 1.0
+step = 0.1
+couplin = "jacobi"
+
+[components]
+a = { kind = "sinus" }
+b = { kind = "sine", amplitude = 1.0 }
+c = { kind = "constant", value = 1.0, unit = "s" }
+x = { kind = "lag", time_constant = 1.0, initial = 0.0, unit = { u = "m", y = "m" } }
+d = { kind = "discrete-state-space", A = [[0]], B = [[1]], C = [[1]], D = [[1]], period = 0.1 }
+k = { kind = "gain", K = 2.0 }
+
+[connections]
+"x.u" = "c.y"
+"nobody.u" = "c.y"
+"d.u" = "k.y"
+"k.u" = "d.y"
+"""
+
+
+def test_a_problem_of_one_layer_hides_none_of_another():
+    """A wrong key, an unknown kind, a missing one, a unit, a connection to nothing, a loop."""
+    found = [line.split(": ")[:2] for line in report(SIX_LAYERS)]
+    assert found == [
+        ["x.toml:6", "scenario.couplin"],
+        ["x.toml:9", "components.a.kind"],
+        ["x.toml:10", "components.b"],
+        ["x.toml:17", "connections.x.u"],
+        ["x.toml:18", "connections.nobody.u"],
+        ["x.toml:16", "connections"],
+    ]
+    assert "d.y" in report(SIX_LAYERS)[-1]
+    assert "algebraic loop" in report(SIX_LAYERS)[-1]
 
 
 MISTAKES = [
@@ -304,7 +342,7 @@ def test_a_build_designs_every_component_once(monkeypatch):
         experiment = Builder(cosim.load("academic"), resources).experiment()
     assert sorted(calls) == ["observer", "regressor"]
     tables = {"components.observer", "components.regressor", "models.academic"}
-    assert experiment.reads["identifier"] == tables
+    assert experiment.built.reads["identifier"] == tables
 
 
 # --- the language of the caller ---

@@ -3,7 +3,7 @@
 import pytest
 
 from cosim.errors import UsageError
-from cosim.scenario.text import parse_values
+from cosim.scenario.document.document import parse_values
 
 VALUES = {
     "1e3,1e6": [1e3, 1e6],

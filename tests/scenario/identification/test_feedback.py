@@ -6,9 +6,9 @@ import pytest
 
 import cosim
 from cosim.scenario.building.build import Builder
-from cosim.scenario.identification.feedback import inputs_in_feedback
-from cosim.scenario.identifying import identifier_record
+from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.running.execution import load
+from cosim.scenario.running.identifying import identifier_record
 
 
 @pytest.mark.parametrize(("scenario", "closed"), [("academic", False), ("closed-loop", True)])

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.document.document import Document
 
 LOOP = """
 [scenario]

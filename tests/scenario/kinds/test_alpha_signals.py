@@ -25,11 +25,11 @@ from cosim.native.estimation.alphas import AlphaSignal
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.building.build import Builder
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.parameters import parameters_of
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.record import recorded_identification, recorded_warnings
-from cosim.scenario.text import find
 from cosim.testing import check_component
 from cosim.theory.disturbances.regression import expand
 from tests.scenario.refusals import check_refused

@@ -14,7 +14,7 @@ from cosim.report.tables.run import print_summary
 from cosim.scenario.assumptions.compensation import ACTIVATION
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.text import Document
+from cosim.scenario.document.document import Document
 from tests.scenario.general_plant import GENERAL, PARTITIONED
 from tests.scenario.kinds.compensated_loop import LOOP, scenario
 from tests.scenario.refusals import check_refused

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.text import Document
+from cosim.scenario.document.document import Document
 from tests.scenario.kinds.compensated_loop import LOOP
 from tests.scenario.refusals import check_refused
 

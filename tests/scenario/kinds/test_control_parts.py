@@ -10,8 +10,8 @@ import cosim
 from cosim.errors import RunError
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
-from cosim.scenario.text import Document
 
 PARTS = """
 [scenario]

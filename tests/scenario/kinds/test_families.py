@@ -12,8 +12,8 @@ from cosim.scenario.assumptions.regression import ALPHAS as OF_ALPHAS
 from cosim.scenario.assumptions.regression import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.record import recorded_identification
-from cosim.scenario.text import Document
 from tests.scenario.refusals import check_refused
 
 SOURCE = """

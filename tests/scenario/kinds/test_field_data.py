@@ -13,8 +13,8 @@ from scipy.stats import chi2
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import open_log
-from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import IDENTIFICATION, recorded_identification, recorded_warnings
+from cosim.scenario.running.identifying import identifier_record, identify_records
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
@@ -409,7 +409,7 @@ def test_the_paper_s_least_squares_takes_the_lines(experiment, tmp_path):
 
 def test_a_dry_run_compares_the_file_with_the_plant(experiment, tmp_path):
     """Port by port, as for an FMU or a log."""
-    from cosim.scenario.swapping.swap_comparison import compare_swaps
+    from cosim.scenario.recordings.swap_comparison import compare_swaps
 
     path = experiment.written(tmp_path, experiment.y, header="t,level")
     reports = compare_swaps(experiment.scenario.swap(plant=path))

@@ -16,8 +16,8 @@ from cosim.errors import CosimError, ScenarioError, UsageError
 from cosim.report.inspection import describe_log
 from cosim.report.verification import verify
 from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds.jumps import held_from_points
-from cosim.scenario.text import Document
 from tests.scenario.refusals import check_refused
 
 H = 0.125

@@ -12,9 +12,9 @@ from cosim.blocks.sampled import Sampled
 from cosim.errors import ScenarioError
 from cosim.scenario import kinds
 from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.kinds.base import PeriodicKind
-from cosim.scenario.text import Document
 
 DEAD = """
 [scenario]

@@ -12,9 +12,9 @@ import cosim
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import prepare
 from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds.compensators import LARGEST_ERROR
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.text import Document
 from cosim.theory.compensation.activation import Activation
 
 H = 0.01

@@ -5,10 +5,10 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.record import recorded_identification
-from cosim.scenario.text import find
+from cosim.scenario.running.identifying import identifier_record, identify_records
 from tests.scenario.kinds.two_outputs import SCENARIO as TWO
 from tests.scenario.refusals import check_refused
 

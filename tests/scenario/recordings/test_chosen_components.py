@@ -7,8 +7,8 @@ import pytest
 import cosim
 from cosim.errors import LogError, ScenarioError, UsageError
 from cosim.report.verification import verify
+from cosim.scenario.document.document import shipped
 from cosim.scenario.record import replay_origin
-from cosim.scenario.text import shipped
 from tests.log.crafting import change_rows, put_together, take_apart
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")

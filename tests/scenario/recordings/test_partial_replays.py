@@ -8,7 +8,7 @@ import cosim
 from cosim.errors import CosimError, LogError, UsageError
 from cosim.log.contents.metadata import read_json
 from cosim.report.verification import verify
-from cosim.scenario.text import shipped
+from cosim.scenario.document.document import shipped
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 

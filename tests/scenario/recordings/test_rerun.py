@@ -12,10 +12,10 @@ from cosim.cli import main
 from cosim.errors import FmuError, LogError, UsageError
 from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.report.verification import verify
+from cosim.scenario.document.document import shipped
 from cosim.scenario.record import component_record, replay_origin
 from cosim.scenario.recordings import embedding
 from cosim.scenario.running.replay import replays_of
-from cosim.scenario.text import shipped
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
 from tests.log.crafting import change_rows, put_together, take_apart
@@ -326,8 +326,8 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
     anew = replays_of(log, rerun=True).designs()
     verification = verify(log, cosim.replay(log, rerun=True), anew)
     assert verification.difference.equal
-    (found,) = verification.contradictions
-    assert found.statement.startswith("design of 'motor': ")
+    found, *_ = verification.contradictions
+    assert found.statement.startswith("designs.motor.")
     # of E x' = A x + ...: the derivative by the state is A/E, half as large for 2 E
     assert found.found == pytest.approx(0.5 * found.expected)
     assert verify(honest, cosim.replay(honest, rerun=True), anew).passed
@@ -335,7 +335,7 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
         with pytest.raises(SystemExit, match=code):
             main(["replay", str(log.path), "--verify", *more])
     out = capsys.readouterr()
-    assert "design of 'motor'" in out.err
+    assert "designs.motor." in out.err
     assert "component tables, designs, overrides" in out.out
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import cosim
 from cosim.log.contents.viewer_layout import LAYOUT_FILE
-from cosim.scenario.text import find, shipped
+from cosim.scenario.document.document import find, shipped
 from tests.log.contents.viewing import curves, decoded, leaves, parsed
 
 DECAY = """

@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import ClockError, LogError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
-from cosim.scenario.text import shipped
+from cosim.scenario.document.document import shipped
 from tests.log.crafting import change_rows, put_together, take_apart
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")

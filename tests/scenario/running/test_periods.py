@@ -6,7 +6,7 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import Document
+from cosim.scenario.document.document import Document
 
 SAMPLED = """
 [scenario]

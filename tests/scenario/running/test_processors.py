@@ -14,8 +14,8 @@ import sys
 import pytest
 
 import cosim
+from cosim.scenario.document.document import shipped
 from cosim.scenario.kinds.methods import METHODS
-from cosim.scenario.text import shipped
 from tests.scenario.online import COARSE, ONLINE, noisy
 
 EVERYTHING = """

@@ -16,8 +16,8 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import ClockError, ScenarioError, UsageError
 from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
-from cosim.scenario.text import Document
 
 # y = x, and x+ = x + u at the end of a period, with u sampled at its start; h = 1 s
 ACCUMULATOR = 'kind = "discrete-state-space", A = [[1.0]], B = [[1.0]], C = [[1.0]]'

@@ -5,7 +5,7 @@ import pytest
 
 from cosim.core.signals import Interface, Signal
 from cosim.scenario.kinds.base import LinearSystem
-from cosim.scenario.swapping.port_comparison import (
+from cosim.scenario.recordings.port_comparison import (
     ComparedComponent,
     ComponentCapabilities,
     LinearBehavior,

@@ -12,8 +12,8 @@ import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.text import find
 from tests.scenario.fmu_edits import rewritten
 from tests.scenario.signals import COARSE, signals
 

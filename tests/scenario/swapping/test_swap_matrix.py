@@ -9,8 +9,8 @@ import pytest
 
 import cosim
 from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.text import find
 from tests.scenario.signals import signals
 from tests.scenario.swapping.renamed import MAP, renamed
 

@@ -20,14 +20,14 @@ from cosim.cli import main
 from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
-from cosim.report.tables.comparison import print_dry_run
+from cosim.report.tables.preparation import print_dry_run
 from cosim.scenario.building.build import build_context, parse
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.plants import FmuKind
-from cosim.scenario.swapping.port_comparison import ComparedAspect
-from cosim.scenario.swapping.swap_comparison import compare_swaps
-from cosim.scenario.swapping.swap_report import SwapReport, row_texts
-from cosim.scenario.text import find
+from cosim.scenario.record import ComparedAspect
+from cosim.scenario.recordings.swap_comparison import compare_swaps
+from cosim.scenario.recordings.swap_report import SwapReport, row_texts
 from tests.scenario.fmu_edits import rewritten
 from tests.scenario.swapping.renamed import MAP, packed, renamed
 

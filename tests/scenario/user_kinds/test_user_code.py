@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from cosim.errors import UsageError
-from cosim.scenario.user_kinds.user_code import load_class
+from cosim.scenario.kinds.user_code import load_class
 from tests.scenario.refusals import check_refused
 from tests.scenario.user_modules import write
 

@@ -15,8 +15,8 @@ from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
 from cosim.scenario.building.build import parse
-from cosim.scenario.text import Document
-from cosim.scenario.user_kinds import user_code
+from cosim.scenario.document.document import Document
+from cosim.scenario.kinds import user_code
 from tests.scenario.user_modules import RELAY, THERMOSTAT, one, own_module, write
 
 

@@ -1,1 +1,0 @@
-"""The certificate of a run: how large the error of its communication step is."""

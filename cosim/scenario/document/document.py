@@ -1,0 +1,619 @@
+"""The text of a scenario, and the edits made to it from outside.
+
+An edit sets a value at a dotted key. ``components.NAME.PARAMETER`` always is a component's.
+``NAME.PARAMETER`` is the same, unless NAME is that of a table of the file: then it is in that
+table. ``terms[0].theta`` is in the first entry of a list, ``A[0][1]`` in a row of a matrix.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arguments import path_argument
+from cosim.core.connections import ONE_SOURCE
+from cosim.errors import ScenarioError, UsageError, command, nearest, option, quoted
+from cosim.files import file_type, read_bounded
+from cosim.log.contents.metadata import json_table
+from cosim.scenario.document.places import (
+    PORTS,
+    Key,
+    Problem,
+    key_lines,
+    report,
+    written,
+)
+from cosim.scenario.document.schema import RecordTable, Settings
+from cosim.scenario.document.swaps import (
+    MAP,
+    PortNames,
+    is_port_names,
+    marked_path,
+    owner_of,
+    replace_components,
+    swapped_components,
+    table_of,
+)
+
+SUFFIX: Final = ".toml"
+LARGEST: Final = 2**26  # bytes of a scenario
+MOST_LEVELS: Final = 50  # of tables and lists inside each other
+ACTIONS: Final = "actions"  # a list of tables
+COMPONENTS: Final = "components"
+# what a dotted key may begin with, beside a component
+TABLES: Final = ("scenario", "models", *PORTS, ACTIONS, "record")
+_NOT_COMPONENTS: Final = (*TABLES, "swap", COMPONENTS)  # none that a short key could begin with
+_SET: Final = "(set)"  # first part of the key of a problem with an edit, which stands in no file
+_TOO_DEEP: Final = f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
+_TOO_MANY_DIGITS: Final = "an integer has too many digits; expected at most 64 bits"
+_CLOSING: Final = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"'}
+_PART: Final = re.compile(r"([^\[\]]+)((?:\[[^\[\]]*\])+)")
+_INDEX: Final = re.compile(r"0|[1-9][0-9]{0,8}")
+# a key with so many dots that tomllib, which looks at each pair of its parts, would take minutes
+_LONG_KEY: Final = re.compile(rf"^[ \t]*\[*(?:[\w-]+[ \t]*\.[ \t]*){{{MOST_LEVELS}}}", re.M)
+
+
+# --- keys ---
+
+
+def parts_of(key: str) -> list[str]:
+    """Return the parts of a dotted key, indices among them: ``terms[0].theta`` has three."""
+    parts: list[str] = []
+    for part in key.split("."):
+        match = _PART.fullmatch(part)
+        parts += [part] if match is None else [match[1], *match[2][1:-1].split("][")]
+    return parts
+
+
+def short(key: str) -> str:
+    """Return the form of a dotted key that is the same however it was written.
+
+    That of a component is without ``components.``, unless its name is that of a table. An action is
+    ``actions.0``, also where it was written ``actions[0]``.
+    """
+    first, dot, rest = key.partition(".")
+    if first == COMPONENTS and parts_of(rest.partition(".")[0])[0] not in _NOT_COMPONENTS:
+        return rest or key
+    if first.startswith(f"{ACTIONS}["):
+        first = ".".join(parts_of(first))
+    return f"{first}{dot}{rest}"
+
+
+def component_in(key: str) -> str | None:
+    """Return the component that a dotted key is about; None: it is in another table."""
+    first, _, rest = key.partition(".")
+    if first == COMPONENTS and rest:
+        return rest.partition(".")[0]
+    return None if first in _NOT_COMPONENTS else first
+
+
+# --- values ---
+
+
+def parse_value(text: str) -> Any:
+    """Read a value from the command line: TOML where it is TOML, else a string.
+
+    Raises
+    ------
+    UsageError
+        If it is TOML, but nested too deep, or a number has too many digits.
+    """
+    try:
+        table = _copied(tomllib.loads(f"value = {text}"))
+    except (RecursionError, UsageError) as error:
+        raise UsageError(f"{quoted(text)}: {_TOO_DEEP}") from error
+    except tomllib.TOMLDecodeError:
+        return text
+    except ValueError as error:  # of Python's int
+        raise UsageError(f"{quoted(text)}: {_TOO_MANY_DIGITS}") from error
+    return table["value"] if len(table) == 1 else text
+
+
+def parse_values(text: str) -> list[Any]:
+    """Read values with commas between them: ``1e3,1e6``, ``[0,2],[0,4]``, ``sine,step``.
+
+    Each is TOML where it can be, else a string; a comma in brackets or quotes is part of a value.
+
+    Raises
+    ------
+    UsageError
+        If one is empty, or cannot be read.
+    """
+    parts = [""]
+    closing = ""  # of the brackets and the quote that are open, the innermost first
+    for character in text:
+        if character == "," and not closing:
+            parts.append("")
+            continue
+        parts[-1] += character
+        if closing.startswith(character):
+            closing = closing[1:]
+        elif closing[:1] not in ("'", '"'):
+            closing = _CLOSING.get(character, "") + closing
+    if not all(part.strip() for part in parts):
+        raise UsageError(f"expected values separated by commas, got an empty one in {quoted(text)}")
+    return [parse_value(part.strip()) for part in parts]
+
+
+def plain(value: Any, level: int = 0) -> Any:
+    """Return arrays and tuples as the lists that TOML would have.
+
+    Raises
+    ------
+    UsageError
+        If it is nested too deep, or TOML cannot have it.
+    """
+    if level > MOST_LEVELS:
+        raise UsageError(_TOO_DEEP)
+    match value:
+        case np.ndarray() | np.generic():
+            return plain(value.tolist(), level + 1)
+        case Mapping():
+            wrong = [key for key in value if not isinstance(key, str)]
+            if wrong:
+                raise UsageError(f"expected a string as key of a table, got {quoted(wrong[0])}")
+            return {key: plain(item, level + 1) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item, level + 1) for item in value]
+        case bool() | int() | float() | str():
+            return value
+        case complex():
+            return str(value)  # as TOML can have it
+    raise UsageError(
+        f"expected a number, true or false, a string, a list or a table, got {quoted(value)}"
+    )
+
+
+def _copied(value: Any, level: int = -1) -> Any:
+    """Return a copy of tables: far quicker than ``deepcopy``, as TOML has lists and tables only.
+
+    Raises
+    ------
+    UsageError
+        If they are nested too deep.
+    """
+    if level > MOST_LEVELS:
+        raise UsageError(_TOO_DEEP)
+    if isinstance(value, dict):
+        return {key: _copied(item, level + 1) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_copied(item, level + 1) for item in value]
+    return value
+
+
+# --- edits ---
+
+
+def _set(tree: dict[str, Any], key: str, value: Any) -> Key:
+    """Set a value in the tables of a scenario, by its dotted key; return where it stands now.
+
+    Raises
+    ------
+    UsageError
+        If there is no such place.
+    """
+    component = component_in(key)
+    first, *rest = (key if component is None else key.removeprefix(f"{COMPONENTS}.")).split(".")
+    components = table_of(tree, COMPONENTS)
+    if component is None and first in components and not _is_in_table(tree, first, rest):
+        long = option("set", f"{COMPONENTS}.{key}")
+        raise UsageError(
+            f"{first!r} is a table of the scenario, and a component; of the component: {long}"
+        )
+    if not rest and first != ACTIONS and (component is None or not isinstance(value, dict)):
+        example = option("set", "observer.filter_rate", "500")
+        raise UsageError(f"expected COMPONENT.PARAMETER, such as {example}, got no dot")
+    if component is not None or first not in TABLES:
+        if rest and first not in components:
+            suggestion = nearest(first, [*components, *TABLES])
+            raise UsageError(f"unknown component {first!r}; {suggestion}")
+        first, rest = COMPONENTS, [first, *rest]
+    elif first == ACTIONS and rest:
+        rest[0] = f"[{rest[0]}]"
+        tree.setdefault(ACTIONS, [])
+    table = tree if first == ACTIONS else tree.setdefault(first, {})
+    if not isinstance(table, dict):  # the schema of the file names that
+        return (first,)
+    if first in PORTS:
+        rest = [".".join(rest)]
+        table[rest[0]] = deepcopy(value)
+        return (first, *rest)
+    if first == ACTIONS:
+        return _set_inside(tree, [ACTIONS, *rest], value, ())
+    return _set_inside(table, rest, value, (first,))
+
+
+def _is_in_table(tree: Mapping[str, Any], name: str, path: list[str]) -> bool:
+    """Return whether a table of the file may have a key, as far as its first part shows."""
+    part = parts_of(path[0])[0] if path else ""
+    match name:
+        case "scenario":
+            return part in Settings.model_fields
+        case "record":
+            return part in RecordTable.model_fields
+        case "models":
+            return part in table_of(tree, name)
+        case "actions":
+            return part.isdigit() or not path
+    return name in PORTS and part in table_of(tree, COMPONENTS)
+
+
+def _set_inside(holder: Any, parts: list[str], value: Any, place: Key) -> Key:
+    """Set a value inside a table or a list, which stands at ``place``; an index is ``[0]``.
+
+    Tables are made where there are none, lists are not.
+
+    Raises
+    ------
+    UsageError
+        If a part of the key is in neither.
+    """
+    part, *inner = parts
+    key: str | int = part
+    if part.startswith("["):
+        key = _index(holder, part[1:-1], place)
+    elif not isinstance(holder, dict):
+        raise UsageError(f"{written(place)}: expected a table, got {quoted(holder)}")
+    elif part not in holder:
+        name, *indices = parts_of(part)
+        # the tables inside a component's have names such as ``start = { "x[0]" = 1.0 }``
+        is_name = len(place) == 3 and place[0] == COMPONENTS and name not in holder
+        if indices and not is_name:
+            split = [name, *(f"[{index}]" for index in indices), *inner]
+            return _set_inside(holder, split, value, place)
+    place = (*place, key)
+    is_setting = place[0] == ACTIONS and place[2:] == ("set",)
+    if is_setting and inner and isinstance(holder.get(key), dict):
+        holder = holder[key]  # whose keys are those of components, with dots
+        key = ".".join(inner).removeprefix(f"{COMPONENTS}.")
+        place = (*place, key)
+        inner = []
+    if not inner:
+        holder[key] = deepcopy(value)  # a later edit may reach into it
+        return place
+    if isinstance(holder, dict) and key not in holder and not inner[0].startswith("["):
+        holder[key] = {}
+    there = holder.get(key) if isinstance(holder, dict) else holder[key]
+    return _set_inside(there, inner, value, place)
+
+
+def _index(items: Any, index: str, place: Key) -> int:
+    """Return the number of an element of a list, which stands at ``place``."""
+    name = written(place)
+    if items is None:
+        raise UsageError(
+            f"{name} is not given, so element {index} cannot be set; set it as a whole"
+        )
+    if not isinstance(items, list):
+        raise UsageError(f"{name}: expected a list, got {quoted(items)}")
+    if _INDEX.fullmatch(index) is None or int(index) >= len(items):
+        available = f"available: 0 to {len(items) - 1}" if items else "none is available"
+        raise UsageError(f"{name} has no element {quoted(index)}; {available}")
+    return int(index)
+
+
+def _flatten(tree: dict[str, Any]) -> list[Problem]:
+    """Write the ports of a scenario's tables as one dotted key each.
+
+    ``plant.u = ...`` and ``"plant.u" = ...`` mean the same.
+    """
+    holders: list[tuple[Any, str, Key]] = [(tree, name, (name,)) for name in PORTS]
+    for name, table in table_of(tree, "swap").items():
+        holders.append((table, "map", ("swap", name, "map")))
+    actions = tree.get(ACTIONS)
+    for number, table in enumerate(actions if isinstance(actions, list) else ()):
+        holders.append((table, "set", (ACTIONS, number, "set")))
+    problems: list[Problem] = []
+    for holder, name, place in holders:
+        if not (isinstance(holder, dict) and isinstance(holder.get(name), dict)):
+            continue
+        flat: dict[str, Any] = {}
+        for key, value in holder[name].items():
+            pairs = {key: value}
+            if isinstance(value, dict) and "." not in key:
+                pairs = {f"{key}.{inner}": item for inner, item in value.items()}
+            for written_port, item in pairs.items():
+                port = written_port
+                if place[0] == ACTIONS and written_port.count(".") > 1:
+                    port = written_port.removeprefix(f"{COMPONENTS}.")
+                if port in flat:
+                    problems.append(((*place, port), _given_twice(f"'{port}'", str(place[0]))))
+                flat[port] = item
+        holder[name] = flat
+    return problems
+
+
+def _given_twice(key: str, table: str) -> str:
+    """Return what to say of a key that a table of the scenario has twice, or of a table."""
+    if key.startswith("["):
+        return f"the table {key} is given twice; put its keys below one heading"
+    reasons = {"connections": ONE_SOURCE, "truth": "an estimate has one true value"}
+    return f"{key} is given twice; {reasons.get(table, 'remove one')}"
+
+
+# --- the text ---
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A scenario's TOML text with edits applied after it.
+
+    Parameters
+    ----------
+    text : str
+        As written.
+    source : str
+        The file, or the name of a shipped scenario.
+    folder : Path
+        What relative paths in the text start from.
+    swaps : mapping of component name to path
+        Components whose whole table is replaced.
+    maps : mapping of port to names
+        Ports that have other names in the swapped component; see
+        :mod:`cosim.scenario.document.swaps`.
+    changes : mapping of dotted key to value
+        Values set after that, such as ``observer.filter_rate``.
+    swapped : bool
+        False: nothing is swapped, not even by the file.
+    foreign_kinds : frozenset of str
+        Of a log: the component kinds of its run that were those of installed packages.
+    """
+
+    text: str
+    source: str
+    folder: Path
+    swaps: Mapping[str, str] = field(default_factory=dict)
+    maps: Mapping[str, PortNames] = field(default_factory=dict)
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    swapped: bool = True
+    foreign_kinds: frozenset[str] = frozenset()
+
+    def with_swaps(
+        self, swaps: Mapping[str, str | Path], maps: Mapping[str, PortNames] | None = None
+    ) -> Document:
+        """Replace components; paths are taken from the working directory.
+
+        They are kept as paths from the folder: a log, which has them, is sent to others.
+        A component that is replaced again loses the map given before.
+
+        Raises
+        ------
+        UsageError
+            If a path is none, or what a port is mapped to is no name and no list of names.
+        """
+        paths = dict(self.swaps)
+        for name, path in swaps.items():
+            try:
+                given = Path(marked_path(str(path_argument("path", path))))
+            except UsageError as error:
+                raise UsageError(f"{option('swap', name)}: {error}") from error
+            place = given.parent.resolve() / given.name
+            paths[name] = os.path.relpath(place, self.folder.resolve())
+        kept = dict(self.maps)
+        if kept:
+            tree, _ = self.tree()
+            kept = {port: kept[port] for port in kept if owner_of(tree, port) not in swaps}
+        for port, names in (maps or {}).items():
+            if not is_port_names(names):
+                expected = "expected a name or a list of names"
+                raise UsageError(f"{option('map', port)}: {expected}, got {quoted(names)}")
+            kept[port] = names
+        return replace(self, swaps=paths, maps=kept)
+
+    def with_changes(self, changes: Mapping[str, Any]) -> Document:
+        """Set values; ``components.observer.L`` and ``observer.L`` are the same key.
+
+        Raises
+        ------
+        UsageError
+            If a value is none that TOML can have.
+        """
+        values = dict(self.changes)
+        for key, value in changes.items():
+            values.pop(short(key), None)  # the later one wins over all that it reaches into
+            try:
+                values[short(key)] = plain(value)
+            except UsageError as error:
+                raise UsageError(f"{option('set', key)}: {error}") from error
+        return replace(self, changes=values)
+
+    def unswapped(self) -> Document:
+        """Return the document without the swaps and without what was set for them."""
+        swapped = self.swapped_components()
+        inputs = tuple(f"connections.{name}." for name in swapped)
+        changes = {}
+        for key, value in self.changes.items():
+            if component_in(key) not in swapped and not key.startswith(inputs):
+                changes[key] = value
+        # a map without its swap would be a problem, which keeps the scenario from being initialized
+        return replace(self, swaps={}, maps={}, changes=changes, swapped=False)
+
+    def swapped_components(self) -> list[str]:
+        """Return the names of the swapped components."""
+        return swapped_components(self.tree()[0]) if self.swapped else []
+
+    def edits(self) -> str:
+        """Return swaps, maps and changes as JSON, for the log."""
+        edits = {"swaps": self.swaps, "maps": self.maps, "changes": self.changes}
+        return json.dumps({"source": self.source and os.path.relpath(self.source), **edits})
+
+    @staticmethod
+    def recorded(text: str, edits: str, folder: Path) -> Document:
+        """Rebuild a document from a log.
+
+        Parameters
+        ----------
+        text : str
+        edits : str
+            As :meth:`edits` returned them.
+        folder : Path
+
+        Raises
+        ------
+        ValueError
+            If the edits are something else.
+        """
+        recorded = {"maps": {}, **json_table(edits)}
+        for key, kind in (("source", str), ("swaps", dict), ("changes", dict), ("maps", dict)):
+            if not isinstance(recorded.get(key), kind):
+                raise ValueError(f"{key}: got {quoted(recorded.get(key))}")
+        swaps, maps = recorded["swaps"], recorded["maps"]
+        for name, path in swaps.items():
+            if not isinstance(path, str):
+                raise ValueError(f"{name!r}: expected a path, got {quoted(path)}")
+        for port, names in maps.items():
+            if not is_port_names(names):
+                raise ValueError(f"{port!r}: expected port names, got {quoted(names)}")
+        return Document(text, recorded["source"], folder, swaps, maps, recorded["changes"])
+
+    def tree(self) -> tuple[dict[str, Any], list[Problem]]:
+        """Return the tables with swaps and changes applied, and the problems of these.
+
+        Raises
+        ------
+        ScenarioError
+            If the text is no TOML.
+        """
+        tree, problems, _ = self._edited()
+        return tree, problems
+
+    def report(self, problems: Iterable[Problem]) -> ScenarioError:
+        """Return one error with every problem at its place."""
+        tree, _, edits = self._edited()
+        swapped = swapped_components(tree) if self.swapped else []
+        for port in self.maps:
+            places: list[Key] = [(MAP, port), *(("swap", name, "map", port) for name in swapped)]
+            edits |= dict.fromkeys(places, option("map", port))
+        return ScenarioError(report(problems, self.source, self.text, edits, swapped))
+
+    def _edited(self) -> tuple[dict[str, Any], list[Problem], dict[Key, str]]:
+        """Return the tables, the problems of edits, and by what a key was edited."""
+        tree = self._parsed()
+        edits: dict[Key, str] = {}
+        problems = _flatten(tree)
+        if self.swapped:
+            problems += replace_components(tree, self.swaps)
+            edits |= {("swap", name): option("swap", name) for name in self.swaps}
+        else:
+            tree.pop("swap", None)
+        for key, value in self.changes.items():
+            try:
+                place = _set(tree, key, value)
+            except UsageError as error:
+                place = (_SET, key)
+                problems.append((place, str(error)))
+            edits[place] = option("set", key)
+        problems += _flatten(tree)  # again, for the tables that were set
+        return tree, problems, edits
+
+    def _parsed(self) -> dict[str, Any]:
+        try:
+            if _LONG_KEY.search(self.text):
+                raise UsageError(_TOO_DEEP)
+            tables: dict[str, Any] = _copied(_parse(self.text))
+        except (RecursionError, UsageError) as error:
+            raise ScenarioError(f"{self.source}: {_TOO_DEEP}") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ScenarioError(self._syntax(str(error))) from error
+        except ValueError as error:  # of Python's int
+            raise ScenarioError(f"{self.source}: {_TOO_MANY_DIGITS}") from error
+        return tables
+
+    def _syntax(self, message: str) -> str:
+        """Return where a text is no TOML, and the way out."""
+        position = re.search(r"\(at line (\d+), column \d+\)", message)
+        if position is None:
+            return f"{self.source}: not TOML: {message}"
+        place = f"{self.source}:{position[1]}"
+        number = int(position[1])
+        line = self.text.split("\n")[number - 1]
+        key = line.split("=")[0].strip()
+        if "overwrite" in message or "twice" in message:
+            above = [(at, key) for key, at in key_lines(self.text).items() if at <= number]
+            _, (table, *_) = max(above, key=lambda item: item[0], default=(0, ("",)))
+            return f"{place}: {_given_twice(key, str(table))}"
+        way_out = ""
+        if not (key.isascii() or '"' in key or "'" in key):
+            way_out = "; keys with non-ASCII letters must be quoted"
+        if re.search(r'"[^"]*\\', line):
+            way_out += (
+                "; in double quotes a backslash begins an escape: write a path in single quotes"
+            )
+        return f"{place}: not TOML: {message}{way_out}"
+
+
+@lru_cache(maxsize=8)  # a document and its edits share one text
+def _parse(text: str) -> dict[str, Any]:
+    return tomllib.loads(text)
+
+
+# --- files ---
+
+
+def find(name: str | Path) -> Document:
+    """Find a scenario: a path to a TOML file, or the name of a shipped one.
+
+    Raises
+    ------
+    UsageError
+        If it is no path, or that of a log or an FMU.
+    ScenarioError
+        If there is neither.
+    """
+    path = path_argument("scenario", name)
+    text = str(name)
+    way_out = {
+        "log": f"{command('replay')} replays a log, 'cosim info' shows it",
+        "FMU": "'cosim info' shows an FMU, 'cosim check' tests it; a scenario uses it as a "
+        f'component of kind "fmu", or in place of another: {option("swap", "NAME", "PATH")}',
+    }.get(file_type(path) or "")
+    if file_type(path) == "scenario" or (path.is_file() and not way_out):
+        return Document(_read_text(path), str(path), path.absolute().parent)
+    if text in shipped():
+        content = (_library() / f"{text}{SUFFIX}").read_text(encoding="utf-8")
+        return Document(content, text, Path.cwd())
+    if way_out:
+        raise UsageError(f"{path}: expected a scenario (.toml); {way_out}")
+    if path.is_dir():
+        raise ScenarioError(f"{path}: expected a scenario (.toml) or a shipped one, got a folder")
+    raise ScenarioError(
+        f"unknown scenario {quoted(text)}; {nearest(text, shipped())}, or a path to a .toml file"
+    )
+
+
+def _read_text(path: Path) -> str:
+    try:
+        text = read_bounded(path, LARGEST).decode("utf-8-sig")
+        return text.replace("\r\n", "\n")
+    except OSError as error:
+        raise ScenarioError(
+            f"{path}: cannot be read ({error.strerror}); expected a scenario file, or one of: "
+            f"{', '.join(shipped())}"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ScenarioError(
+            f"{path}: is not UTF-8 text (byte {error.start}); expected a scenario in TOML"
+        ) from error
+
+
+def shipped() -> list[str]:
+    """Return the names of the shipped scenarios."""
+    names = [file.name for file in _library().iterdir()]
+    return sorted(name.removesuffix(SUFFIX) for name in names if name.endswith(SUFFIX))
+
+
+def _library() -> Traversable:
+    """Return the folder of the shipped scenarios."""
+    return resources.files("cosim.scenario") / "library"

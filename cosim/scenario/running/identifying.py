@@ -1,0 +1,398 @@
+"""Identification from logs, after their runs: the data and the model of their identifiers.
+
+What an identifier took in is in its log, and its model is built again from the recorded scenario.
+Several logs of one plant under one theta make one fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
+from cosim.core.clock import seconds
+from cosim.core.connections import conversions_of
+from cosim.core.port import Port
+from cosim.core.recorded.partial import partial_of
+from cosim.core.recorded.signals import RecordedSignals
+from cosim.core.recording import CompleteRecording
+from cosim.core.structure.ports import Ports
+from cosim.errors import UsageError, nearest, quoted
+from cosim.log import open_log
+from cosim.native.estimation.alphas import signals_among
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.kinds.feedback import inputs_in_feedback
+from cosim.scenario.kinds.identified_plant import (
+    IdentifiedPlant,
+    SampleRows,
+    ThetaBounds,
+    bounds_of,
+)
+from cosim.scenario.kinds.irregular import interval_of
+from cosim.scenario.kinds.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR
+from cosim.scenario.record import component_record
+from cosim.scenario.recordings.replaying import rebuilt
+from cosim.theory.assessment.advice import advised
+from cosim.theory.assessment.agreement import contradictions, each_alone
+from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
+from cosim.theory.assessment.undetected import undetected_errors
+from cosim.theory.assessment.validation import Validation, validate
+from cosim.theory.assessment.verdicts import Assessment
+from cosim.theory.bounded.feasible_program import Watch
+from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.documents import ParameterVerdict, UndetectedError
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifierRecord:
+    """The data and the model of an identifier, from the log of its run.
+
+    Parameters
+    ----------
+    log : CompleteRecording
+        A log, or a run in memory.
+    identifier : str
+    identified : IdentifiedPlant
+    data : DataSet
+    """
+
+    log: CompleteRecording
+    identifier: str
+    identified: IdentifiedPlant
+    data: DataSet
+
+    @property
+    def estimate(self) -> Vector | None:
+        """The last theta of output error in the run, NaN without value; None by other methods."""
+        if component_record(self.log, self.identifier).method != OUTPUT_ERROR:
+            return None
+        if not self.identified.parameters:
+            return np.zeros(0)
+        rows = as_columns(self.log[f"{self.identifier}.theta"])
+        theta: Vector = rows[-1]
+        return theta
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LogIdentification:
+    """A fit by output error to one or more logs.
+
+    Parameters
+    ----------
+    records : tuple of IdentifierRecord
+    assessment : Assessment
+    contradictions : tuple of str
+        Where the logs are not explained together: which of them fail alone, and whose theta differ.
+    """
+
+    records: tuple[IdentifierRecord, ...]
+    assessment: Assessment
+    contradictions: tuple[str, ...] = ()
+
+    @property
+    def identified(self) -> IdentifiedPlant:
+        """The model."""
+        return self.records[0].identified
+
+    @cached_property
+    def amplitudes(self) -> tuple[tuple[ParameterVerdict, ...], ...]:
+        """What may be said about amplitudes and phases, those of each log."""
+        return amplitude_verdicts(self.assessment)
+
+    @cached_property
+    def undetected(self) -> tuple[UndetectedError, ...]:
+        """Which errors of the model the tests let pass, though they move an estimate far."""
+        return undetected_errors(self.assessment, self.amplitudes, with_offset=IDENTIFY_WITH_OFFSET)
+
+    def validate(self, other: IdentifierRecord) -> Validation:
+        """Test the fit on the data of another run, which was not used in it.
+
+        Raises
+        ------
+        UsageError
+            If the log is of another model, or was used in the fit.
+        AssumptionError
+            If it has fewer samples than unknowns.
+        """
+        _check_unused(other, self.records)
+        check_one_model(self.records[0], other)
+        return validate(self.assessment, other.data)
+
+    def smoothed(self, index: int = 0) -> SmoothedSignals:
+        """Return states and disturbance of log number ``index`` by the fit, with their bands.
+
+        Raises
+        ------
+        UsageError
+            If there is no such log.
+        AssumptionError
+            If the plant is unstable.
+        """
+        if not 0 <= index < len(self.records):
+            raise UsageError(
+                f"index: expected 0 to {len(self.records) - 1}, the number of a log, got {index}"
+            )
+        return smoothed_signals(self.assessment.fitted, index)
+
+    def guaranteed_interval(self, bound: float, watch: Watch | None = None) -> GuaranteedInterval:
+        """Return which theta a log allows if an irregular part of delta is within a bound.
+
+        Parameters
+        ----------
+        bound : float
+            Of the irregular part, ``|delta_0| <= bound``.
+        watch : callable, optional
+            Called after every linear program with the number solved so far.
+
+        Raises
+        ------
+        UsageError
+            If there are several logs.
+        AssumptionError
+            If not every theta was estimated, samples are missing or at unequal distances, or the
+            plant is unstable.
+        """
+        if len(self.records) > 1:
+            raise UsageError(
+                "expected one log to bound theta for an irregular part of the disturbance, got "
+                f"{len(self.records)}"
+            )
+        return interval_of(self.assessment, bound, Programs.ALWAYS, watch)
+
+
+def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:
+    """Return the data and the model of an identifier, from the log of its run.
+
+    Parameters
+    ----------
+    log : CompleteRecording
+        A log, or a run in memory.
+    identifier : str, optional
+        Its name, where there are several.
+
+    Raises
+    ------
+    LogError
+        If the log has no scenario, or does not fit it.
+    UsageError
+        If it has no identifier of that name whose model output error can fit, or several.
+    """
+    with ExitStack() as resources:
+        experiment = rebuilt(log, resources)
+        name = _chosen(log, experiment.identified, identifier)
+        identified = experiment.identified[name]
+        observer = identified.observer
+        inputs = experiment.graph.layout[observer].interface.input_columns()
+        held = experiment.graph.held[observer][inputs.get("u", slice(0, 0))]
+        in_feedback = inputs_in_feedback(experiment.graph, observer)
+        samples = _samples(log, experiment, name)
+    if identified.problem:
+        raise UsageError(f"{log.label}: {identified.problem}")
+    t = seconds(log.time_ns(observer))
+    y = as_columns(log[f"{observer}.y"])
+    u = np.zeros((len(t), 0))
+    if "u" in inputs:
+        u = as_columns(log[f"{observer}.u"])
+    signals = np.zeros((len(t), 0))
+    if signals_among(identified.alphas):
+        signals = as_columns(log[f"{identified.regressor}.alpha"])
+    data = identified.data_set(t, y, u, held, in_feedback, signals, samples)
+    return IdentifierRecord(log, name, identified, data)
+
+
+def _samples(log: CompleteRecording, experiment: Experiment, identifier: str) -> SampleRows | None:
+    """Return the samples that drove an identifier at times of their own; None: it had none.
+
+    They are taken from what drove it: of the identifier the log may keep some rows only.
+    """
+    to = Port(identifier, "samples")
+    connections = experiment.scenario.connections
+    if to not in connections:
+        return None
+    connection = connections[to]
+    conversions = conversions_of(Ports(experiment.graph.layout), to, connection)
+    (times,) = connections[Port(identifier, "sample_times")].sources
+    t_ns = log.time_ns(times.component)
+    for source in connection.sources:
+        t_ns = np.union1d(t_ns, log.time_ns(source.component))
+    rows = np.hstack([_at_times(log, source, t_ns) for source in connection.sources])
+    rows = connection.matrix * rows + connection.offset
+    for column, convert in enumerate(conversions):
+        rows[:, column] = convert(rows[:, column])
+    return SampleRows(seconds(t_ns), _at_times(log, times, t_ns), rows)
+
+
+def _at_times(log: CompleteRecording, port: Port, t_ns: Nanoseconds) -> Matrix:
+    """Return the rows of a signal at times; NaN where the log has none."""
+    recorded = as_columns(log[port])
+    rows = np.full((len(t_ns), recorded.shape[1]), np.nan)
+    rows[np.searchsorted(t_ns, log.time_ns(port.component))] = recorded
+    return rows
+
+
+def identify(
+    logs: str | Path | CompleteRecording | Sequence[str | Path | CompleteRecording],
+    *,
+    identifier: str | None = None,
+    offset: bool = False,
+    bounds: ThetaBounds | None = None,
+) -> LogIdentification:
+    """Estimate theta from logs by output error, whatever method their runs used.
+
+    Parameters
+    ----------
+    logs : path, what a run returned, or a sequence of these
+        Of one plant under one theta; each has its own amplitudes, phases and x(0).
+    identifier : str, optional
+        The identifier to take the model from, if a log has several.
+    offset, bounds
+        As for :func:`identify_records`.
+
+    Raises
+    ------
+    LogError
+        If a log is damaged, or has no scenario.
+    UsageError
+        If one is neither a path nor a run, a log has no such identifier, the models of the logs
+        differ, two logs have the same rows, or the bounds are invalid.
+    AssumptionError
+        If there are fewer samples than unknowns.
+    """
+    listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    records = [identifier_record(_opened(log), identifier) for log in listed]
+    return identify_records(records, offset=offset, bounds=bounds)
+
+
+def _opened(log: str | Path | CompleteRecording) -> CompleteRecording:
+    if isinstance(log, str | Path):
+        return open_log(log)
+    if not isinstance(log, RecordedSignals):
+        raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(log)}")
+    return log
+
+
+def identify_records(
+    records: Sequence[IdentifierRecord],
+    *,
+    offset: bool = False,
+    bounds: ThetaBounds | None = None,
+) -> LogIdentification:
+    """Estimate theta from records of logs by output error, with a verdict on every parameter.
+
+    Parameters
+    ----------
+    records : sequence of IdentifierRecord
+        Of one plant under one theta; each has its own amplitudes, phases and x(0).
+    offset : bool
+        An unknown constant is on every output, also where the scenario does not say so.
+    bounds : sequence of (lower, upper), or mapping of index to (lower, upper), optional
+        Of each theta, or of some; equal ones fix it. By default those of the first log's scenario.
+
+    Raises
+    ------
+    UsageError
+        If there are none, they are of different models, two have the same rows, or the bounds are
+        none.
+    AssumptionError
+        If there are fewer samples than unknowns.
+    """
+    if not records:
+        raise UsageError("logs: expected at least one, got none")
+    first = records[0]
+    for number, record in enumerate(records):
+        _check_unused(record, records[:number])
+        check_one_model(first, record)
+    identified = first.identified
+    problem = identified.problem_of([record.data for record in records])
+    problem = replace(
+        problem,
+        offset=offset or identified.offset,
+        bounds=identified.bounds if bounds is None else bounds_of(bounds, identified.parameters),
+    )
+    assessment = assess(problem, first.estimate)
+    names = [record.log.label for record in records]
+    return LogIdentification(
+        records=tuple(records),
+        assessment=advised(assessment, [record.identified.alpha for record in records]),
+        contradictions=tuple(contradictions(each_alone(assessment), names)),
+    )
+
+
+def check_one_model(first: IdentifierRecord, other: IdentifierRecord) -> None:
+    """Check that two logs are of one plant and of disturbances of one class.
+
+    Raises
+    ------
+    UsageError
+        If they are not; names the first difference.
+    """
+    for field in fields(DisturbedPlant):
+        one = getattr(first.identified.plant, field.name)
+        another = getattr(other.identified.plant, field.name)
+        if not np.array_equal(one, another):
+            raise _different(first, other, f"the design models differ in {field.name}")
+    if list(first.identified.families) != list(other.identified.families):
+        raise _different(first, other, "the terms of their regressors differ in family")
+
+
+def _check_unused(record: IdentifierRecord, used: Sequence[IdentifierRecord]) -> None:
+    """Check that no data count twice.
+
+    Raises
+    ------
+    UsageError
+        If a log of the same rows is used already.
+    """
+    for other in used:
+        if _same_samples(other.data, record.data):
+            raise UsageError(
+                f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
+                "expected data of another run"
+            )
+
+
+def _same_samples(one: DataSet, other: DataSet) -> bool:
+    same_times = np.array_equal(one.t, other.t)
+    same_outputs = np.array_equal(one.y, other.y, equal_nan=True)
+    return same_times and same_outputs and np.array_equal(one.u, other.u)
+
+
+def _different(first: IdentifierRecord, other: IdentifierRecord, what: str) -> UsageError:
+    return UsageError(f"{first.log.label} and {other.log.label}: {what}; expected one model")
+
+
+def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: str | None) -> str:
+    if identifier is not None:
+        if identifier not in identified:
+            raise UsageError(
+                f"{log.label}: no identifier {identifier!r} with a model of y; "
+                f"{nearest(identifier, identified)}"
+            )
+        return identifier
+    partial = partial_of(log.channels)
+    if not identified and partial is not None:
+        raise UsageError(
+            f"{log.label}: expected an identifier with a model of y whose signals are recorded at "
+            f"every step, got none; {partial.reason(log.channels)}"
+        )
+    if not identified:
+        raise UsageError(
+            f"{log.label}: expected an identifier with a model of y, got none; its regressor must "
+            "be driven by a single observer of kind 'unknown-input-observer', with one "
+            "disturbance"
+        )
+    if len(identified) > 1:
+        raise UsageError(
+            f"{log.label}: expected the name of one identifier, as there are several; available: "
+            f"{', '.join(identified)}"
+        )
+    return next(iter(identified))

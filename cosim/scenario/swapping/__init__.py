@@ -1,1 +1,0 @@
-"""Swapped components beside those that they replace, port by port and as a whole."""

@@ -1,1 +1,0 @@
-"""Component kinds of users: a class by its name, its parameters, installed packages."""
