@@ -185,13 +185,10 @@ class OutputErrorIdentifier:
             forgetting = 1.0 - 1.0 / schedule.window
         grid = start_grid(
             replace(on_y, forgetting=forgetting),
-            lower,
-            upper,
+            replace(box, lower=lower, upper=upper),
             points=points,
             average=max(1, schedule.average // 10),
-            graded=box.graded,
             alike=self.problem.interchangeable(self.lower, self.upper),
-            even=box.even,
             beside=[lower],  # the place of a fit
         )
         return replace(grid, beside=True)

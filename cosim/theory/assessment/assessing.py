@@ -20,7 +20,6 @@ from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
 from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise, residual_size
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import standing_outputs
 from cosim.theory.assessment.term_order import ordered_like
 from cosim.theory.assessment.verdicts import (
@@ -32,11 +31,14 @@ from cosim.theory.assessment.verdicts import (
 )
 from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.other_optima import search_optima, spread_optima
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
+    OutputErrorProblem,
     excess_squares,
     largest_chance,
 )
+from cosim.theory.estimators.start_grid import search_start
 
 if TYPE_CHECKING:
     from cosim.theory.assessment.noise_color import Criterion
@@ -126,7 +128,7 @@ def _rival(own: FittedModel) -> _Examined | None:
     thinned = own.problem.thinned
     white = own.noise.without_color()
     try:
-        optima = thinned.search_optima(own.fit.theta, white)
+        optima = search_optima(thinned, own.fit.theta, white)
         near = thinned.fit(own.fit.theta, white)
         for optimum in optima:
             if not _may_be_rival(near, optimum):
@@ -233,12 +235,12 @@ def _searched(problem: OutputErrorProblem) -> _Examined:
     that it leads to two close together, with amplitudes that cancel, from which no fit comes back.
     """
     noise = first_noise(problem)
-    white = _white(problem, problem.in_order(problem.search_start(noise)))
+    white = _white(problem, problem.in_order(search_start(problem, noise)))
     is_explained = white.fitted.fit.converged and not white.consistency.is_structured
     if is_explained or not problem.has_several:
         return white
     thinned = problem.thinned
-    optima = thinned.spread_optima(noise)
+    optima = spread_optima(thinned, noise)
     if not optima:
         return white
     near = thinned.fit(white.fitted.fit.theta, noise)
