@@ -262,7 +262,7 @@ def test_data_far_above_the_noise_are_not_searched(monkeypatch):
     def forbidden(*arguments, **options):
         raise AssertionError("a start was searched")
 
-    monkeypatch.setattr(cosim.theory.estimators.output_error, "search_start", forbidden)
+    monkeypatch.setattr(cosim.theory.assessment.assessing, "search_start", forbidden)
     data = [noisy("good", 1e-3, seed=7, h=COARSE)]
     found = assess(OutputErrorProblem(data, design(), FAMILIES), START)
     assert [parameter.verdict for parameter in found.parameters] == GOOD
