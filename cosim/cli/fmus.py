@@ -96,11 +96,12 @@ def export(
     The FMU has both interface types; that of a discrete component is for co-simulation only.
     """
     from cosim.scenario.exporting import export_component
+    from cosim.scenario.running.execution import load
 
     platforms = [] if platform is None else [name.strip() for name in platform.split(",")]
-    edits = read_edits(changes)
+    edited = load(scenario).set(read_edits(changes))
     for line in export_component(
-        scenario, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae, set=edits
+        edited, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae
     ):
         typer.echo(printable(line))
 

@@ -202,7 +202,7 @@ def run(
     failed. A metric of --assert that has no name is kept as one of the study.
     """
     from cosim.studies.show import ShownParts
-    from cosim.studies.study_file import read_study
+    from cosim.studies.study_file import StudyOptions, read_study
     from cosim.studies.studying import default_place
     from cosim.studies.studying import study as run_study
 
@@ -212,7 +212,7 @@ def run(
         name = "--fail-on" if failures else "--assert"
         raise UsageError(f"--dry-run completes no member that could fail; omit it or {name}")
     with prints_to_stderr():
-        file = read_study(source).with_options(
+        options = StudyOptions(
             vary=_variations(vary),
             metrics=read_unique_pairs(metric, "metric"),
             set=read_edits(changes, {"scenario.stop": stop}),
@@ -229,10 +229,12 @@ def run(
             keep=_kept(keep),
             results=results,
         )
+        file = read_study(source).with_options(options)
         assertions = read_assertions(asserted, file.metrics)
         if assertions is not None:
             with_results = file.subject.with_results
-            file = file.with_options(metrics=assertions.metrics, results=with_results)
+            kept = StudyOptions(metrics=assertions.metrics, results=with_results)
+            file = file.with_options(kept)
     if not (OF_VERDICTS.isdisjoint(failures) or file.subject.with_results):
         raise UsageError(f"--fail-on {','.join(sorted(OF_VERDICTS & failures))} needs --results")
     place = str(default_place(file)) if out is None else out

@@ -49,7 +49,6 @@ class Fmu:
     Parameters
     ----------
     archive : Archive
-    interface_type : {"me", "cs"}
     instance : LoadedInstance
     component : Guarded
     resources : ExitStack
@@ -70,19 +69,16 @@ class Fmu:
     def __init__(
         self,
         archive: Archive,
-        interface_type: InterfaceType,
-        *,
         instance: LoadedInstance,
+        *,
         component: Guarded,
         resources: ExitStack,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
         unsaved: str = "",
-        model_exchange: ModelExchange | None = None,
     ) -> None:
         self.component = component
-        self.model_exchange = model_exchange
-        self.interface_type = interface_type
+        self.interface_type = instance.interface_type
         self._archive = archive
         self._instance = instance
         self.input_limits = InputLimits(
@@ -92,6 +88,12 @@ class Fmu:
         self._solving = solving
         self.unsaved = unsaved
         self.notes = notes
+
+    @property
+    def model_exchange(self) -> ModelExchange | None:
+        """What drives it, if it was opened for model exchange."""
+        component = self.component.component
+        return component if isinstance(component, ModelExchange) else None
 
     @property
     def description(self) -> Description:
@@ -276,7 +278,6 @@ def load(
         notes = _notes(archive, instance.description)
         notes += [text for text in (unsaved, instance.refused, *shares) if text]
         component, solving = _component(instance, interface_type, options)
-        model_exchange = component if isinstance(component, ModelExchange) else None
     except BaseException:
         if instance is not None:
             instance.free_instance()
@@ -286,14 +287,12 @@ def load(
     changes = process.restore()
     return Fmu(
         archive,
-        interface_type,
-        instance=instance,
+        instance,
         component=Guarded(component, description.name, archive.sha256, called=messages.address),
         resources=resources,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),
         unsaved=unsaved,
-        model_exchange=model_exchange,
     )
 
 

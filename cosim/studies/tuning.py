@@ -54,6 +54,7 @@ from cosim.studies.study import Study
 from cosim.studies.study_file import (
     STUDY,
     StudyFile,
+    StudyOptions,
     absolute,
     load_scenario,
     read_study,
@@ -177,7 +178,7 @@ def tune(
         metrics[SAMPLES] = f"count{expression.strip().removeprefix('rms')}"
     with _objective_named(search):
         parse_metrics(metrics)
-    study = _base(str(path_argument("scenario", scenario))).with_options(
+    options = StudyOptions(
         metrics=metrics,
         set=set,
         swap=swap,
@@ -186,6 +187,7 @@ def tune(
         allow_code=truth_argument("allow_code", allow_code) or None,
         timeout=timeout,
     )
+    study = _base(str(path_argument("scenario", scenario))).with_options(options)
     plan = plan_tuning(study, search)
     notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
     for text in plan.study.warnings:

@@ -218,7 +218,7 @@ class Stepper:
             memory=np.zeros(0),
             keep=(self, addresses, self._feedthrough),
             outputs=address("cosim_co_simulation_outputs"),
-            rollback=self._rollback if self._capabilities.saves_state else None,
+            own_rollback=self._rollback if self._capabilities.saves_state else None,
             left_outputs=self._left_outputs(),
         )
 

@@ -267,7 +267,7 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         run_graph(graph, clock, recorder, plan, designs=designs, until=until)
         return
     # Most runs need none of it.
-    from cosim.core.stepping.repeating import repeat, run_with_actions
+    from cosim.core.stepping.repeating import RecordedChanges, repeat, run_with_actions
 
     if acts:
         actions = experiment.actions
@@ -277,17 +277,8 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         )
         return
     copied = () if experiment.origin is None else experiment.origin.copied
-    repeat(
-        graph,
-        clock,
-        recorder,
-        plan,
-        events=experiment.events,
-        recorded=copied,
-        designs=designs,
-        until=until,
-        settings=experiment.settings,
-    )
+    changes = RecordedChanges(experiment.events, copied, experiment.settings)
+    repeat(graph, clock, recorder, plan, changes=changes, designs=designs, until=until)
 
 
 def log_recorder(
