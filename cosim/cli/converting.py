@@ -86,9 +86,9 @@ def convert(
     one array of times per component.
     """
     from cosim.log.conversion.choice import choose
-    from cosim.log.conversion.files import check_target
     from cosim.log.conversion.files import convert as convert_log
+    from cosim.log.conversion.files import free_target
 
-    check_target(out, force=force)  # before the log is read
+    free_target(out, force=force)  # before the log is read
     convert_log(choose(log, signals, start, stop), out, force=force)
     typer.echo(printable(str(out)))

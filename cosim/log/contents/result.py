@@ -37,13 +37,6 @@ class LastRow:
     end_ns: int = 0
 
 
-def result_group(
-    end: EndOfRun, last_row: LastRow, *, content_hash: str, values: Mapping[str, Any]
-) -> RecordGroup:
-    """Return the record and the attachment; ``values`` go to the attachment only."""
-    return _end_group(result_items(end, last_row, content_hash=content_hash), values)
-
-
 def result_items(end: EndOfRun, last_row: LastRow, *, content_hash: str) -> ResultItems:
     """Return what is recorded of the end of a run."""
     return {**asdict(end), **asdict(last_row), "content_hash": content_hash}
@@ -64,7 +57,7 @@ def part_group(
     content_hash : str
         Of the rows of the file.
     """
-    return _end_group(_part_items(number, first_ns, asdict(last_row), content_hash), {})
+    return end_group(_part_items(number, first_ns, asdict(last_row), content_hash), {})
 
 
 def last_part_group(
@@ -86,7 +79,7 @@ def last_part_group(
     values : mapping
         Of the whole run, too; for the attachment.
     """
-    part = _end_group(_part_items(number, first_ns, whole, content_hash), values)
+    part = end_group(_part_items(number, first_ns, whole, content_hash), values)
     return _joined(result_record(PARTIAL, whole), part)
 
 
@@ -109,7 +102,8 @@ def span_text(first_ns: int, last_ns: int) -> str:
     return f"from {first_ns / NANOSECONDS} s to {last_ns / NANOSECONDS} s"
 
 
-def _end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
+def end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
+    """Return the record and the attachment; ``values`` go to the attachment only."""
     # Ours after the caller's: no caller may overwrite how the run ended.
     text = json.dumps({**values, **items}, default=_to_json, indent=2)
     attachment = attachment_group(RESULT_FILE, "application/json", text.encode())
