@@ -267,28 +267,24 @@ class CoSimulation:
         """Return the outputs at ``t``, the time reached, for inputs ``u``.
 
         Where an event is due for them, they are those after it; then the FMU goes back, if it can.
+        Without one they are y + D (u - u_end).
         """
         stepper = self._stepper
-        if not (self._capabilities.saves_state and stepper.has_point_event(t, u)):
-            return self._outputs_after_event(t, u)
-        # The copy holds the mode too: with it the FMU is back in step mode.
-        self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
-        before = stepper.save()
-        y = self._outputs_after_event(t, u).copy()
+        before: StepperState | None = None
+        if self._capabilities.saves_state and stepper.has_point_event(t, u):
+            # The copy holds the mode too: with it the FMU is back in step mode.
+            self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
+            before = stepper.save()
+        y = stepper.outputs
+        if not stepper.handle_point_event(t, u):
+            y = stepper.corrected(y, u)
+        if before is None:
+            return y
+        y = y.copy()
         if not stepper.ended:
             self._instance.set_fmu_state(self._fmu_state)
             stepper.restore(before)
         return y
-
-    def _outputs_after_event(self, t: float, u: Vector) -> Vector:
-        """Return the outputs for inputs ``u``, after an event where one is due for them.
-
-        Without one they are y + D (u - u_end).
-        """
-        stepper = self._stepper
-        if stepper.handle_point_event(t, u):
-            return stepper.outputs
-        return stepper.corrected(stepper.outputs, u)
 
     def tune(self, t: float, parameters: TunedParameters) -> None:
         """Set tunable parameters at ``t``, the time reached.
