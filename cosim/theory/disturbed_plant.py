@@ -472,7 +472,7 @@ def sample_plant(
     check_sizes(plant, generators, data)
     if len(data.t) < 2:
         raise AssumptionError(f"expected a record, got a single sample at {data.t[0]:g} s")
-    step, interval, predictor = sample_intervals(plant.A, plant.C, data, noise.covariance)
+    step, interval, predictor = sample_intervals(plant, data, noise.covariance)
     constants, known = discretize(
         plant,
         generators,
@@ -577,7 +577,7 @@ def check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) ->
 
 
 def sample_intervals(
-    A: Matrix, C: Matrix, data: DataSet, covariance: Matrix
+    plant: DisturbedPlant, data: DataSet, covariance: Matrix
 ) -> tuple[Vector, NDArray[np.integer] | None, Predictor | None]:
     """Return the lengths of intervals, which of them ends at each sample, and the predictor.
 
@@ -585,8 +585,7 @@ def sample_intervals(
 
     Parameters
     ----------
-    A : Matrix, shape (n, n)
-    C : Matrix, shape (n_y, n)
+    plant : DisturbedPlant
     data : DataSet
     covariance : Matrix, shape (n_y, n_y)
         Of the noise of the outputs.
@@ -605,6 +604,7 @@ def sample_intervals(
     AssumptionError
         If an unstable mode is not seen by the outputs.
     """
+    A, C = plant.A, plant.C
     steps, index = distinct_steps(data.t)
     is_regular = len(steps) == 1
     if not needs_predictor(A, float(data.t[-1] - data.t[0])):

@@ -29,7 +29,6 @@ from cosim.theory.assessment.verdicts import (
     is_present,
     is_settled,
 )
-from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.documents import Verdict
 from cosim.theory.estimators.other_optima import search_optima, spread_optima
 from cosim.theory.estimators.output_error import (
@@ -253,13 +252,11 @@ def _searched(problem: OutputErrorProblem) -> _Examined:
 
 def _white(problem: OutputErrorProblem, start: Vector) -> _Examined:
     """Fit for white noise, from a start."""
-    return _fitted(problem, start, first_noise(problem), is_known=problem.stated is not None)
+    is_known = problem.stated is not None
+    return _examined(fit_with_noise(problem, start, first_noise(problem), is_known=is_known))
 
 
-def _fitted(
-    problem: OutputErrorProblem, theta: Vector, noise: NoiseModel, *, is_known: bool
-) -> _Examined:
-    fitted = fit_with_noise(problem, theta, noise, is_known=is_known)
+def _examined(fitted: FittedModel) -> _Examined:
     return _Examined(fitted, examine(fitted))
 
 
@@ -303,7 +300,8 @@ def _without(left_out: tuple[int, ...], examined: _Examined) -> _Examined:
     fitted = examined.fitted
     problem = fitted.problem.without_effect_of(left_out)
     is_known = problem.stated is not None and not fitted.noise.order
-    return _fitted(problem, fitted.fit.theta, fitted.noise, is_known=is_known)
+    again = fit_with_noise(problem, fitted.fit.theta, fitted.noise, is_known=is_known)
+    return _examined(again)
 
 
 def _missing(examined: _Examined) -> dict[int, str]:
@@ -357,7 +355,7 @@ def _with_color(examined: _Examined, criterion: Criterion) -> tuple[_Examined, s
             return examined, color.remark
         # what is stated is of the noise itself, not of the white one that makes it
         noise = replace(fitted.noise, a=color.a, freedom=color.freedom)
-        examined = _fitted(fitted.problem, fitted.fit.theta, noise, is_known=False)
+        examined = _examined(fit_with_noise(fitted.problem, fitted.fit.theta, noise))
     return examined, ""
 
 
