@@ -260,7 +260,7 @@ def load(
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
-        unsaved = _unsaved(archive, description, interface_type, options.step)
+        unsaved = _unsaved(archive, description, interface_type, options)
         if unsaved:
             description = description.without("saves_state", interface_type)
         shares = _notes_on_neighbors(description, interface_type, library)
@@ -458,12 +458,12 @@ def _component(
 
 
 def _unsaved(
-    archive: Archive, description: Description, interface_type: InterfaceType, step: float | None
+    archive: Archive, description: Description, interface_type: InterfaceType, options: FmuOptions
 ) -> str:
     """Return why the state of an FMU is not saved that says that it can be; empty: it is."""
     if not description.capabilities[interface_type].saves_state or description.tool == OUR_TOOL:
         return ""
-    problems = find_rollback_problems(archive, interface_type, step)
+    problems = find_rollback_problems(archive, interface_type, options.step)
     if not problems:
         return ""
     return (

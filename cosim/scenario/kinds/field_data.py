@@ -235,21 +235,20 @@ class FieldDataKind(TableKeys, PlantKind):
 
     def _read(self, name: str, context: BuildContext) -> FieldData:
         """Read the file; samples of communication points get these as their times."""
-        data = self._read_file(name, context)
+        path = context.file(self.path)
+        if self._is_mcap:
+            data = self._read_mcap(path, self.fields(context.mapped(name)), context)
+        else:
+            data = field_data(path, self.field_form)
         return at_points(data, context.clock.points)
 
-    def _read_file(self, name: str, context: BuildContext) -> FieldData:
-        if self._is_mcap:
-            return self._read_mcap(name, context)
-        return field_data(context.file(self.path), self.field_form)
-
-    def _read_mcap(self, name: str, context: BuildContext) -> FieldData:
+    def _read_mcap(
+        self, path: Path, columns: Mapping[str, Sequence[str]], context: BuildContext
+    ) -> FieldData:
         """Read fields of an MCAP in one pass with those of the components from the same file.
 
         All of them have a sample at t = 0.
         """
-        path = context.file(self.path)
-        columns = self.fields(context.mapped(name))
         check_asked(path, columns, self.same_time)
         together = list(chain.from_iterable(columns.values()))
         for other, spec in context.of_kind(FieldDataKind).items():
