@@ -19,7 +19,7 @@ from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
-from cosim.fmi.driving.clocks import EventClocks
+from cosim.fmi.driving.clocks import Event, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
@@ -223,7 +223,7 @@ class CoSimulation:
                     # An event at the end of the block is left to the next advance: a loop may still
                     # correct the inputs that it happens with.
                     if k < steps - 1:
-                        stepper.handle_point_event(t1, u1)
+                        stepper.handle_point_event(Event(t1, u1))
                     y[k] = self._outputs_at(t1, u1)
                 if stepper.ended:
                     raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
@@ -270,13 +270,14 @@ class CoSimulation:
         Without one they are y + D (u - u_end).
         """
         stepper = self._stepper
+        event = Event(t, u)
         before: StepperState | None = None
-        if self._capabilities.saves_state and stepper.has_point_event(t, u):
+        if self._capabilities.saves_state and stepper.has_point_event(event):
             # The copy holds the mode too: with it the FMU is back in step mode.
             self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
             before = stepper.save()
         y = stepper.outputs
-        if not stepper.handle_point_event(t, u):
+        if not stepper.handle_point_event(event):
             y = stepper.corrected(y, u)
         if before is None:
             return y

@@ -405,7 +405,7 @@ class Stepper:
             if begun == STEPPED:
                 end = self._instance.end_of_step(t, h, self._struct.do_step.status)
             else:
-                self.handle_point_event(t, u0)
+                self.handle_point_event(Event(t, u0))
             self._clocks.begin_step()
             if self._advance(self._ramp(t, h, u0, u1), 0.0, 1.0, 0, end) < 1.0:
                 return False
@@ -606,20 +606,20 @@ class Stepper:
         """Return outputs of the FMU as it is now, corrected to inputs ``u`` where D is known."""
         return y if self._feedthrough is None else self._feedthrough.add(y, u - self.inputs)
 
-    def has_point_event(self, t: float, u: Vector) -> bool:
-        """Return whether an event is due at a communication point ``t`` [s] with inputs ``u``.
+    def has_point_event(self, event: Event) -> bool:
+        """Return whether an event is due at a communication point.
 
         It is where a discrete input that is set in events is not as before, or a clock ticks.
         """
         if self.ended or not self._capabilities.event_mode:
             return False
-        event_inputs = self._event_inputs.take(u)
+        event_inputs = self._event_inputs.take(event.u)
         # By their bits: NaN as before is no change.
         if event_inputs.tobytes() != self._event_values.tobytes():
             return True
-        return self._clocks.is_due(t, u)
+        return self._clocks.is_due(event.t, event.u)
 
-    def handle_point_event(self, t: float, u: Vector) -> bool:
+    def handle_point_event(self, event: Event) -> bool:
         """Set all inputs in an event, if one is due for them, and read the outputs.
 
         Returns
@@ -627,9 +627,9 @@ class Stepper:
         bool
             Whether there was an event.
         """
-        if not self.has_point_event(t, u):
+        if not self.has_point_event(event):
             return False
-        self._handle_event(Event(t, u))
+        self._handle_event(event)
         self.outputs[:] = self._clocks.outputs()
         return True
 

@@ -428,7 +428,7 @@ class UnknownInputObserverKind(ExportableKind):
             "bandwidth": self.bandwidth,
             "step": step,
             "delta": None if spectrum is None else dict(spectrum.source),
-            "model": numbers_hash(self._numbers(name, context)),
+            "model": numbers_hash(self._numbers(model, context)),
         }
 
         def choose() -> dict[str, Any]:
@@ -443,13 +443,13 @@ class UnknownInputObserverKind(ExportableKind):
         except AssumptionError as error:
             raise LogError(f"the recorded choice of {name!r} cannot be used: {error}") from error
 
-    def _numbers(self, name: str, context: BuildContext) -> tuple[Matrix, ...]:
+    def _numbers(self, model: DesignModel, context: BuildContext) -> tuple[Matrix, ...]:
         """Return the numbers of the design model, as they are written or recorded."""
         if isinstance(self.model, str):
             system = context.model(self.model)
             letters = ("A", "Bu", "Bd", "C") if system.n_a is not None else MATRICES
             return tuple(getattr(system, letter) for letter in letters)
-        reduced = self.design_model_of(name, context).reduced
+        reduced = model.reduced
         return reduced.A_a, reduced.B_1a, reduced.B_2a, reduced.C3, reduced.C4
 
     def _spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
