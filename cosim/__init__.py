@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from cosim.log.comparison.diff import diff
     from cosim.log.reading.reader import open_log
     from cosim.report.certificate import certificate
-    from cosim.report.comparing import compare, compare_estimators
-    from cosim.report.sweep import replay_sweep
+    from cosim.report.comparing import compare, compare_estimators, replay_sweep
     from cosim.scenario.assumptions.report import check_assumptions
     from cosim.scenario.building.models import model_table
     from cosim.scenario.data_files.field_file import read_field_data
@@ -47,7 +46,7 @@ _HOMES = {
     "open_log": "cosim.log.reading.reader",
     "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",
-    "replay_sweep": "cosim.report.sweep",
+    "replay_sweep": "cosim.report.comparing",
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
     "study": "cosim.studies.studying",

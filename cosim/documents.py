@@ -90,7 +90,8 @@ def understood(kind: type[_Class], text: str, what: str) -> _Class:
                 expected = "JSON"
                 got += first["msg"].removeprefix("Invalid JSON")
             case _:
-                expected = first["msg"].removeprefix("Input should be ")
+                said = first["msg"].removeprefix("Input should be ")
+                expected = said.removeprefix("Value error, expected ")
         where = f"{shortened(place)}: " if place else ""
         raise LogError(
             f"{what} cannot be understood: {where}expected {expected}, got {got}"

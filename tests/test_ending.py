@@ -450,9 +450,11 @@ def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatc
     command = ("compare", "academic", "--swap", "plant=a.mcap", "--out")
     code, err = call(*command, "logs")
     assert (code, "logs/a.mcap exists" in err) == (2, True), err
-    for folder in ("/proc", "/proc/x", "file"):
+    for folder in ("/proc", "/proc/x"):
         code, err = call(*command, folder)
         assert (code, "cannot be created" in err) == (2, True), err
+    code, err = call(*command, "file")
+    assert (code, "expected a folder for 2 logs, got 'file'" in err) == (2, True), err
     code, err = call(*command, "x.png", "--plot", "x.png")
     assert (code, "is the path of the log" in err) == (2, True), err
     assert os.listdir(tmp_path / "logs") == ["a.mcap"]

@@ -65,7 +65,7 @@ def check(
 
 
 def _check_scenario(scenario: str, values: list[str] | None, *, as_json: bool) -> None:
-    from cosim.report.tables.assumptions import print_assumptions
+    from cosim.report.tables.preparation import print_assumptions
     from cosim.scenario.assumptions.report import check_assumptions
 
     with prints_to_stderr():

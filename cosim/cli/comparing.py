@@ -122,7 +122,7 @@ def _draw_worst(
     difference: LogDifference, logs: tuple[Log, Log], out: Path, *, as_json: bool
 ) -> None:
     """Draw the signal that is farthest apart, and name the picture, unless stdout is for JSON."""
-    from cosim.report.plots import plot_difference
+    from cosim.report.plots.runs import plot_difference
 
     if difference.worst is None:
         print_notice(f"{out}: not drawn, as the largest difference of two values is 0")
@@ -198,7 +198,7 @@ def _draw(comparison: Comparison | EstimatorComparison, plot: Path | None) -> No
     """Draw the estimates of a comparison, where that is wanted and a run succeeded."""
     if plot is None or not comparison.recordings:
         return
-    from cosim.report.plots import plot_comparison
+    from cosim.report.plots.runs import plot_comparison
 
     plot_comparison(comparison, plot)
 

@@ -75,13 +75,13 @@ def _show_graph(source: str, out: Path | None, *, as_json: bool) -> None:
     if type_name in ("log", "FMU", "table"):
         raise UsageError(f"--graph {source}: expected a scenario, got a {type_name}")
     if out is not None:
-        from cosim.report.plots import need_plot
+        from cosim.report.plots.picture import need_plot
 
         need_plot(out)
     schedule = schedule_of(source)
     print_schedule(schedule, as_json=as_json)
     if out is not None:
-        from cosim.report.plots.schedule import plot_schedule
+        from cosim.report.schedule import plot_schedule
 
         plot_schedule(schedule, out)
         if not as_json:
@@ -113,7 +113,8 @@ def plot(
 ) -> None:
     """Plot signals of one or several logs over time."""
     from cosim.log import open_log
-    from cosim.report.plots import PictureOptions, plot_run, plot_signals
+    from cosim.report.plots.picture import PictureOptions
+    from cosim.report.plots.runs import plot_run, plot_signals
 
     options = PictureOptions(read_size(size), start, stop, title)
     logs = [open_log(source) for source in sources if file_type(source) == "log"]

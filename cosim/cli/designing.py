@@ -51,7 +51,7 @@ def design(
     Ranks delays, filters, steps and windows relative to the Cramer-Rao bound of y, which the
     output-error method attains.
     """
-    from cosim.report.tables.experiment_design import print_design
+    from cosim.report.tables.preparation import print_design
     from cosim.scenario.experiment_design.ranking import design as ranked
 
     edits = read_edits(changes)

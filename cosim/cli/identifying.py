@@ -105,7 +105,7 @@ def identify(
             identification, others=others, irregular=irregular, watch=watch
         )
     if plot is not None:
-        from cosim.report.plots import plot_identification
+        from cosim.report.plots.identification import plot_identification
 
         plot_identification(identification, plot)
     print_identification(report, as_json=as_json)

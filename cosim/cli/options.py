@@ -216,7 +216,7 @@ def check_plot(plot: Path | None, out: Path | None) -> None:
     """Refuse a picture that could not be drawn, before the run whose logs go to ``out``."""
     if plot is None:
         return
-    from cosim.report.plots import need_plot
+    from cosim.report.plots.picture import need_plot
 
     need_plot(plot)
     if out is None:

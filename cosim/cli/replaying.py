@@ -197,7 +197,7 @@ def replay(
             )
             again = resources.enter_context(replayed)
         if plot is not None:
-            from cosim.report.plots import plot_run
+            from cosim.report.plots.runs import plot_run
 
             plot_run(again, plot)
         if verify and isinstance(replays, LogReplays):
@@ -251,7 +251,7 @@ def _replay_each(
     quiet: bool,
 ) -> None:
     """Replay with every combination of values; exit with 1 if one fails."""
-    from cosim.report.sweep import sweep_of
+    from cosim.report.comparing import sweep_of
     from cosim.report.tables.comparison import print_sweep
 
     values = read_variations(vary)

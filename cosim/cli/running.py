@@ -253,7 +253,7 @@ def run(
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:
-        from cosim.report.plots import plot_run
+        from cosim.report.plots.runs import plot_run
 
         plot_run(log, plot)
     if rotate is not None and is_rotated(log):
@@ -293,7 +293,7 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
     UsageError
         If the scenario cannot run with them.
     """
-    from cosim.report.tables.comparison import print_dry_run
+    from cosim.report.tables.preparation import print_dry_run
     from cosim.scenario.recordings.swap_comparison import dry_run
 
     with prints_to_stderr():

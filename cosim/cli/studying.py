@@ -452,7 +452,7 @@ def plot(
     title: TitleOption = None,
 ) -> None:
     """Plot the results of a study."""
-    from cosim.report.plots import PictureOptions
+    from cosim.report.plots.picture import PictureOptions
     from cosim.studies.layout import results_of_study
     from cosim.studies.plan import RecordedStudy
     from cosim.studies.plots import plot_study

@@ -184,25 +184,15 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
     for channel in declared_channels(recording.channels).values():
         for signal in channel.interface.outputs:
             for element, unit in zip(signal.elements, signal.measures, strict=True):
-                label = f"{channel.name}.{element}"
-                if label in record.signals:
-                    error = asdict(record.signals[label])
-                    signals.append(SignalCertificate(**error, signal=label, unit=unit.name))
+                name = f"{channel.name}.{element}"
+                if name in record.signals:
+                    error = vars(record.signals[name])
+                    signals.append(SignalCertificate(**error, signal=name, unit=unit.name))
     shares = []
     for value in summary.values:
-        if value.value is not None and value.estimate in record.signals and not record.problem:
+        if value.value is not None and value.estimate in record.signals:
             coupling = record.signals[value.estimate].last
             shares.append(CouplingShare(value.estimate, value.value - value.truth, coupling))
-    search = record.search or StepSearch()
-    return StepCertificate(
-        record.step,
-        record.finer_steps,
-        record.every,
-        record.ends,
-        record.problem,
-        record.solvers,
-        tuple(signals),
-        tuple(shares),
-        search.tolerances,
-        search.trials,
-    )
+    content = {**vars(record), "signals": tuple(signals), "shares": tuple(shares)}
+    search = content.pop("search") or StepSearch()
+    return StepCertificate(**content, **vars(search))

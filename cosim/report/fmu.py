@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields
+from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import listing
@@ -18,9 +19,7 @@ from cosim.report.tables.console import (
 from cosim.units import BASE
 
 if TYPE_CHECKING:
-    from cosim.arrays import Matrix
     from cosim.fmi.checking.structure import Finding
-    from cosim.fmi.description import Description, VariableDependencies
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.variable import Variable
 
@@ -46,44 +45,33 @@ def describe_fmu(path: str) -> Row:
         "default_tolerance": description.default_tolerance,
         "sha256": archive.sha256,
     }
-    vectors = {}  # ports that are several scalar variables
-    for causality in ("input", "output"):
-        for signal, group in description.ports(causality):
-            if len(group) > 1:
-                vectors[signal.name] = [variable.name for variable in group]
+    ports = [*description.ports("input"), *description.ports("output")]
+    bases = {(one.unit, one.base) for one in description.variables if one.unit and one.base}
     return {
         "fmu": about,
         "capabilities": {key: asdict(values) for key, values in description.capabilities.items()},
-        "units": _units(description),
-        "vectors": vectors,
+        # of units with the same name, the one with an offset
+        "units": {
+            unit: asdict(base)
+            for unit, base in sorted(bases, key=lambda pair: (pair[0], abs(pair[1].offset)))
+        },
+        # ports that are several scalar variables
+        "vectors": {signal.name: [v.name for v in group] for signal, group in ports if group[1:]},
         "variables": [_plain_variable(variable) for variable in description.variables],
-        "dependencies": _lists(description.dependencies),
-        "initial_dependencies": _lists(description.initial_dependencies),
+        "dependencies": description.dependencies,
+        "initial_dependencies": description.initial_dependencies,
         "residual_form": description.dae and asdict(description.dae),
     }
-
-
-def _units(description: Description) -> Row:
-    """Return what the units are in SI; of those with the same name, the one with an offset."""
-    bases = {(variable.unit, variable.base) for variable in description.variables}
-    known = [(unit, base) for unit, base in bases if unit is not None and base is not None]
-    in_order = sorted(known, key=lambda pair: (pair[0], abs(pair[1].offset)))
-    return {unit: asdict(base) for unit, base in in_order}
 
 
 def _plain_variable(variable: Variable) -> Row:
     """Return all of a variable; infinite limits are None."""
     # Not by asdict, which copies every value of very many variables deeply.
     row = {field.name: getattr(variable, field.name) for field in fields(variable)}
-    row["base"] = None if variable.base is None else asdict(variable.base)
+    row["base"] = variable.base and asdict(variable.base)
     for limit in ("minimum", "maximum"):
-        if math.isinf(row[limit]):
-            row[limit] = None
+        row[limit] = None if math.isinf(row[limit]) else row[limit]
     return row
-
-
-def _lists(dependencies: VariableDependencies) -> dict[str, list[str] | None]:
-    return {name: None if names is None else list(names) for name, names in dependencies.items()}
 
 
 def print_fmu(content: Row) -> None:
@@ -93,16 +81,18 @@ def print_fmu(content: Row) -> None:
     """
     from cosim.fmi.description import INTERFACE_TYPE_NAMES
 
-    about = {}
-    for key, value in content["fmu"].items():
-        if value not in (None, [], 0):
-            about[_words(key)] = ", ".join(value) if isinstance(value, list) else value
+    about = {
+        _words(key): ", ".join(value) if isinstance(value, list) else value
+        for key, value in content["fmu"].items()
+        if value not in (None, [], 0)
+    }
     capabilities = {}
     for interface_type, values in content["capabilities"].items():
-        names = []
-        for key, value in values.items():
-            if value:
-                names.append(_words(key) if value is True else f"{_words(key)} {value}")
+        names = [
+            _words(key) if value is True else f"{_words(key)} {value}"
+            for key, value in values.items()
+            if value
+        ]
         capabilities[INTERFACE_TYPE_NAMES[interface_type]] = ", ".join(names)
     variables = content["variables"]
     initial = content["initial_dependencies"]
@@ -124,18 +114,14 @@ def _words(key: str) -> str:
 
 
 def _names(names: Sequence[str] | None) -> str:
-    if names is None:
-        return "unknown"
-    return ", ".join(names) or "nothing"
+    return "unknown" if names is None else ", ".join(names) or "nothing"
 
 
 def _si(base: Row) -> str:
-    powers = []
-    for name, power in zip(BASE, base["exponents"], strict=True):
-        if power:
-            powers.append(name if power == 1 else f"{name}{power}")
+    powers = zip(BASE, base["exponents"], strict=True)
+    texts = [name if power == 1 else f"{name}{power}" for name, power in powers if power]
     offset = f" + {base['offset']:g}" if base["offset"] else ""
-    return f"{base['factor']!r} {'.'.join(powers) or '1'}{offset}"
+    return f"{base['factor']!r} {'.'.join(texts) or '1'}{offset}"
 
 
 def _residual_form_rows(dae: Row | None) -> Iterable[tuple[str, str]]:
@@ -148,18 +134,20 @@ def _residual_form_rows(dae: Row | None) -> Iterable[tuple[str, str]]:
         yield "algebraic variables", ", ".join(dae["algebraic"])
     if dae["problems"]:
         yield "problems", "; ".join(dae["problems"])
-    for equation in dae["residuals"]:
-        for residual in equation:
-            yield f"0 = {residual['name']}", f"depends on {_names(residual['dependencies'])}"
-    for name, names in dae["dependencies"].items():
+    residuals = chain.from_iterable(dae["residuals"])
+    on = [(f"0 = {residual['name']}", residual["dependencies"]) for residual in residuals]
+    for name, names in (*on, *dae["dependencies"].items()):
         yield name, f"depends on {_names(names)}"
 
 
 def _variable_row(variable: Row, content: Row) -> Row:
     """Return a variable as a row: of a state that it is one, of an output what it depends on."""
     is_output = variable["causality"] == "output"
-    relation = depends_on = None
-    if variable["alias_of"]:
+    is_state = variable["name"] in content["fmu"]["states"]
+    relation = None
+    if is_state:
+        relation = "state"
+    elif variable["alias_of"]:
         relation = f"alias {variable['alias_of']}"
     elif variable["negated"]:
         relation = "negated"
@@ -167,25 +155,22 @@ def _variable_row(variable: Row, content: Row) -> Row:
         relation = f"der {variable['derivative_of']}"
     elif variable["type"] in ("String", "Binary", "Clock") and is_output:
         relation = "not recorded"
-    if variable["name"] in content["fmu"]["states"]:
-        relation = "state"
-    elif not variable["alias_of"] and (is_output or variable["derivative_of"] is not None):
-        depends_on = _names(content["dependencies"].get(variable["name"]))
+    depends = (is_output or variable["derivative_of"] is not None) and not variable["alias_of"]
+    names = content["dependencies"].get(variable["name"])
     items = [f"{value} {name}" for name, value in variable["items"].items()]
-    minimum = "" if variable["minimum"] is None else f"{variable['minimum']:g}"
-    maximum = "" if variable["maximum"] is None else f"{variable['maximum']:g}"
-    limits = f"{minimum}..{maximum}" if minimum or maximum else None
-    dimensions = [f"[{dimension}]" for dimension in variable["dimensions"]]
+    limits = [
+        "" if (one := variable[end]) is None else f"{one:g}" for end in ("minimum", "maximum")
+    ]
     return {
         "variable": variable["name"],
         "causality": variable["causality"],
         "variability": variable["variability"],
-        "type": "".join([variable["type"], *dimensions]),
+        "type": variable["type"] + "".join(f"[{length}]" for length in variable["dimensions"]),
         "unit": variable["unit"],
         "start": _start(variable),
-        "range": ", ".join(items) or limits,
+        "range": ", ".join(items) or ("..".join(limits) if any(limits) else None),
         "relation": relation,
-        "depends on": depends_on,
+        "depends on": _names(names) if depends and not is_state else None,
     }
 
 
@@ -196,11 +181,9 @@ def _start(variable: Row) -> str | None:
         values = [f"{value:.6g}" for value in variable["start"]]
     if values is None:
         return None
-    text = " ".join(values[:4])
+    text = " ".join(values[:4]) + (" ..." if len(values) > 4 else "")
     if len(values) > 1 and len(set(values)) == 1:
         text = f"{len(values)} x {values[0]}"
-    elif len(values) > 4:
-        text += " ..."
     return f"approx {text}" if variable["initial"] == "approx" else text
 
 
@@ -215,10 +198,7 @@ def print_check(path: str, findings: Sequence[Finding], *, as_json: bool) -> Non
         return
     for finding in findings:
         print_line(f"{finding.level}: {finding.where}: {finding.text}")
-    texts = []
-    for level, number in numbers.items():
-        if number:
-            texts.append(f"{number} {level}{'s' if number > 1 else ''}")
+    texts = [f"{n} {level}{'s' if n > 1 else ''}" for level, n in numbers.items() if n]
     print_line(f"{path}: {', '.join(texts) or 'no problems found'}")
 
 
@@ -230,13 +210,13 @@ def print_cache(*, clear: bool, as_json: bool) -> None:
     removed = cache.clear() if clear else 0
     n_trials = len(list(cache.cached_files(cache.TRIALS)))
     sizes = [status.st_size for _, status in cache.cached_files()]
+    content = {
+        "folder": None if folder is None else str(folder),
+        "files": len(sizes),
+        "bytes": sum(sizes),
+        "removed": removed,
+    }
     if as_json:
-        content = {
-            "folder": None if folder is None else str(folder),
-            "files": len(sizes),
-            "bytes": sum(sizes),
-            "removed": removed,
-        }
         print_json(content)
     elif folder is None:
         print_line("no cache: COSIM_CACHE is empty")
@@ -251,49 +231,39 @@ def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
     """Print a linearization: operating point, matrices, poles, static gain, origin."""
     from cosim.fmi.linearizing.linearization import pole_text
 
-    gain = linearization.static_gain
-    poles = linearization.poles.tolist()
+    one = linearization
+    gain = one.static_gain
+    poles = one.poles.tolist()
     if as_json:
-        content = linearization.to_dict()
+        content = one.to_dict()
         content["poles"] = [[pole.real, pole.imag] for pole in poles]
         content["static_gain"] = None if gain is None else gain.tolist()
         print_json(content)
         return
-    states = linearization.states
-    inputs = linearization.inputs
-    outputs = linearization.outputs
-    point = []
-    for name, value, slope in zip(states, linearization.x, linearization.dx, strict=True):
-        point.append((name, f"{value:.6g}", f"{slope:.6g}"))
-    ports = [*inputs, *outputs]
-    for name, value in zip(ports, (*linearization.u, *linearization.y), strict=True):
-        point.append((name, f"{value:.6g}", ""))
-    title = f"{linearization.name} at t = {linearization.t:g} s"
+    names = (*one.states, *one.inputs, *one.outputs)
+    values = [f"{value:.6g}" for value in (*one.x, *one.u, *one.y)]
+    slopes = [f"{slope:.6g}" for slope in one.dx]
+    point = zip_longest(names, values, slopes, fillvalue="")
+    title = f"{one.name} at t = {one.t:g} s"
     print_table(new_table(title, ("", "value", "derivative"), point))
-    derivatives = tuple(f"der({name})" for name in states)
-    matrices = {
-        "A": (linearization.A, derivatives, states),
-        "B": (linearization.B, derivatives, inputs),
-        "C": (linearization.C, outputs, states),
-        "D": (linearization.D, outputs, inputs),
-    }
-    for letter, (matrix, rows, columns) in matrices.items():
-        error = linearization.errors[letter]
-        title = letter if error is None else f"{letter}, error up to {error:.1g}"
-        _print_matrix(title, matrix, rows, columns)
+    derivatives = [f"der({name})" for name in one.states]
+    matrices = [
+        ("A", one.A, derivatives, one.states),
+        ("B", one.B, derivatives, one.inputs),
+        ("C", one.C, one.outputs, one.states),
+        ("D", one.D, one.outputs, one.inputs),
+    ]
+    if gain is not None:
+        matrices.append(("static gain D - C A^-1 B", gain, one.outputs, one.inputs))
+    for name, matrix, rows, columns in matrices:
+        error = one.errors.get(name)
+        title = name if error is None else f"{name}, error up to {error:.1g}"
+        cells = [[f"{value:.6g}" for value in values] for values in matrix.tolist()]
+        lines = [[row, *texts] for row, texts in zip(rows, cells, strict=True)]
+        if matrix.size:
+            print_table(new_table(title, ("", *columns), lines))
     about = [("poles", ", ".join(map(pole_text, poles)) or "none")]
-    if gain is None:
-        about.append(("static gain", "none, as A is singular"))
-    else:
-        _print_matrix("static gain D - C A^-1 B", gain, outputs, inputs)
-    about.append(("method", ", ".join(dict.fromkeys(linearization.made.values()))))
-    about += [("note", note) for note in linearization.notes]
+    about += [("static gain", "none, as A is singular")] if gain is None else []
+    about.append(("method", ", ".join(dict.fromkeys(one.made.values()))))
+    about += [("note", note) for note in one.notes]
     print_table(new_table("", ("", ""), about))
-
-
-def _print_matrix(title: str, matrix: Matrix, rows: Sequence[str], columns: Sequence[str]) -> None:
-    if not matrix.size:
-        return
-    cells = [[f"{value:.6g}" for value in values] for values in matrix.tolist()]
-    lines = [[name, *texts] for name, texts in zip(rows, cells, strict=True)]
-    print_table(new_table(title, ("", *columns), lines))

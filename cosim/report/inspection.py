@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from decimal import Decimal
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
 from cosim.core.connections import AS_IS, Connection, element_units
-from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RunMessage
@@ -24,21 +24,12 @@ from cosim.instants import NANOSECONDS, step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
+from cosim.scenario import record
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.building.coupling import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
 from cosim.scenario.document.document import find
 from cosim.scenario.document.schema import ActionTable
-from cosim.scenario.record import (
-    component_table,
-    recorded_certificate,
-    recorded_loop_gains,
-    recorded_start,
-    recorded_substep_counts,
-    recorded_window,
-    replay_origin,
-    run_metadata,
-)
 from cosim.units import units_text
 
 if TYPE_CHECKING:
@@ -47,6 +38,7 @@ if TYPE_CHECKING:
     from cosim.log.foreign.survey import TopicSurvey
 
 Section = dict[str, Any]
+_Found = TypeVar("_Found")
 
 VERSIONS: Final = ("cosim", "python", "numpy", "scipy", "mcap")
 MOST_MESSAGES = 10_000  # that are shown of a log
@@ -72,61 +64,54 @@ def describe_log(path: str) -> Section:
     log = open_log(path)
     events = log.events()
     problems: dict[str, None] = {}
-    content: Section = {"run": _about_run(log, events, problems)}
+
+    def read(reader: Callable[[Log], _Found]) -> _Found | None:
+        """Note what cannot be understood; the rest of the log is described all the same."""
+        try:
+            return reader(log)
+        except LogError as error:
+            problems[str(error)] = None
+            return None
+
+    window = read(record.recorded_window)
+    start = window[0] if window else read(record.recorded_start) or 0.0
+    about = _about_run(log, events, start)
+    if "replay" in record.run_metadata(log):
+        origin = read(record.replay_origin)
+        about |= {} if origin is None else {"replay of": asdict(origin)}
+    content: Section = {"run": about}
     if log.partial is not None:
         missing = log.partial.missing(log.channels)
         content["partial"] = {**log.partial.overview(log.channels), "not recorded": missing}
-    content["loops"] = []
-    with _noted(problems):
-        content["loops"] = [gain_values(gain) for gain in recorded_loop_gains(log)]
-    with _noted(problems):
-        substeps = [_substep_row(counts) for counts in recorded_substep_counts(log)]
-        if substeps:
-            content["substeps"] = substeps
-    signals: list[Section] = []
-    for name, channel in log.channels.items():
-        signals += _signal_rows(name, log.kinds.get(name, ""), channel.interface)
+    content["loops"] = [gain_values(gain) for gain in read(record.recorded_loop_gains) or ()]
+    counts = read(record.recorded_substep_counts)
+    content |= {"substeps": list(map(_substep_row, counts))} if counts else {}
+    signals = [
+        row
+        for name, channel in log.channels.items()
+        for row in _signal_rows(name, log.kinds.get(name, ""), channel.interface)
+    ]
     metadata = {}
     differences = {}
     for name in declared_channels(log.channels):
-        entry: Section = {}
-        with _noted(problems):
-            entry = component_table(log, name)
+        entry = read(partial(record.component_table, component=name)) or {}
         report = entry.pop("swap_report", {})
         if report:
-            ports = report.get("ports", [])
-            differing = [row for row in ports if row["verdict"] not in ("ok", "unknown")]
-            differences[name] = differing
+            rows = report.get("ports", [])
+            differences[name] = [row for row in rows if row["verdict"] not in ("ok", "unknown")]
         if entry:
             metadata[name] = entry
     content |= {"signals": signals, "metadata": metadata, "differences": differences}
     overrides = [event for event in events if event.cause not in ("follow", "jump")]
-    content |= _limited("overrides", [_event_row(event) for event in overrides], MOST_OVERRIDES)
-    with _noted(problems):
-        content |= _certificate(log)
+    content |= _limited("overrides", list(map(_event_row, overrides)), MOST_OVERRIDES)
+    content |= read(_certificate) or {}
     content |= _messages(log)
-    if problems:
-        content["problems"] = list(problems)
-    return content
+    return {**content, "problems": list(problems)} if problems else content
 
 
-@contextmanager
-def _noted(problems: dict[str, None]) -> Iterator[None]:
-    """Note what cannot be understood of a log; the rest of it is described all the same."""
-    try:
-        yield
-    except LogError as error:
-        problems[str(error)] = None
-
-
-def _about_run(log: Log, events: Sequence[SignalEvent], problems: dict[str, None]) -> Section:
+def _about_run(log: Log, events: Sequence[SignalEvent], start: float) -> Section:
     """Return how a run went, and by what and on which machine it was recorded."""
-    run = run_metadata(log)
-    start = 0.0
-    with _noted(problems):
-        window = recorded_window(log)
-        start = recorded_start(log) if window is None else window[0]
-    since = f"{start} s to " if start else ""
+    run = record.run_metadata(log)
     recorded = log.metadata.get("cosim.env", {})
     versions = [f"{name} {recorded[name]}" for name in VERSIONS if name in recorded]
     machine = [recorded[name] for name in ("processor", "platform") if name in recorded]
@@ -135,7 +120,7 @@ def _about_run(log: Log, events: Sequence[SignalEvent], problems: dict[str, None
         "status": log.status,
         "until": run.get("until"),
         "stop reason": log.reason or None,
-        "end": f"{since}{log.end_ns / 1e9} s in {log.steps} steps of {step_value(log.step_ns)} s",
+        "end": _clock(start, log.end_ns / 1e9, log.steps, step_value(log.step_ns)),
         "content hash": log.recorded_hash,
         "schedule": ", ".join(log.schedule),
         "attachments": ", ".join(log.attachments),
@@ -143,25 +128,16 @@ def _about_run(log: Log, events: Sequence[SignalEvent], problems: dict[str, None
         "written by": ", ".join(versions) or None,
         "machine": ", ".join(machine) or None,
     }
-    if events:
-        about["events"] = _event_counts(events)
-    if "replay" in run:
-        with _noted(problems):
-            about["replay of"] = asdict(replay_origin(log))
-    return about
-
-
-def _event_counts(events: Sequence[SignalEvent]) -> str:
-    """Return how many events there are of each cause."""
     counts = Counter(event.cause for event in events)
     jumps = counts.pop("jump", 0)
-    texts = []
-    if counts:
-        causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
-        texts.append(f"{counts.total()} by overrides: {causes}")
-    if jumps:
-        texts.append(f"{jumps} jumps of continuous outputs")
-    return "; ".join(texts)
+    causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
+    texts = [f"{counts.total()} by overrides: {causes}"] if counts else []
+    texts += [f"{jumps} jumps of continuous outputs"] if jumps else []
+    return {**about, "events": "; ".join(texts)} if texts else about
+
+
+def _clock(start: float, stop: float, steps: int, step: object) -> str:
+    return f"{f'{start} s to ' if start else ''}{stop} s in {steps} steps of {step} s"
 
 
 def _event_row(event: SignalEvent) -> Section:
@@ -174,8 +150,8 @@ def _event_row(event: SignalEvent) -> Section:
     return {"t": event.time_ns / 1e9, "signal": signal, "cause": cause, "values": values}
 
 
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
+def _numbers(values: Iterable[float], separator: str = " ") -> str:
+    return separator.join(f"{value:.6g}" for value in values)
 
 
 def _substep_row(counts: SubstepCounts) -> Section:
@@ -192,24 +168,22 @@ def _substep_row(counts: SubstepCounts) -> Section:
 
 
 def _certificate(log: Log) -> Section:
-    """Return the certificate of the run, where it has one."""
-    if recorded_certificate(log) is None:  # a summary reads all signals
+    """Return the certificate of a run, where it has one."""
+    if record.recorded_certificate(log) is None:  # a summary reads all signals
         return {}
     certificate = certificate_of(log, summarize(log))
     assert certificate is not None
+    notes = enumerate(certificate.notes(), start=1)
     about: Section = {
         "step": f"{certificate.step:g} s",
         "others": ", ".join(f"{step:g} s" for step in certificate.finer_steps),
         "problem": certificate.problem or None,
         **dict(certificate.search()),
+        **{share.estimate: str(share) for share in certificate.shares},
+        **{f"note {number}": note for number, note in notes},
     }
-    for share in certificate.shares:
-        about[share.estimate] = str(share)
-    for number, note in enumerate(certificate.notes(), start=1):
-        about[f"note {number}"] = note
-    rows: list[Section] = []
-    for signal in certificate.signals:
-        row = {
+    rows = [
+        {
             "signal": signal.signal,
             "largest": _digits(signal.largest),
             "t": signal.time,
@@ -218,7 +192,8 @@ def _certificate(log: Log) -> Section:
             "at most": _digits(signal.bound) if signal.is_bounded else None,
             "no estimate": signal.reason or None,
         }
-        rows.append(row)
+        for signal in certificate.signals
+    ]
     return {"certificate": about, "error of the step": rows}
 
 
@@ -237,9 +212,10 @@ def _messages(log: Log) -> Section:
             kept.append(message)
         else:
             more += 1
-    rows = []
-    for time_ns, level, source, text in sorted(kept, key=lambda message: message.time_ns):
-        rows.append({"t": time_ns / 1e9, "level": level, "from": source, "text": text})
+    rows = [
+        {"t": time_ns / 1e9, "level": level, "from": source, "text": text}
+        for time_ns, level, source, text in sorted(kept, key=lambda message: message.time_ns)
+    ]
     return _limited("messages", rows, MOST_MESSAGES, more)
 
 
@@ -267,15 +243,21 @@ def describe_recording(path: str) -> Section:
         last = max(spacing.last_ns for spacing in spacings)
         about["log times"] = f"{_seconds(first)} s to {_seconds(last)} s"
         about["duration"] = f"{_seconds(last - first)} s"
-    fields: list[Section] = []
-    for topic in topics:
-        for name, type_name in topic.fields.items():
-            fields.append({"field": name, "type": type_name})
+    fields = [
+        {"field": name, "type": type_name}
+        for topic in topics
+        for name, type_name in topic.fields.items()
+    ]
     content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": fields}
     content |= _limited("fields", fields, MOST_FIELDS)
-    problems = [{"topic": topic.topic, "problem": topic.problem} for topic in topics]
-    unread = [row for row in problems if row["problem"]]
-    return {**content, "not read": unread} if unread else content
+    problems = {topic.topic: topic.problem for topic in topics if topic.problem}
+    return {**content, **_unread("topic", problems)}
+
+
+def _unread(what: str, problems: Mapping[str, str]) -> Section:
+    """Return the section of what could not be read, and why, if there is any."""
+    rows = [{what: name, "problem": problem} for name, problem in problems.items()]
+    return {"not read": rows} if rows else {}
 
 
 def _topic_row(topic: TopicSurvey) -> Section:
@@ -286,11 +268,7 @@ def _topic_row(topic: TopicSurvey) -> Section:
         "encoding": topic.encoding,
         "schema": f"{topic.schema}{encoding}" or None,
         "messages": 0,
-        "rate": None,
-        "out of order": None,
-        "same instant": None,
-        "largest gap": None,
-        "at": None,
+        **dict.fromkeys(("rate", "out of order", "same instant", "largest gap", "at")),
     }
     if spacing is not None:
         row |= {
@@ -306,9 +284,7 @@ def _topic_row(topic: TopicSurvey) -> Section:
 
 def _seconds(time_ns: int) -> str:
     """Return a time in ns as seconds, with all its digits."""
-    sign = "-" if time_ns < 0 else ""
-    whole, rest = divmod(abs(time_ns), NANOSECONDS)
-    return f"{sign}{whole}.{rest:09d}".rstrip("0").rstrip(".")
+    return f"{Decimal(time_ns).scaleb(-9).normalize():f}"
 
 
 def describe_samples(source: str) -> Section:
@@ -330,22 +306,21 @@ def describe_samples(source: str) -> Section:
     }
     if data.diagnostics:
         about["note"] = "; ".join(data.diagnostics)
-    signals: list[Section] = []
-    for signal in data.signals:
-        row = {
+    signals = [
+        {
             "signal": signal.name,
             "size": signal.values.shape[1],
             "unit": _joined(signal.unit),
             "not measured": int(np.isnan(signal.values).any(axis=1).sum()),
         }
-        signals.append(row)
-    reading = []
-    for what, found, reason, key in data.reading:
-        reading.append({"read as": what, "found": found, "why": reason, "key": key or None})
+        for signal in data.signals
+    ]
+    reading = [
+        {"read as": what, "found": found, "why": reason, "key": key or None}
+        for what, found, reason, key in data.reading
+    ]
     content = {"samples": about, "signals": signals, "reading": reading}
-    if unread:
-        content["not read"] = [{"signal": name, "problem": unread[name]} for name in unread]
-    return content
+    return {**content, **_unread("signal", unread)}
 
 
 def _joined(unit: Sequence[str] | None) -> str | None:
@@ -363,13 +338,13 @@ def describe_scenario(name: str) -> Section:
     described = describe(find(name))
     loaded = described.scenario
     graph = described.graph
+    clock = described.clock
     settings = loaded.file.scenario
-    since = f"{settings.start_time} s to " if settings.start_time else ""
     stages = [] if graph is None else [stage.description for stage in graph.stages]
     about = {
         "name": settings.name,
         "description": settings.description or None,
-        "clock": f"{since}{settings.stop} s in {described.clock.steps} steps of {settings.step} s",
+        "clock": _clock(settings.start_time, settings.stop, clock.steps, settings.step),
         "until": settings.until,
         "schedule": ", ".join(stages) or "not known, as the ports of some components are not",
     }
@@ -377,7 +352,7 @@ def describe_scenario(name: str) -> Section:
     for component, spec in loaded.specs.items():
         known = described.components.get(component)
         signals += _signal_rows(component, spec.kind, None if known is None else known.interface)
-    gains = () if graph is None else described_gains(graph, described.clock)
+    gains = () if graph is None else described_gains(graph, clock)
     content = {
         "scenario": about,
         "loops": [gain_values(gain) for gain in gains],
@@ -401,15 +376,30 @@ def _action_row(action: ActionTable) -> Section:
 
 
 def _connection_rows(described: DescribedScenario) -> list[Section]:
-    """Return the connections; of inputs that nothing drives their start values."""
+    """Return the connections; of inputs that nothing drives their start values.
+
+    Where the ports of some components are not known, the connections are as they are written.
+    """
     graph = described.graph
     if graph is None:
-        return [_connection_row(*written) for written in described.scenario.connections.items()]
-    rows = [_connection_row(*connection, graph) for connection in graph.connections.items()]
+        written = described.scenario.connections.items()
+        return [_connection_row(*one, unit=_joined(one[1].unit)) for one in written]
+    rows = []
+    for to, connection in graph.connections.items():
+        unit = _joined(connection.unit)
+        sources = [graph.ports.output(port) for port in connection.sources]
+        of_sources = element_units(connection, sources, graph.ports.input(to))
+        units = list(chain.from_iterable(of_sources))
+        if connection.unit != AS_IS:
+            unit = _distinct(one.reached.name for one in units) or None
+        made = [str(one) for one in graph.conversions.get(to, ()) if not one.copies]
+        if made:
+            unit = f"{unit} -> {_distinct(one.target.name for one in units)}"
+        rows.append(_connection_row(to, connection, unit=unit, conversion=_distinct(made) or None))
     for to, values in graph.unconnected.items():
         row = {
             "to": str(to),
-            "from": f"start value {', '.join(f'{value:.6g}' for value in values)}",
+            "from": f"start value {_numbers(values, ', ')}",
             "map": None,
             "unit": units_text(graph.ports.input(to).measures) or None,
             "conversion": None,
@@ -418,24 +408,9 @@ def _connection_rows(described: DescribedScenario) -> list[Section]:
     return rows
 
 
-def _connection_row(to: Port, connection: Connection, graph: Graph | None = None) -> Section:
-    """Describe one connection: its map and its unit conversions, where it has them.
-
-    Without a graph as it is written, as the ports at its ends need not be known.
-    """
-    unit = _joined(connection.unit)
-    conversions: dict[str, None] = {}
-    if graph is not None:
-        sources = [graph.ports.output(port) for port in connection.sources]
-        of_sources = element_units(connection, sources, graph.ports.input(to))
-        units = list(chain.from_iterable(of_sources))
-        if connection.unit != AS_IS:
-            unit = _distinct(one.reached.name for one in units) or None
-        for conversion in graph.conversions.get(to, ()):
-            if not conversion.copies:
-                conversions[str(conversion)] = None
-        if conversions:
-            unit = f"{unit} -> {_distinct(one.target.name for one in units)}"
+def _connection_row(
+    to: Port, connection: Connection, *, unit: str | None, conversion: str | None = None
+) -> Section:
     gain = connection.matrix
     expression = f"{gain.tolist()} v" if gain.ndim or gain != 1.0 else "v"
     if connection.offset:
@@ -446,7 +421,7 @@ def _connection_row(to: Port, connection: Connection, graph: Graph | None = None
         "from": connection.label,
         "map": None if expression == "v" else expression,  # of the source's value v
         "unit": unit,
-        "conversion": ", ".join(conversions) or None,
+        "conversion": conversion,
     }
 
 
@@ -462,9 +437,8 @@ def _signal_rows(component: str, kind: str, interface: Interface | None) -> Iter
         )
         yield {**row, "signal": component, "role": "ports not known", "kind": kind}
         return
-    roles = [(signal, "input") for signal in interface.inputs]
-    roles += [(signal, signal.role) for signal in interface.outputs]
-    for signal, role in roles:
+    inputs = [(signal, "input") for signal in interface.inputs]
+    for signal, role in (*inputs, *((signal, signal.role) for signal in interface.outputs)):
         yield {
             "signal": f"{component}.{signal.name}",
             "role": role,

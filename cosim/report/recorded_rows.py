@@ -12,9 +12,8 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun, RecordedWindow
-from cosim.core.recorded.signals import find_signal
+from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import Recording
-from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
 from cosim.instants import NANOSECONDS
 from cosim.scenario.record import component_record
@@ -23,46 +22,29 @@ from cosim.units import Unit, conversions_between, units_text
 _PART_STEPS: Final = 2**17  # of a run that are looked at together
 
 
-def signal_of(recording: Recording, port: str) -> Signal:
-    """Return the signal of a recorded port, which may name some of its elements.
+def recorded_port(recording: Recording, port: str) -> RecordedPort:
+    """Return a recorded port, which may name some of the elements of a signal.
 
     Raises
     ------
     UnknownSignalError
         If there is none.
     """
-    return find_signal(recording.channels, port, source="the recording").signal
+    return find_signal(recording.channels, port, source=recording.label)
 
 
 def element_names(port: str, size: int) -> list[str]:
-    """Return the names of the elements of a port, numbered as in its signal; a scalar's is its own.
-
-    Parameters
-    ----------
-    port : str
-    size : int
-        Number of its elements.
-    """
+    """Return the names of a port's elements, numbered as in its signal; a scalar's is its own."""
     return Port.parse(port).element_names(size)
 
 
 def has_signal(recording: Recording, port: str) -> bool:
     """Return whether a port was recorded."""
     try:
-        signal_of(recording, port)
+        recorded_port(recording, port)
     except UnknownSignalError:
         return False
     return True
-
-
-def time_ns_of(recording: Recording, port: str) -> Nanoseconds:
-    """Return the instants of the rows of a port, shape (N,) [ns]."""
-    return recording.time_ns(Port.parse(port).component)
-
-
-def units_of(recording: Recording, port: str) -> tuple[Unit, ...]:
-    """Return the units of the elements of a port."""
-    return find_signal(recording.channels, port, source="the recording").measures
 
 
 def rows_of(recording: Recording, port: str, *, like: Sequence[Unit] | None = None) -> Matrix:
@@ -85,7 +67,7 @@ def rows_of(recording: Recording, port: str, *, like: Sequence[Unit] | None = No
     if like is None:
         return rows
     columns = []
-    conversions = conversions_between(units_of(recording, port), like)
+    conversions = conversions_between(recorded_port(recording, port).measures, like)
     for values, convert in zip(rows.T, conversions, strict=True):
         if convert is None:
             raise LogError(f"{port!r} has a unit incompatible with {units_text(like)!r}")
@@ -95,8 +77,8 @@ def rows_of(recording: Recording, port: str, *, like: Sequence[Unit] | None = No
 
 def stacked_units(recording: Recording, ports: Sequence[str], like: str) -> list[tuple[Unit, ...]]:
     """Return for each of several ports side by side the units of what another has there."""
-    units = iter(units_of(recording, like))
-    return [tuple(islice(units, len(units_of(recording, port)))) for port in ports]
+    units = iter(recorded_port(recording, like).measures)
+    return [tuple(islice(units, recorded_port(recording, port).size)) for port in ports]
 
 
 def stacked_rows_of(
@@ -109,15 +91,29 @@ def stacked_rows_of(
     tuple
         The instants [ns], shape (N,), and the rows there, shape (N, size of all).
     """
-    units = stacked_units(recording, ports, like)
-    times = time_ns_of(recording, ports[0])
-    rows = rows_of(recording, ports[0], like=units[0])
-    for port, port_units in zip(ports[1:], units[1:], strict=True):
-        port_rows = rows_of(recording, port, like=port_units)
-        port_times = time_ns_of(recording, port)
-        times, shared, port_shared = np.intersect1d(times, port_times, return_indices=True)
-        rows = np.hstack([rows[shared], port_rows[port_shared]])
+    first, *others = zip(ports, stacked_units(recording, ports, like), strict=True)
+    times, rows = _rows_in_time(recording, *first)
+    for port, units in others:
+        times, rows, beside = _shared((times, rows), _rows_in_time(recording, port, units))
+        rows = np.hstack([rows, beside])
     return times, rows
+
+
+def _rows_in_time(
+    recording: Recording, port: str, like: Sequence[Unit] | None = None
+) -> tuple[Nanoseconds, Matrix]:
+    times = recording.time_ns(Port.parse(port).component)
+    return times, rows_of(recording, port, like=like)
+
+
+def _shared(
+    first: tuple[Nanoseconds, Matrix], other: tuple[Nanoseconds, Matrix]
+) -> tuple[Nanoseconds, Matrix, Matrix]:
+    """Return the instants that two ports share [ns], and the rows of both there."""
+    if np.array_equal(first[0], other[0]):
+        return *first, other[1]
+    times, rows, other_rows = np.intersect1d(first[0], other[0], return_indices=True)
+    return times, first[1][rows], other[1][other_rows]
 
 
 def lag_of(recording: Recording, port: str) -> float:
@@ -146,14 +142,10 @@ def beside_truth(
         The instants of the estimate [ns], shape (N,), its rows and the true ones, shape (N, size).
     """
     true_ns, true_rows = stacked_rows_of(recording, true_ports, like=estimate)
-    own_ns = time_ns_of(recording, estimate)
-    own_rows = rows_of(recording, estimate)
+    own_ns, own_rows = _rows_in_time(recording, estimate)
     lag = lag_of(recording, estimate)
-    if not lag and np.array_equal(own_ns, true_ns):
-        return own_ns, own_rows, true_rows
     if not lag:
-        shared_ns, own, true = np.intersect1d(own_ns, true_ns, return_indices=True)
-        return shared_ns, own_rows[own], true_rows[true]
+        return _shared((own_ns, own_rows), (true_ns, true_rows))
     wanted = own_ns - lag * 1e9
     known = np.zeros(len(wanted), np.bool_)
     if len(true_ns):
@@ -169,10 +161,9 @@ def parts_beside_truth(
     if not isinstance(recording, RecordedRun) or recording.steps <= _PART_STEPS:
         yield beside_truth(recording, estimate, true_ports)
         return
-    ports = [estimate, *true_ports]
-    channels = [recording.channels[Port.parse(port).component] for port in ports]
+    ports = [recorded_port(recording, port) for port in (estimate, *true_ports)]
     # What is interpolated at a time has the rows around it.
-    margin_ns = ceil(max(channel.period for channel in channels) * recording.step_ns)
+    margin_ns = ceil(max(port.channel.period for port in ports) * recording.step_ns)
     before_ns = margin_ns + ceil(max(lag_of(recording, estimate), 0.0) * NANOSECONDS)
     span_ns = ceil(_PART_STEPS * recording.step_ns)
     for begin_ns in range(recording.grid.start_ns, recording.end_ns + 1, span_ns):
@@ -195,7 +186,7 @@ def last_row(recording: Recording, component: str) -> Vector | None:
     return last
 
 
-def difference(first: Recording, other: Recording, port: str) -> tuple[Matrix, Matrix]:
+def difference(first: Recording, other: Recording, port: str) -> tuple[Vector, Matrix]:
     """Compare a port of two recordings at the instants that they share.
 
     Returns
@@ -203,8 +194,5 @@ def difference(first: Recording, other: Recording, port: str) -> tuple[Matrix, M
     tuple
         The instants [s], shape (N,), and ``other - first`` there, shape (N, size).
     """
-    times, first_rows, other_rows = np.intersect1d(
-        time_ns_of(first, port), time_ns_of(other, port), return_indices=True
-    )
-    values = rows_of(other, port)[other_rows] - rows_of(first, port)[first_rows]
-    return times / 1e9, values
+    times, rows, other_rows = _shared(_rows_in_time(first, port), _rows_in_time(other, port))
+    return times / 1e9, other_rows - rows

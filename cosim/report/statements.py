@@ -2,8 +2,7 @@
 
 A log says many things twice: in its scenario, which a replay runs, and in its metadata, messages
 and results, which reports show. A replay computes the latter from the former, so what the two say
-is compared as two trees, sections of statements, with a few rules (``_agree``) for what may differ
-by rounding:
+is compared as two trees, made by one function, with a few rules by place (``_agree``):
 
 * of the run: name, start, step, stop, truth, schedule, connections, and whatever else
   ``cosim.run`` has; the overrides of its inputs, and what followed them;
@@ -28,10 +27,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from decimal import Decimal
-from typing import Any, Final, TypeAlias, final
+from itertools import chain, islice, zip_longest
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, DistinctWarnings
 from cosim.core.recorders import Memory
-from cosim.core.signals import Channel, element_names
+from cosim.core.signals import Channel
 from cosim.documents import plain
 from cosim.errors import quoted
 from cosim.log import Log
@@ -56,69 +56,60 @@ from cosim.scenario.record import (
     recorded_identification,
     recorded_substep_counts,
     recorded_warnings,
+    replay_origin,
     run_metadata,
 )
 from cosim.scenario.recordings.recorded_scenario import recorded_stop
 
-NOT_COMPARED = (
-    "designs of what was not recomputed, models from files and FMUs, error growth of loops, error "
-    "estimates, stop reason, machine and time, metadata of FMUs and files"
-)
-
-# of the record of the run: what a replay takes, has of its own, or is compared below
-_OTHER_KEYS = {"edits", "format", "replay", "stop", "warnings"}
+# of the record of the run: what a replay takes, has of its own, or is compared apart
+_OTHER_KEYS: Final = frozenset({"edits", "format", "replay", "stop", "warnings"})
 # what follows from components or signals that a replay may not have
-_OF_ALL_KEYS = {"truth", "first_order_loops", "loop_gains", "models"}
-_END_KEYS = ("status", "reason", "steps", "end_ns", "content_hash")
+_OF_ALL_KEYS: Final = frozenset({"truth", "first_order_loops", "loop_gains", "models"})
+# sections of which a replay may have less
+_OF_ALL: Final = ("connections", "schedule", "warnings", "last row", "verdicts")
+_END_KEYS: Final = ("status", "reason", "steps", "end_ns", "content_hash")
+_VERDICTS: Final = ("parameters", "estimate", "amplitudes", "undetected", "irregular")
+_SENTENCES: Final = {"reason", "text", "remedy", "problem", "unsolved"}  # of verdicts, or why none
 # what other processors make of the linear algebra behind a verdict, or a design
-_ESTIMATE_RTOL = 1e-6
-_OF_LARGEST = 1e-9  # of the largest entry of an array, in addition
+_ESTIMATE_RTOL: Final = 1e-6
+_OF_LARGEST: Final = 1e-9  # of the largest entry of an array, in addition
 # by how much linear programs may miss the ends of intervals, and more
-_GUARANTEED_RTOL = 1e-4
+_GUARANTEED_RTOL: Final = 1e-4
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
 # processor: by 1e-2 for n = 8.
-_EIGENVALUE_RTOL = 1e-2
-
-Tree: TypeAlias = Mapping[str, Mapping[str, Any]]  # what is said, by section and statement
+_EIGENVALUE_RTOL: Final = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """A statement of a log that does not follow from its scenario and rows."""
+    """A place in what a log says that does not follow from its scenario and rows.
+
+    Parameters
+    ----------
+    statement : str
+        The place: ``connections.observer.u``, ``component tables.plant.kind``, ...
+    found, expected
+        What the log and its replay have there; None: nothing.
+    """
 
     statement: str
     found: Any
     expected: Any
 
     def __str__(self) -> str:
-        place, found, expected = _first_difference(self.found, self.expected)
-        text = f"{self.statement}{place}: {quoted(found)} in the log"
-        return f"{text}, {quoted(expected)} in the replay"
-
-
-def _first_difference(found: Any, expected: Any) -> tuple[str, Any, Any]:
-    """Return where two lists differ first, and what they have there; of others the whole."""
-    are_lists = isinstance(found, list) and isinstance(expected, list) and found and expected
-    if not are_lists or isinstance(found[0], dict):  # of verdicts, which may differ by rounding
-        return "", found, expected
-    for number, (a, b) in enumerate(zip(found, expected, strict=False)):
-        if a != b:
-            return f", entry {number}", a, b
-    common = min(len(found), len(expected))
-    return f", from entry {common} on", found[common:], expected[common:]
+        found = quoted(self.found)
+        return f"{self.statement}: {found} in the log, {quoted(self.expected)} in the replay"
 
 
 @final
 class Statements:
-    """What a log says of its run, beside what its replay says.
+    """What a log says of its run, beside what its replay says; as text what of it is compared.
 
     Parameters
     ----------
     source : Log
     again : Log or Memory
         Its replay.
-    computed : collection of str
-        The components that were computed again.
     designs : mapping of name to Design, or None
         Those that the replay took from the log, computed anew; None: they are not compared.
 
@@ -129,139 +120,134 @@ class Statements:
     """
 
     def __init__(
-        self,
-        source: Log,
-        again: Log | Memory,
-        computed: Collection[str],
-        designs: Mapping[str, Design] | None,
+        self, source: Log, again: Log | Memory, designs: Mapping[str, Design] | None
     ) -> None:
         self._source = source
         self._again = again
-        self._known = declared_channels(again.channels)
         declared = declared_channels(source.channels)
-        self._computed = [name for name in self._known if name in computed and name in declared]
-        self._designs: Mapping[str, tuple[Design, Design]] | None = None
-        if designs is not None:
-            recorded = {**source.designs, **settings_designs(source)}
-            self._designs = {name: (recorded[name], anew) for name, anew in designs.items()}
+        self._known = declared_channels(again.channels)
+        copied = replay_origin(again).copied
+        self._computed = [n for n in self._known if n in declared and n not in copied]
         # whether the replay has all signals of the run
         self._has_all = _signals_of(self._known) == _signals_of(declared)
         # another version may say the same otherwise
         self._has_own_words = "cosim" not in environment_changes(source)
-        self._recorded = self._tree(source)
-        self._expected = self._tree(again)
+        recorded = {**source.designs, **settings_designs(source)}
+        # an earlier version of cosim had other arrays; a replay goes by those
+        self._older = [n for n, own in (designs or {}).items() if own.keys() != recorded[n].keys()]
+        anew = None if designs is None else {n: designs[n] for n in designs if n not in self._older}
+        self._found = self._tree(source, anew and {name: recorded[name] for name in anew})
+        self._expected = self._tree(again, anew)
+        for key in () if self._has_all else self._found.keys() & _OF_ALL:
+            found = self._found[key]
+            kept = [one for one in found if one in self._expected[key]]
+            self._found[key] = {k: found[k] for k in kept} if isinstance(found, dict) else kept
 
     def __str__(self) -> str:
-        """Return what is compared."""
-        sections = [name for name in self._recorded if name != "last row" or self._recorded[name]]
-        identified = recorded_identification(self._source).keys()
-        again = recorded_identification(self._again).keys()
-        if self._source.status == "unfinished" or not identified <= again:
-            sections.remove("verdicts")
+        sections = dict.fromkeys(self._expected)
+        identified, again = map(recorded_identification, (self._source, self._again))
+        if not identified.keys() <= again.keys():
+            sections.pop("verdicts", None)
+        text = ", ".join(sections)
+        if self._older:
+            kept = f"designs but that of {', '.join(self._older)}, of another version of cosim"
+            text = text.replace("designs", kept)
         of = "" if self._has_all else f"; as far as they concern {', '.join(self._again.channels)}"
-        return f"{', '.join(sections)}{of}"
+        return f"{text}{of}"
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield the statements of the log that its replay contradicts."""
-        for section, anew in self._expected.items():
-            said = self._recorded[section]
-            is_whole = self._has_all or section not in _OF_SIGNALS
-            for statement in {**anew, **said} if is_whole else anew:
-                none: Any = [] if section == "verdicts" else None
-                found: Any = said.get(statement, none)
-                expected: Any = anew.get(statement, none)
-                if section == "warnings" and not self._has_all:  # of what is not here there is none
-                    found = [one for one in found if one in expected]
-                if found != expected and not _agree(section, statement, found, expected):
-                    yield Contradiction(statement, found, expected)
+        """Yield the places where the log says something else than its replay."""
         for statement, found, expected in self._said_twice():
             if found != expected:
                 yield Contradiction(statement, found, expected)
-        yield from self._other_designs()
+        yield from _differences(self._found, self._expected)
 
     def _said_twice(self) -> Iterator[tuple[str, Any, Any]]:
-        """Yield what the log says a second time itself, or by its table and rows."""
+        """Yield what the log says a second time itself, or by its tables and rows."""
         source = self._source
         stop = repr(recorded_stop(source))
-        yield "stop", run_metadata(source).get("stop"), stop
+        yield "times.stop", run_metadata(source).get("stop"), stop
         if source.status == "complete" and not source.reason:
             yield "end of the run [ns]", source.end_ns, int(Decimal(stop).scaleb(9))
         step = source.metadata.get("cosim.schedule", {}).get("step_ns")
-        yield "step of the schedule [ns]", step, str(source.step_ns)
+        yield "schedule.step_ns", step, str(source.step_ns)
         if self._has_own_words and source.status == "complete":
             noted = {warning[1:] for warning in source.warnings}
             warned = {one[1:] for one in DistinctWarnings(source.messages())}
             if len(noted) < MOST_WARNINGS:
-                yield f"{WARNINGS} in {RESULT_FILE}", sorted(noted), sorted(warned)
-        if source.status == "unfinished":
-            return
-        if not source.results:
-            yield RESULT_FILE, None, "how the run ended, and its last row"
-            return
+                yield f"{RESULT_FILE}.{WARNINGS}", sorted(noted), sorted(warned)
         for key in _END_KEYS:
             value = source.results.get(key)
             text = value if value is None else str(value)
-            yield f"{key} in {RESULT_FILE}", text, source.metadata[RESULT].get(key)
+            yield f"{RESULT_FILE}.{key}", text, source.metadata.get(RESULT, {}).get(key)
 
-    def _other_designs(self) -> Iterator[Contradiction]:
-        """Yield the first entry of each design that is another one than what was computed anew.
-
-        One of an earlier version of cosim may have other arrays; a replay goes by those.
-        """
-        for name, (recorded, design) in (self._designs or {}).items():
-            for key, anew in design.items() if recorded.keys() == design.keys() else ():
-                found = recorded[key]
-                scale = _OF_LARGEST * np.abs(anew).max(initial=0.0)
-                near = np.isclose(found, anew, rtol=_ESTIMATE_RTOL, atol=scale, equal_nan=True)
-                if not near.all():
-                    place = tuple(np.argwhere(~near)[0].tolist())
-                    entry = "".join(f"[{index}]" for index in place)
-                    about = f"design of {name!r}: {key}{entry}"
-                    yield Contradiction(about, found[place].item(), anew[place].item())
-                    break
-
-    def _tree(self, run: Log | Memory) -> Tree:
-        """Return what a run, the log or its replay, says of what both may have."""
+    def _tree(
+        self, run: Log | Memory, designs: Mapping[str, Design] | None
+    ) -> dict[str, dict[str, Any] | list[Any]]:
+        """Return what a run, the log or its replay, says of what both may have, by section."""
         of_run = run_metadata(run)
-        connections = run.metadata.get("cosim.connections", {})
-        tree: dict[str, dict[str, Any]] = {}
+        tree: dict[str, dict[str, Any] | list[Any]] = {}
+        schedule = list(run.schedule)
         if self._has_all:
-            tree["truth"] = {key: of_run[key] for key in of_run if key in _OF_ALL_KEYS}
-        tree["connections"] = {f"connection to {to!r}": text for to, text in connections.items()}
-        tree["schedule"] = {"stages": self._stages(run)}
-        known = _OTHER_KEYS | _OF_ALL_KEYS
-        tree["times"] = {key: of_run[key] for key in sorted(of_run) if key not in known}
-        tables = dict(self._of_components(run))
-        metadata: dict[str, Any] = {}
-        for name in self._computed:
-            table = component_table(run, name)
-            metadata |= {f"{key} of {name!r}": value for key, value in table.items()}
-        # whatever a component calls its metadata: they hide no table
-        tree["component tables"] = {**tables, **metadata, **tables}
-        if self._designs is not None:
-            pairs = self._designs.items()
-            others = [name for name, (old, anew) in pairs if old.keys() != anew.keys()]
-            kept = f" but that of {', '.join(others)}, of another version of cosim"
-            tree[f"designs{kept if others else ''}"] = {}
-        tree["overrides"] = {"overrides": self._event_bits(run)}
-        tree["substeps"] = dict(self._of_substeps(run))
+            tree["truth"] = {key: text for key, text in of_run.items() if key in _OF_ALL_KEYS}
+        else:  # of stages that do not depend on each other, others decide on the order
+            schedule = sorted(one for one in schedule if set(self._computed) & set(one.split()))
+        omitted = _OTHER_KEYS | _OF_ALL_KEYS
+        tree["connections"] = dict(run.metadata.get("cosim.connections", {}))
+        tree["schedule"] = schedule
+        tree["times"] = {key: text for key, text in of_run.items() if key not in omitted}
+        tree["component tables"] = {name: self._component(run, name) for name in self._known}
+        if designs is not None:
+            tree["designs"] = {
+                name: {key: array.tolist() for key, array in own.items()}
+                for name, own in designs.items()
+            }
+        tree["overrides"] = self._events(run)
+        tree["substeps"] = self._substeps(run)
         if self._has_own_words:
+            texts = [("recorded", *warning) for warning in recorded_warnings(run)]
             # "run" is how the run ended: a replay ends where the log does, whatever the reason
-            named = [message for message in run.messages() if message.source != "run"]
-            messages = [(message.source, message.text) for message in named]
-            tree["warnings"] = {"warnings": recorded_warnings(run), "messages": messages}
-            for what, entries in tree["warnings"].items():
-                own = [entry for entry in entries if entry[0] in self._computed]
-                tree["warnings"][what] = own
-        if self._source.status not in ("unfinished", PARTIAL_STATUS):
-            # a part has none, or that of the whole run
-            tree["last row"] = self._last_row(run)
-        tree["verdicts"] = dict(self._verdicts(run))
+            named = [one for one in run.messages() if one.source != "run"]
+            texts += [("message", one.source, one.text) for one in named]
+            tree["warnings"] = [text for text in texts if text[1] in self._computed]
+        source = self._source
+        if source.status == "unfinished":
+            return tree
+        is_part = source.status == PARTIAL_STATUS  # whose last row is that of the whole run
+        if source.status == "complete" or not (is_part or source.results.get("last") is None):
+            last = run.results.get("last")
+            items = last.items() if isinstance(last, dict) else ()
+            tree["last row"] = {k: v for k, v in items if run is source or k in source}
+        tree["verdicts"] = verdicts = {}
+        # a log without any says nothing false of identifiers
+        judged = run if recorded_identification(source) else source
+        for name, verdict in recorded_identification(judged).items():
+            own = plain(verdict)
+            said = {key: own[key] for key in _VERDICTS if own.get(key)}
+            if said:
+                verdicts[name] = said
         return tree
 
-    def _event_bits(self, run: Log | Memory) -> list[tuple[Any, ...]]:
+    def _component(self, run: Log | Memory, name: str) -> dict[str, Any]:
+        own = component_metadata(run, name)
+        kinds = self._source.kinds  # the log has it with the channels, too
+        kind = kinds.get(name) if run is self._source else json.loads(own["table"])["kind"]
+        said = {"table": own.get("table"), "kind": kind}
+        if name not in self._computed:
+            return said
+        interface = declared_channels(run.channels)[name].interface
+        return said | {
+            "fingerprint": own.get("fingerprint"),
+            "held": run.held[name].tolist(),
+            "signals": json.loads(signals_json(interface)),
+            "initial": dict(interface.initial),
+            "delayed": interface.delayed,
+            "metadata": component_table(run, name),
+        }
+
+    def _events(self, run: Log | Memory) -> list[tuple[Any, ...]]:
         """Return the jumps that the replay may have, to the last bit; NaN is equal to itself so."""
-        events: list[tuple[Any, ...]] = []
+        events = []
         for event in run.events():
             port = Port.parse(event.signal)
             channel = self._known.get(port.component)
@@ -269,84 +255,25 @@ class Statements:
                 event.cause in OF_COMPONENTS or port.find(channel.by_name) is not None
             )
             if self._has_all or is_known:
-                values = tuple(value.hex() for value in (*event.values, *event.parameters))
-                events.append((event.time_ns, event.cause, event.signal, values))
+                bits = [[value.hex() for value in values] for values in event[3:]]
+                events.append((*event[:3], *bits))
         return events
 
-    def _stages(self, run: Log | Memory) -> list[str]:
-        stages = list(run.schedule)
-        if self._has_all:
-            return stages
-        own = [one for one in self._again.schedule if set(self._computed).intersection(one.split())]
-        # of those that do not depend on each other, others decide on the order
-        return sorted(set(stages).intersection(own))
-
-    def _of_components(self, run: Log | Memory) -> Iterator[tuple[str, Any]]:
-        for name in self._known:
-            own = component_metadata(run, name)
-            yield f"table of {name!r}", own.get("table")
-            # the log has it with the channels, too; a replay in memory has none
-            of_log = run is self._source
-            kind = self._source.kinds.get(name) if of_log else json.loads(own["table"])["kind"]
-            yield f"kind of {name!r}", kind
-        declared = declared_channels(run.channels)
-        for name in self._computed:
-            own = component_metadata(run, name)
-            yield f"tables that {name!r} rests on", own.get("fingerprint")
-            yield f"held inputs of {name!r}", run.held[name].tolist()
-            interface = declared[name].interface
-            signals = signals_json(interface), dict(interface.initial), tuple(interface.delayed)
-            yield f"signals of {name!r}", signals
-
-    def _of_substeps(self, run: Log | Memory) -> Iterator[tuple[str, Any]]:
-        counts = recorded_substep_counts(run)
-        # a run that was stopped may have taken some beyond its end
-        substeps = [one for one in run.substeps() if one.begin_ns < self._source.end_ns]
-        if not self._has_all:
-            there = [own.components for own in recorded_substep_counts(self._again)]
-            counts = tuple(own for own in counts if own.components in there)
-            loops = {components[0] for components in there}
-            substeps = [one for one in substeps if one.loop in loops]
-        yield "number of substeps", len(substeps)
-        for substep in substeps:
-            about = f"substep of the loop of {substep.loop!r} at t = {substep.begin} s"
-            if not substep.accepted:
-                about += f", refused at {substep.end} s"
-            yield about, substep._replace(values=())
-            for number, value in enumerate(substep.values):
-                yield f"{about}: value {number}", value.hex()
-        if self._source.status != "complete" or not self._source.results:
-            return
-        what = f"counts of substeps in {RESULT_FILE}"
-        yield f"{what}: loops", [list(own.components) for own in counts]
-        for own in counts:
-            _, *figures = asdict(own).items()
-            for key, value in figures:
-                yield f"{what}: loop of {own.components[0]!r}, {key}", value
-
-    def _last_row(self, run: Log | Memory) -> dict[str, Any]:
-        last = self._source.results.get("last")
-        has_failed = self._source.status in ("failed", "interrupted")
-        if not self._source.results or (last is None and has_failed):  # on a full disk
-            return {}
-        labels = set(last) if isinstance(last, dict) else set()
-        for name, channel in self._source.channels.items():
-            labels |= {f"{name}.{element}" for element in element_names(channel.signals)}
-        own = run.results.get("last")
-        items = own.items() if isinstance(own, dict) else ()
-        what = f"last row in {RESULT_FILE}"
-        return {f"{what}: {label}": value for label, value in items if label in labels}
-
-    def _verdicts(self, run: Log | Memory) -> Iterator[tuple[str, Any]]:
-        """Yield what is said of identifiers; a log without any says nothing false of them."""
-        if not recorded_identification(self._source):
-            return
-        for name, said in recorded_identification(run).items():
-            own = _compared(plain(said))
-            yield f"verdicts on {name!r}", [*own["parameters"], *own["estimate"]]
-            yield f"amplitudes of {name!r}", own["amplitudes"]
-            yield f"undetected errors of {name!r}", own["undetected"]
-            yield f"guaranteed intervals of {name!r}", own.get("irregular", [])
+    def _substeps(self, run: Log | Memory) -> dict[str, Any]:
+        """Return the substeps of the loops that both may have, and what is counted of them."""
+        there = [own.components for own in recorded_substep_counts(self._again)]
+        steps: dict[str, list[dict[str, Any]]] = {}
+        for one in run.substeps():
+            # a run that was stopped may have taken some beyond its end
+            is_within = one.begin_ns < self._source.end_ns
+            if is_within and (self._has_all or one.loop in (names[0] for names in there)):
+                own = steps.setdefault(f"loop of {one.loop!r} at t = {one.begin} s", [])
+                own.append({**one._asdict(), "values": [value.hex() for value in one.values]})
+        counts = []
+        if self._source.status == "complete" and self._source.results:
+            counts = [asdict(own) for own in recorded_substep_counts(run)]
+        kept = [own for own in counts if self._has_all or own["components"] in there]
+        return {**steps, "counts": kept}
 
 
 def _signals_of(channels: Mapping[str, Channel]) -> set[tuple[str, str]]:
@@ -355,45 +282,46 @@ def _signals_of(channels: Mapping[str, Channel]) -> set[tuple[str, str]]:
 
 # --- rules ---
 
-_OF_SIGNALS: Final = {"connections", "last row", "verdicts"}  # a partial log may have more
-_NOT_COMPARED: Final = {"reason", "text", "remedy", "problem", "unsolved"}  # of verdicts
 
-
-def _agree(section: str, statement: str, found: Any, expected: Any) -> bool:
-    """Return whether a section may have something else than what a statement should say."""
-    if section == "component tables":
-        figure, _, _ = statement.partition(" of '")
-        return figure in EIGENVALUE_FIGURES and _are_close(found, expected)
-    if section != "verdicts":
-        return False
-    if not (found or statement.startswith("verdicts on ")):
-        return True  # older logs have not all of them
-    is_interval = statement.startswith("guaranteed intervals of ")
-    return _are_near(found, expected, _GUARANTEED_RTOL if is_interval else _ESTIMATE_RTOL)
-
-
-def _compared(value: Any) -> Any:
-    """Return what is compared of verdicts: no sentences, and not why there are none."""
-    match value:
-        case dict():
-            return {k: _compared(item) for k, item in value.items() if k not in _NOT_COMPARED}
-        case list():
-            return list(map(_compared, value))
-    return value
-
-
-def _are_near(found: Any, expected: Any, rtol: float) -> bool:
-    """Return whether verdicts are equal, and their numbers equal but for rounding."""
+def _differences(found: Any, expected: Any, *place: str | int) -> Iterator[Contradiction]:
+    """Yield the places where two trees differ, of a list the first; ``...`` is nothing."""
     match found, expected:
-        case dict(), dict():
-            keys = {*found, *expected}
-            return all(_are_near(found.get(key), expected.get(key), rtol) for key in keys)
-        case list(), list():
-            pairs = zip(found, expected, strict=False)
-            return len(found) == len(expected) and all(_are_near(a, b, rtol) for a, b in pairs)
-        case float(), float():
-            return math.isclose(found, expected, rel_tol=rtol, abs_tol=1e-12)
-    return bool(found == expected)
+        case _ if _agree(place, found, expected):
+            return
+        case Mapping(), Mapping():
+            for key in {**expected, **found}:
+                yield from _differences(found.get(key, ...), expected.get(key, ...), *place, key)
+        case [*_], [*_] if place[-1] not in EIGENVALUE_FIGURES:
+            pairs = enumerate(zip_longest(found, expected, fillvalue=...))
+            places = chain.from_iterable(_differences(a, b, *place, k) for k, (a, b) in pairs)
+            yield from islice(places, 1)
+        case _:
+            values = [None if value is ... else value for value in (found, expected)]
+            yield Contradiction(".".join(map(str, place)), *values)
+
+
+def _agree(place: tuple[str | int, ...], found: Any, expected: Any) -> bool:
+    """Return whether a log may have at a place what it has there."""
+    if found == expected:
+        return True
+    rtol = 0.0
+    match place:
+        case ("component tables", _, "metadata", figure) if figure in EIGENVALUE_FIGURES:
+            return _are_close(found, expected)
+        case ("designs", _, _) if np.shape(found) == np.shape(expected):
+            scale = _OF_LARGEST * np.abs(expected).max(initial=0.0)
+            near = np.isclose(found, expected, rtol=_ESTIMATE_RTOL, atol=scale, equal_nan=True)
+            return bool(near.all())
+        case ("verdicts", _, *_, key) if key in _SENTENCES:
+            return True
+        case ("verdicts", _, "amplitudes" | "undetected" | "irregular") if found is ...:
+            return True  # older logs have not all of them
+        case ("verdicts", _, "irregular", *_):
+            rtol = _GUARANTEED_RTOL
+        case ("verdicts", *_):
+            rtol = _ESTIMATE_RTOL
+    are_numbers = isinstance(found, float) and isinstance(expected, float)
+    return are_numbers and math.isclose(found, expected, rel_tol=rtol, abs_tol=min(rtol, 1e-12))
 
 
 def _are_close(found: Any, expected: Any) -> bool:

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.port import named_ports
 from cosim.core.recorded.partial import declared_channels, is_recorded_whole
@@ -20,14 +21,7 @@ from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage, find_signal
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
-from cosim.report.estimators import (
-    CompensationSummary,
-    DeltaReconstruction,
-    Identification,
-    summarize_compensation,
-    summarize_identification,
-    summarize_reconstruction,
-)
+from cosim.report import estimators
 from cosim.report.recorded_rows import (
     element_names,
     lag_of,
@@ -130,9 +124,9 @@ class Summary:
     reason: str = ""
     signals: tuple[SignalError, ...] = ()
     values: tuple[ValueOutcome, ...] = ()
-    identifications: tuple[Identification, ...] = ()
-    reconstructions: tuple[DeltaReconstruction, ...] = ()
-    compensations: tuple[CompensationSummary, ...] = ()
+    identifications: tuple[estimators.Identification, ...] = ()
+    reconstructions: tuple[estimators.DeltaReconstruction, ...] = ()
+    compensations: tuple[estimators.CompensationSummary, ...] = ()
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
     gains: tuple[LoopGain, ...] = ()
@@ -172,28 +166,31 @@ def summarize(recording: RecordedRun) -> Summary:
     LogError
         If what was recorded of the run cannot be understood.
     """
-    channels = recording.channels
     run = record.run_metadata(recording)
     truth = record.truth_of(recording)
     verdicts = record.recorded_identification(recording)
     identifications = []
     reconstructions = []
     compensations = []
-    since = 0.0
-    unknown: set[str] = set()  # estimates on which nothing in the data depends
-    for name in declared_channels(channels):
-        about = record.component_record(recording, name)
-        if about.is_identifier:
-            verdict = verdicts.get(name, record.IdentifierVerdicts())
-            identification = summarize_identification(recording, name, about, verdict)
-            identifications.append(identification)
-            since = max(since, about.start_time)
-            unknown.update(one.name for one in identification.parameters if one.value is None)
-        if about.reconstruction is not None:
-            design = about.reconstruction
-            reconstructions.append(summarize_reconstruction(recording, name, about, design))
-        if about.compensation is not None and is_recorded_whole(channels, name):
-            compensations.append(summarize_compensation(recording, name, about.compensation))
+    copied = record.replay_origin(recording).copied if "replay" in run else ()
+    copied_code = {}
+    for name in declared_channels(recording.channels):
+        own = record.component_record(recording, name)
+        if own.is_identifier:
+            found = verdicts.get(name, record.IdentifierVerdicts())
+            identifications.append(estimators.identification(recording, name, own, found))
+        if own.reconstruction is not None:
+            reconstructions.append(estimators.reconstruction(recording, name, own))
+        if own.compensation is not None and is_recorded_whole(recording.channels, name):
+            compensations.append(estimators.compensation(recording, name, own.compensation))
+        if own.code is not None and name in copied:
+            copied_code[name] = own.code.class_name
+    end = recording.end_ns / 1e9
+    since = max([0.0, *(one.start_time for one in identifications)])
+    if end < since:
+        since = 0.0
+    judged = chain.from_iterable(one.parameters for one in identifications)
+    unknown = {one.name for one in judged if one.value is None}  # nothing in the data depends on it
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
@@ -201,7 +198,9 @@ def summarize(recording: RecordedRun) -> Summary:
         if ports:
             signals.append(_signal_error(recording, estimate, ports, since))
         else:
-            values += _value_outcomes(recording, estimate, np.atleast_1d(true), unknown)
+            values += _value_outcomes(
+                recording, estimate, np.array(true, np.float64, ndmin=1).tolist(), unknown
+            )
     changed_states: list[record.StateChange] = []
     for name, changes in record.recorded_state_changes(recording).items():
         changed_states += (replace(change, component=name) for change in changes)
@@ -211,7 +210,7 @@ def summarize(recording: RecordedRun) -> Summary:
     return Summary(
         scenario=run.get("scenario", ""),
         start=record.recorded_start(recording) if window is None else window[0],
-        end=recording.end_ns / 1e9,
+        end=end,
         steps=recording.steps,
         status=recording.status,
         reason=recording.reason,
@@ -220,14 +219,14 @@ def summarize(recording: RecordedRun) -> Summary:
         identifications=tuple(identifications),
         reconstructions=tuple(reconstructions),
         compensations=tuple(compensations),
-        last={} if truth else _last_values(recording),
+        last={} if truth else dict(_last_values(recording)),
         loops=tuple(record.first_order_loops(recording)),
         gains=record.recorded_loop_gains(recording),
         substeps=substeps,
         interpolated=tuple(_interpolated(recording, counts.components) for counts in substeps),
         changed_states=tuple(changed_states),
-        copied_code=_copied_code(recording),
-        until=run.get("until") if came_true is not None else None,
+        copied_code=copied_code,
+        until=None if came_true is None else run.get("until"),
         until_came_true=came_true,
         never_came_true=record.never_came_true(recording),
         lateness=record.recorded_lateness(recording),
@@ -255,28 +254,15 @@ def _interpolated(recording: Recording, loop: Collection[str]) -> tuple[str, ...
     return tuple(found)
 
 
-def _copied_code(recording: Recording) -> dict[str, str]:
-    """Return the components of users' classes that a replay did not compute."""
-    classes: dict[str, str] = {}
-    if "replay" in record.run_metadata(recording):
-        for name in record.replay_origin(recording).copied:
-            code = record.component_record(recording, name).code
-            if code is not None:
-                classes[name] = code.class_name
-    return classes
-
-
-def _last_values(recording: Recording) -> dict[str, float | list[float]]:
-    last: dict[str, float | list[float]] = {}
+def _last_values(recording: Recording) -> Iterator[tuple[str, float | list[float]]]:
     for name, channel in recording.channels.items():
         row = last_row(recording, name)
         if row is None:
             continue
-        y = row[channel.interface.n_u :]
+        y = row[channel.interface.n_u :].tolist()
         for signal, columns in channel.interface.output_columns().items():
-            values = y[columns].tolist()
-            last[f"{name}.{signal}"] = values[0] if len(values) == 1 else values
-    return last
+            values = y[columns]
+            yield f"{name}.{signal}", values[0] if len(values) == 1 else values
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of a recording that may hold any numbers
@@ -284,47 +270,36 @@ def _signal_error(
     recording: Recording, estimate: str, true_ports: Sequence[str], since: float
 ) -> SignalError:
     lag = lag_of(recording, estimate)
-    norms = np.zeros((2, 3))  # from 0 s and from `since` on: count, sum of squares, largest
-    last = last_time = math.nan
+    count = 0
+    squares = 0.0
+    largest = last = math.nan
     for shared_ns, estimated, true in parts_beside_truth(recording, estimate, true_ports):
-        if not len(shared_ns):
-            continue
         error: Matrix = np.abs(estimated - true)
-        time = shared_ns / 1e9
-        last = float(error[-1].max())
-        last_time = float(time[-1])
-        if lag:
-            has_value = ~np.isnan(error).any(axis=1)  # what lags has none at the start
-            error = error[has_value]
-            time = time[has_value]
-        for norm, begin in zip(norms, (0.0, since), strict=True):
-            later = error[time >= begin]
-            norm[:2] += (later.size, np.sum(later**2))
-            norm[2] = np.maximum(norm[2], later.max(initial=0.0))
-    count, squares, largest = norms[1].tolist()
-    if not last_time >= since:  # the run ended before the identification began
-        count, squares, largest = norms[0].tolist()
-        since = 0.0
-    rms = math.nan
-    if count:
-        rms = math.sqrt(squares / count)
-    elif lag:
-        largest = math.nan
+        if len(error):
+            last = float(error[-1].max())
+        error = error[shared_ns / 1e9 >= since]
+        if lag:  # there is no value at the start
+            error = error[~np.isnan(error).any(axis=1)]
+        if error.size:
+            largest = float(np.maximum(largest if count else 0.0, error.max()))
+            squares += float(np.sum(error**2))
+            count += error.size
+    rms = math.sqrt(squares / count) if count else math.nan
     return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last, lag)
 
 
 def _value_outcomes(
-    recording: Recording, estimate: str, truth: Vector, unknown: Collection[str]
+    recording: Recording, estimate: str, truth: Sequence[float], unknown: Collection[str]
 ) -> Iterator[ValueOutcome]:
     """Yield the last values of an estimate; ``unknown`` have numbers that say nothing."""
     rows = rows_of(recording, estimate)
-    last = rows[-1] if len(rows) else np.full(len(truth), np.nan)
+    last = rows[-1].tolist() if len(rows) else [math.nan] * len(truth)
     names = element_names(estimate, len(truth))
-    for name, value, true in zip(names, last.tolist(), truth.tolist(), strict=True):
+    for name, value, true in zip(names, last, truth, strict=True):
         if math.isnan(value) or name in unknown:
-            yield ValueOutcome(name, None, float(true), None)
+            yield ValueOutcome(name, None, true, None)
         else:
-            yield ValueOutcome(name, value, float(true), abs(value - true))
+            yield ValueOutcome(name, value, true, abs(value - true))
 
 
 def span(start: float, end: float) -> str:

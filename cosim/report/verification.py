@@ -16,15 +16,15 @@ Nothing is signed: the log of another run, put in the place of this one as a who
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from operator import attrgetter
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Design
-from cosim.core.recorded.partial import RecordSelection, declared_channels
+from cosim.core.recorded.partial import RecordSelection, declared_channels, is_recorded_whole
 from cosim.core.recorders import Memory
 from cosim.documents import plain
 from cosim.errors import CosimError, LogError, UsageError, command, flag, listing
@@ -32,7 +32,7 @@ from cosim.log import Log, open_log
 from cosim.log.comparison.diff import diff
 from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
-from cosim.report.statements import NOT_COMPARED, Contradiction, Statements
+from cosim.report.statements import Contradiction, Statements
 from cosim.scenario.record import (
     ReplayOrigin,
     component_record,
@@ -41,7 +41,7 @@ from cosim.scenario.record import (
 )
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 
-_MOST_SHOWN = 8  # contradictions, or components
+_MOST_SHOWN: Final = 8  # contradictions, or components
 _OF_PARTIAL_LOGS: Final = {
     "unrecorded": "not verified, as the partial log has no signals of",
     "partial": "verified only in part, as the log is partial",
@@ -77,8 +77,7 @@ class ComponentVerification:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class CopiedSubsteps:
+class CopiedSubsteps(NamedTuple):
     """The substeps of a loop that a replay took from the log, as it copied components of the loop.
 
     Parameters
@@ -91,14 +90,6 @@ class CopiedSubsteps:
 
     loop: tuple[str, ...]
     copied: tuple[str, ...]
-
-    def __str__(self) -> str:
-        others = "; its other outputs were compared" if len(self.copied) < len(self.loop) else ""
-        return (
-            f"taken from the log, not recomputed: the substeps of the loop of "
-            f"{listing(self.loop)} in /cosim/step (accepted, rejected, estimated errors, inputs, "
-            f"outputs of {listing(self.copied)}){others}"
-        )
 
 
 @dataclass(frozen=True)
@@ -155,10 +146,8 @@ class Verification:
     @property
     def passed(self) -> bool:
         """Whether the content is what was recorded, and follows by computation where it can."""
-        same_rows = self._has_recorded_hash and self.difference.same_rows
-        if self.window is not None:
-            return same_rows and self.difference.events.equal
-        return same_rows and not self.contradictions
+        is_right = self.difference.events.equal if self.window else not self.contradictions
+        return self._has_recorded_hash and self.difference.same_rows and is_right
 
     @property
     def _has_recorded_hash(self) -> bool:
@@ -174,31 +163,35 @@ class Verification:
     @property
     def lines(self) -> list[str]:
         """What has been proven, in words."""
-        return list(self._proven())
-
-    def _proven(self) -> Iterator[str]:
+        lines = ["the content hash is as recorded"]
         if self.recorded_hash is None:
-            yield "no content hash: the log is unfinished (its run was killed or is still running)"
-        else:
-            yield "the content hash is as recorded"
-        equal = f"the replay equals the log bit for bit: {len(self.computed)} signals recomputed"
-        if not self.computed:
-            equal = "the replay recomputed no signal of the log, so none is verified"
-        not_compared = NOT_COMPARED
-        if self.window is not None:
-            not_compared = "rows outside that window, records of the run"
-            yield f"{equal}, and all events, from {self.window[0]} s to {self.window[1]} s"
-        else:
-            yield equal
-            yield f"the records of the run agree with the replay: {self.statements}"
+            lines = [
+                "no content hash: the log is unfinished (its run was killed or is still running)"
+            ]
+        equal = "the replay recomputed no signal of the log, so none is verified"
+        if self.computed:
+            count = f"{len(self.computed)} signals recomputed"
+            equal = f"the replay equals the log bit for bit: {count}"
+        if self.window is None:
+            lines += [
+                equal,
+                f"the records of the run agree with the replay: {self.statements}",
+            ]
+            not_compared = (
+                "designs of what was not recomputed, models from files and FMUs, error growth of "
+                "loops, error estimates, stop reason, machine and time, metadata of FMUs and files"
+            )
             if "cosim" in self.environment:
                 not_compared += ", warnings of another version of cosim"
-        yield from self._not_verified()
-        yield from map(str, self.substeps)
-        yield (
+        else:
+            lines.append(f"{equal}, and all events, from {self.window[0]} s to {self.window[1]} s")
+            not_compared = "rows outside that window, records of the run"
+        return [
+            *lines,
+            *self._not_verified(),
             f"not compared: {not_compared}; logs are not signed: replacing the whole log by one "
-            "of another run is not detected"
-        )
+            "of another run is not detected",
+        ]
 
     def _not_verified(self) -> Iterator[str]:
         """Yield which signals and components are not verified, or not as a whole, and why."""
@@ -217,60 +210,51 @@ class Verification:
                 f"run {self.scenario!r} with the same changes and compare with {command('diff')}"
             )
         for status, text in _OF_PARTIAL_LOGS.items():
-            named = []
-            for own in self.components:
-                if own.status == status:
-                    reason = "" if status == "unrecorded" else f" ({own.reason})"
-                    named.append(f"{own.component}{reason}")
+            named = [
+                f"{own.component} ({own.reason})" if status != "unrecorded" else own.component
+                for own in self.components
+                if own.status == status
+            ]
             if named:
                 yield f"{text}: {', '.join(named)}"
+        for loop, copied in self.substeps:
+            others_too = "; its other outputs were compared" if len(copied) < len(loop) else ""
+            yield (
+                f"taken from the log, not recomputed: the substeps of the loop of {listing(loop)} "
+                "in /cosim/step (accepted, rejected, estimated errors, inputs, outputs of "
+                f"{listing(copied)}){others_too}"
+            )
 
     @property
     def problems(self) -> list[str]:
         """What is wrong, in words."""
-        return list(self._problems())
-
-    def _problems(self) -> Iterator[str]:
+        problems = []
         if not self._has_recorded_hash:
-            yield (
+            problems.append(
                 "rows or declarations of signals were changed after recording: content hash "
                 f"{self.found_hash}, recorded {self.recorded_hash}"
             )
-        if not self.difference.same_rows:
-            yield from self._differing_rows()
+        first = self.difference.first
+        differs = "the replay differs from the log; first"
+        if first is not None:
+            found = [own.first for own in self.components if own.first not in (None, first)]
+            then = sorted(filter(None, found), key=attrgetter("time_ns"))
+            problems.append(f"{differs}: {_in_words(first)}")
+            problems += _shown("then", list(map(_in_words, then)))
+        elif not self.difference.same_rows:
+            row = next(row for row in self.difference.rows if row.status != "equal")
+            rows = f"{row.rows[0]} rows in the log, {row.rows[1]} in the replay"
+            problems.append(f"{differs}: {row.signal}: {row.status}: {rows}")
         events = self.difference.events
         if self.window is not None and not events.equal:
             place = ""
             if events.first is not None:
                 place = f"; first: {events.first.signal} at t = {events.first.time_ns / 1e9} s"
-            yield f"the events of the replay differ from those of the log{place}"
+            problems.append(f"the events of the replay differ from those of the log{place}")
         what = "the log contradicts its scenario"
         if self.is_changed:
             what = "the log differs from the replay with a changed scenario"
-        for entry in self.contradictions[:_MOST_SHOWN]:
-            yield f"{what}: {entry}"
-        further = len(self.contradictions) - _MOST_SHOWN
-        if further > 0:
-            yield f"{what}: {further} more"
-
-    def _differing_rows(self) -> Iterator[str]:
-        """Yield where the components differ first, in the order of time."""
-        differs = "the replay differs from the log; first: "
-        first = self.difference.first
-        if first is None:
-            row = next(row for row in self.difference.rows if row.status != "equal")
-            in_log, in_replay, _ = row.rows
-            text = f"{in_log} rows in the log, {in_replay} in the replay"
-            yield f"{differs}{row.signal}: {row.status}: {text}"
-            return
-        yield f"{differs}{_in_words(first)}"
-        found = [own.first for own in self.components if own.first is not None]
-        others = sorted((one for one in found if one != first), key=attrgetter("time_ns"))
-        for element in others[:_MOST_SHOWN]:
-            yield f"then: {_in_words(element)}"
-        further = len(others) - _MOST_SHOWN
-        if further > 0:
-            yield f"then: {further} more component{'' if further == 1 else 's'}"
+        return problems + _shown(what, self.contradictions)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
@@ -279,7 +263,7 @@ class Verification:
             "content_hash": {
                 "recorded": self.recorded_hash,
                 "found": self.found_hash,
-                "equal": self._has_recorded_hash if self.recorded_hash is not None else None,
+                "equal": None if self.recorded_hash is None else self._has_recorded_hash,
             },
             "window": None if self.window is None else list(self.window),
             **{key: list(getattr(self, key)) for key in ("computed", "copied", "code", "left_out")},
@@ -288,7 +272,7 @@ class Verification:
                 name: {"recorded": recorded, "present": present}
                 for name, (recorded, present) in self.environment.items()
             },
-            "substeps_copied": [asdict(copied) for copied in self.substeps],
+            "substeps_copied": [copied._asdict() for copied in self.substeps],
             "contradictions": [asdict(entry) for entry in self.contradictions],
             **self.difference.to_dict(),
         }
@@ -300,6 +284,13 @@ def _in_words(element: ElementDifference) -> str:
         f"{element.signal} at t = {element.time_ns / 1e9} s: log {recorded}, replay {computed}; "
         f"{element.differing_bits} of the 64 bits differ"
     )
+
+
+def _shown(what: str, entries: Sequence[object]) -> list[str]:
+    """Return the first entries as texts, and how many more there are."""
+    further = len(entries) - _MOST_SHOWN
+    more = [f"{further} more"] if further > 0 else []
+    return [f"{what}: {entry}" for entry in (*entries[:_MOST_SHOWN], *more)]
 
 
 def verify(
@@ -323,48 +314,44 @@ def verify(
         If the replay was asked to record less than the log has.
     """
     _check_selection(source, again)
-    recorded_hash = _recorded_hash(source)
-    found_hash = source.content_hash()
     origin = replay_origin(again)
     known = declared_channels(again.channels)
-    copied: list[str] = []
-    code: list[str] = []
-    left_out: list[str] = []
-    for name in origin.copied:
-        signals = [f"{name}.{signal.name}" for signal in known[name].interface.outputs]
-        if source.partial is not None:
-            signals = [signal for signal in signals if signal in source.signals]
-        copied += signals
-        if name in origin.left_out:
-            left_out += signals
-        elif component_record(again, name).code is not None:
-            code += signals
+    window = origin.window
+    statements = None if window else Statements(source, again, designs)
+    shared = [] if source.partial is None else [name for name in source if name in again.signals]
+    if source.partial is not None and not shared:
+        raise LogError(
+            f"{source.label}: nothing to verify: the partial log was recorded with "
+            f"{source.partial.selection}, and a replay has none of these signals"
+        )
+    span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
+    difference = diff(source, again, signals=shared, span_ns=span_ns)
     substeps = []
     for counts in recorded_substep_counts(again):
         inside = tuple(name for name in counts.components if name in origin.copied)
         if inside:
             substeps.append(CopiedSubsteps(counts.components, inside))
-    window = origin.window
-    span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
-    difference = diff(source, again, signals=_compared(source, again), span_ns=span_ns)
-    statements = None
-    if window is None:
-        statements = Statements(source, again, known.keys() - set(origin.copied), designs)
+    copied: dict[str, str] = {}  # signals, and their components
+    for name in origin.copied:
+        signals = [f"{name}.{signal.name}" for signal in known[name].interface.outputs]
+        copied |= {signal: name for signal in signals if signal in source}
+    with_code = [n for n in origin.copied if component_record(again, n).code is not None]
+    code = set(with_code).difference(origin.left_out)
     return Verification(
-        recorded_hash,
-        found_hash,
-        difference,
-        tuple(statements.contradictions() if statements else ()),
-        tuple(copied),
-        tuple(code),
-        tuple(left_out),
-        tuple(substeps),
-        recorded_document(source).source,
-        tuple(_components(source, again, difference, origin)),
-        environment_changes(source),
-        window,
-        str(statements or ""),
-        _edits(again) != _edits(source),
+        recorded_hash=_recorded_hash(source),
+        found_hash=source.content_hash(),
+        difference=difference,
+        contradictions=tuple(statements.contradictions() if statements else ()),
+        copied=tuple(copied),
+        code=tuple(signal for signal, name in copied.items() if name in code),
+        left_out=tuple(signal for signal, name in copied.items() if name in origin.left_out),
+        substeps=tuple(substeps),
+        scenario=recorded_document(source).source,
+        components=tuple(_components(source, again, difference, origin)),
+        environment=environment_changes(source),
+        window=window,
+        statements=str(statements or ""),
+        is_changed=_edits(again) != _edits(source),
     )
 
 
@@ -372,22 +359,20 @@ def _components(
     source: Log, again: Log | Memory, difference: LogDifference, origin: ReplayOrigin
 ) -> Iterator[ComponentVerification]:
     """Yield what is proven of every component."""
-    rows_of: dict[str, list[SignalDifference]] = {}
-    if source.partial is not None:
-        rows_of = {name: [] for name in source.partial.declared}
+    rows_of: dict[str, list[SignalDifference]] = {n: [] for n in declared_channels(source.channels)}
     for row in difference.rows:
         rows_of.setdefault(row.signal.partition(".")[0], []).append(row)
     for name, rows in rows_of.items():
         elements = [row.first for row in rows if row.first is not None]
-        first = min(elements, key=lambda element: element.time_ns, default=None)
-        status, reason = _status(source, again, name, origin)
+        first = min(elements, key=attrgetter("time_ns"), default=None)
+        status, reason = _proven(source, again, origin, name)
         if any(row.status != "equal" for row in rows):
             status = "differs"
         yield ComponentVerification(name, status, first, reason)
 
 
-def _status(
-    source: Log, again: Log | Memory, name: str, origin: ReplayOrigin
+def _proven(
+    source: Log, again: Log | Memory, origin: ReplayOrigin, name: str
 ) -> tuple[VerificationStatus, str]:
     """Return what is proven of a component that does not differ, and why it is not all."""
     if name in origin.absent:
@@ -400,34 +385,13 @@ def _status(
         if code is not None:
             why = f"{flag('allow_code')} runs {code.class_name}"
         return "copied", origin.uncomputed.get(name, why)
-    recorded = source.partial
-    if recorded is None or recorded.is_whole(name, source.channels):
+    if source.partial is None or is_recorded_whole(source.channels, name):
         return "equal", ""
     if name not in source.channels:
         return "unrecorded", "no signal in the log"
-    missing = recorded.missing(source.channels).get(name)
-    if missing:
-        return "partial", f"without {listing(missing)}"
-    return "partial", f"one row in {source.channels[name].period} steps"
-
-
-def _compared(source: Log, again: Log | Memory) -> list[str]:
-    """Return the signals that a partial log and its replay both have; none: the log has all.
-
-    Raises
-    ------
-    LogError
-        If there are none.
-    """
-    if source.partial is None:
-        return []
-    shared = [signal for signal in source if signal in again.signals]
-    if not shared:
-        raise LogError(
-            f"{source.label}: nothing to verify: the partial log was recorded with "
-            f"{source.partial.selection}, and a replay has none of these signals"
-        )
-    return shared
+    missing = source.partial.missing(source.channels).get(name)
+    period = source.channels[name].period
+    return "partial", f"without {listing(missing)}" if missing else f"one row in {period} steps"
 
 
 def _recorded_hash(source: Log) -> str | None:

@@ -7,25 +7,25 @@ A component may record more keys than these, which are kept as they are: see
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.port import named_ports
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.recorded.signals import RecordedPort, find_signal
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import INNER_STEP, Recording
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import document, plain, told, understood
-from cosim.errors import LogError, quoted, shortened
+from cosim.errors import LogError, quoted
 from cosim.theory.documents import Bias, ParameterVerdict, StepError, UndetectedError
-from cosim.units import Unit, conversions_between, units_text
+from cosim.units import conversions_between, units_text
 from cosim.version import __version__
 
 MEANS: Final = "means"  # of a component: its inputs that get the mean of both ends of a step
@@ -43,6 +43,8 @@ EIGENVALUE_FIGURES: Final = frozenset(
 _TIMES: Final = ("T_obs", "T_f", "D_max", "T_id")
 
 _Numbers: TypeAlias = tuple[float, ...]
+PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
+SAME_SIZE: Final = 10.0  # factor up to which two numbers are of one size
 # older logs have the number, or the row, of their one output
 _OneAnOutput = Annotated[
     _Numbers, Field(strict=False), BeforeValidator(lambda v: v if isinstance(v, list) else [v])
@@ -139,18 +141,56 @@ class LinearizationRecord(_Table):
     result: dict[str, Any]
 
 
-class _SwapRow(_Table):
+class _Connection(_Table):
+    source: str = Field(alias="from")
+
+
+@document
+class ComparedAspect:
+    """One aspect of a port in a swapped component and in the one it replaces.
+
+    Parameters
+    ----------
+    port : str
+        Empty: the component as a whole.
+    aspect : str
+    before, after : plain value; None: unknown, or there is none
+    verdict : PortVerdict
+    connected : bool
+        Whether the scenario names the port.
+    ratio : float or None
+        Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
+    source : str or None
+        What the port stands for in the new component; None: the port of its name.
+    """
+
     port: str
     aspect: str
     before: Any
     after: Any
-    verdict: str
-    connected: Any
+    verdict: PortVerdict
+    connected: bool = True
+    ratio: float | None = None
     source: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The port, and what it stands for in the new component."""
+        return port_label(self.port, self.source)
+
+    @property
+    def of_another_size(self) -> bool:
+        """Whether the numbers differ by so much that the unit is probably another."""
+        return self.ratio is not None and not 1.0 / SAME_SIZE <= self.ratio <= SAME_SIZE
+
+
+def port_label(port: str, source: str | None) -> str:
+    """Return a port, and behind an arrow what it stands for in a new component."""
+    return port if source is None else f"{port} -> {source}"
 
 
 class _SwapReport(_Table):
-    ports: tuple[_SwapRow, ...] = ()
+    ports: tuple[ComparedAspect, ...] = ()
 
 
 class ComponentRecord(_Table):
@@ -194,18 +234,34 @@ class ComponentRecord(_Table):
 # --- of runs ---
 
 
+def _rectangle(rows: tuple[_Numbers, ...]) -> tuple[_Numbers, ...]:
+    if len(set(map(len, rows))) != 1:
+        raise ValueError("expected rows of one length")
+    return rows
+
+
 @document
 class ModelRecord:
     """A model that was read from a file: its path, its hash and its matrices."""
 
     file: str
     sha256: str
-    matrices: Mapping[str, tuple[tuple[float, ...], ...]]
+    matrices: Mapping[str, Annotated[tuple[_Numbers, ...], AfterValidator(_rectangle)]]
 
     @property
     def arrays(self) -> dict[str, Matrix]:
         """The matrices as arrays."""
         return {name: np.array(rows, np.float64) for name, rows in self.matrices.items()}
+
+
+@document
+class _CheckedGain(LoopGain):
+    """The gain of a loop as a log has it, with what each figure may be."""
+
+    h: Annotated[float, Field(gt=0.0)]
+    steps: Annotated[int, Field(ge=1, lt=2**63)]
+    rho: Annotated[float, Field(ge=0.0)] | None = None
+    parts: Annotated[int, Field(ge=1)] = told(1)
 
 
 @document
@@ -482,34 +538,13 @@ def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:
 
 def recorded_models(recording: Recording) -> dict[str, ModelRecord]:
     """Return the models that were read from files, by name."""
-    models = _of_run(recording, "models", dict[str, ModelRecord]) or {}
-    for name, record in models.items():
-        for letter, rows in record.matrices.items():
-            if len(set(map(len, rows))) != 1:
-                raise LogError(
-                    f"{recording.label}: models: {name}.{letter}: expected rows of one length, got "
-                    f"{quoted(rows)}"
-                )
-    return models
+    return _of_run(recording, "models", dict[str, ModelRecord]) or {}
 
 
 def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     """Return the gains of the loops of a run, as they were before it."""
-    gains = _of_run(recording, "loop_gains", tuple[LoopGain, ...]) or ()
-    label = record_label(recording, "loop_gains")
-    for number, gain in enumerate(gains):
-        is_right = {
-            "h": gain.h > 0.0,
-            "steps": 1 <= gain.steps < 2**63,
-            "rho": gain.rho is None or gain.rho >= 0.0,
-            "parts": gain.parts >= 1,
-        }
-        for key, holds in is_right.items():
-            if not holds:
-                got = shortened(str(getattr(gain, key)))
-                where = f"{label} cannot be understood: {number}.{key}"
-                raise LogError(f"{where}: expected a positive number, got {got}")
-    return gains
+    gains = _of_run(recording, "loop_gains", tuple[_CheckedGain, ...]) or ()
+    return tuple(LoopGain(**vars(gain)) for gain in gains)
 
 
 def first_order_loops(recording: Recording) -> list[str]:
@@ -566,12 +601,7 @@ def connected_sources(recording: Recording) -> dict[str, tuple[str, ...]]:
     sources = {}
     for to, text in recording.metadata.get("cosim.connections", {}).items():
         what = record_label(recording, f"connection to {to!r}")
-        source = understood(dict[str, Any], text, what).get("from")
-        if not isinstance(source, str):
-            raise LogError(
-                f"{what} cannot be understood: from: expected ports, got {quoted(source)}"
-            )
-        sources[to] = tuple(source.split(", "))
+        sources[to] = tuple(understood(_Connection, text, what).source.split(", "))
     return sources
 
 
@@ -598,37 +628,26 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     """
     kind = dict[str, str | list[str] | float | list[float]]
     channels = recording.channels
-    declared = declared_channels(channels)
-    label = record_label(recording, "truth")
     kept = {}
     for estimate, truth in (_of_run(recording, "truth", kind) or {}).items():
-        named = named_ports(truth)
-        estimated, *true = [
-            find_signal(declared, name, source=label) for name in (estimate, *named)
-        ]
-        _check_truth(f"{label}: {estimate!r}", estimated.measures, truth, true)
+        label = record_label(recording, f"truth: {estimate!r}")
+        names = (estimate, *named_ports(truth))
+        known = [find_signal(declared_channels(channels), name, source=label) for name in names]
+        units, *of_ports = [port.measures for port in known]
+        true_units = [unit for measures in of_ports for unit in measures]
+        if len(units) != (len(true_units) if of_ports else np.size(truth)):
+            raise LogError(f"{label}: expected {len(units)} values, got {quoted(truth)}")
+        if of_ports and None in conversions_between(true_units, units):
+            raise LogError(
+                f"{label}: expected the unit {units_text(units)!r}, got {units_text(true_units)!r}"
+            )
         if all(
             port.channel.name in channels
             and port.signal.name in channels[port.channel.name].by_name
-            for port in (estimated, *true)
+            for port in known
         ):
             kept[estimate] = truth
     return kept
-
-
-def _check_truth(
-    label: str, units: Sequence[Unit], truth: Any, ports: Sequence[RecordedPort]
-) -> None:
-    true_units: list[Unit] = []
-    for port in ports:
-        true_units += port.measures
-    size = len(truth) if isinstance(truth, list) else 1
-    if (len(true_units) if ports else size) != len(units):
-        raise LogError(f"{label}: expected {len(units)} values, got {quoted(truth)}")
-    if ports and None in conversions_between(true_units, units):
-        raise LogError(
-            f"{label}: expected the unit {units_text(units)!r}, got {units_text(true_units)!r}"
-        )
 
 
 def _is_row(value: object) -> bool:

@@ -26,8 +26,8 @@ from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
+from cosim.report.comparing import results_of
 from cosim.report.summary import summarize
-from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, record, run_rows

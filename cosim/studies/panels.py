@@ -12,8 +12,15 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.report.plots.curves import COLORS, LARGEST_DRAWN, shown_text
-from cosim.report.plots.picture import LARGEST, Picture, PictureOptions, broken
+from cosim.report.plots.picture import (
+    COLORS,
+    LARGEST,
+    LARGEST_DRAWN,
+    Picture,
+    PictureOptions,
+    broken,
+    shown_text,
+)
 from cosim.studies.layout import MetricColumn, StudyResults, VariedValues, count_text, numbers_of
 from cosim.studies.search import Search
 

@@ -12,8 +12,15 @@ import numpy as np
 
 from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError, nearest, quoted
-from cosim.report.plots.curves import COLORS, WIDTH, shown_text
-from cosim.report.plots.picture import PictureOptions, broken, need_plot
+from cosim.report.plots.picture import (
+    COLORS,
+    STANDARD,
+    WIDTH,
+    PictureOptions,
+    broken,
+    need_plot,
+    shown_text,
+)
 from cosim.studies import panels
 from cosim.studies.layout import StudyResults, count_text, drawn_members
 from cosim.studies.panels import NOTE, Scale, StudyPicture, is_logarithmic, mark_failed
@@ -27,7 +34,6 @@ from cosim.studies.statistics import (
     spearman,
 )
 
-_STANDARD: Final = PictureOptions()
 _MOST_STEPS: Final = 2000  # of a curve: more would be on one dot of it
 _MOST_BARS: Final = 20  # parameters of a panel of Sobol indices
 _COLORS: Final = tuple(color for color in COLORS if color != panels.FAILED_COLOR)
@@ -45,7 +51,7 @@ def plot_study(
     kind: str | None = None,
     metrics: Sequence[str] = (),
     keys: Sequence[str] = (),
-    options: PictureOptions = _STANDARD,
+    options: PictureOptions = STANDARD,
     search: Search | None = None,
 ) -> None:
     """Draw a study into a file, whose ending is the format.

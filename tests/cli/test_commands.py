@@ -577,7 +577,9 @@ def test_elements_can_be_plotted(call, tmp_path):
 def test_replay_stops_and_plots_like_run(call, monkeypatch):
     """--stop and --plot mean the same."""
     drawn = []
-    monkeypatch.setattr("cosim.report.plots.plot_run", lambda run, out: drawn.append((run, out)))
+    monkeypatch.setattr(
+        "cosim.report.plots.runs.plot_run", lambda run, out: drawn.append((run, out))
+    )
     call("run", "academic", *SHORT, "--out", "a.mcap", "--plot", "run.png")
     code, out, _ = call("replay", "a.mcap", "--stop", "0.05", "--plot", "again.png")
     assert code == 0

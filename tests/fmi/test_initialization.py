@@ -10,7 +10,7 @@ from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.variable import Variable
-from cosim.report.tables.comparison import print_dry_run
+from cosim.report.tables.preparation import print_dry_run
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.recordings.swap_comparison import compare_swaps
 from cosim.scenario.running.execution import load as load_scenario

@@ -1,4 +1,4 @@
-"""One scenario on several plants, or by several estimators: estimates, differences, failures."""
+"""Several runs side by side: on several plants, by several estimators, replayed with others."""
 
 import json
 import re
@@ -8,18 +8,34 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import Interrupted, ScenarioError, UsageError
 from cosim.report import comparing
-from cosim.report.comparing import compare
-from cosim.report.plots import plot_comparison
+from cosim.report.comparing import compare, results_of
+from cosim.report.plots.runs import plot_comparison
+from cosim.report.summary import summarize
 from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.methods import METHODS
+from cosim.scenario.running import replay
+from cosim.scenario.running.replay import LogReplays
+from tests.scenario.field_recordings import BOTH, LOOP, field_log
 from tests.scenario.swapping.renamed import MAP, renamed
 
 SHORT = {"scenario.stop": 7.0}
 SHORTEST = {"scenario.stop": 0.1}
 COARSE = {"scenario.stop": 15.0, "scenario.step": 5e-3, "observer.filter_rate": 100.0}
+END = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
+FAILING = """
+[scenario]
+name = "failing"
+stop = 0.2
+step = 0.01
+
+[components]
+u = { kind = "sine", rate = 5.0 }
+v = { kind = "expression", y = "2 * u.y" }
+w = { kind = "expression", y = "t" }
+"""
 NO_RUN = "cosim.scenario.recordings.recording.run_into"
 
 
@@ -84,7 +100,7 @@ def test_four_plants_are_one_scenario(four, tmp_path):
 @pytest.mark.slow
 def test_files_are_looked_into_for_a_map_alone(folder, monkeypatch):
     """Without one their ports do not matter; each run reads its own."""
-    monkeypatch.setattr(comparing, "_ports", None)
+    monkeypatch.setattr(comparing, "Builder", None)
     alternatives = {"plant": [folder / "missing.fmu", folder / "lost.mcap"]}
     found = compare("academic", swap=alternatives, set={"scenario.stop": 0.01})
     assert [bool(error) for error in errors(found)] == [False, True, True]
@@ -113,15 +129,26 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
     assert "nix: failed: --swap plant: components.plant: " in err
 
 
-def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypatch):
-    """All of them at once, exit 2; that a file is missing is the outcome of its plant."""
+@pytest.mark.parametrize(
+    ("options", "places"),
+    [
+        (
+            ["--swap=plant=/dev/zero", "--swap=plant=a.fmu", "--swap=plant=a.fmu#xs"],
+            ["--swap plant: .*'/dev/zero'", "--swap plant: .*'#xs'"],
+        ),
+        (["--estimators=all", "--swap=plant=a.fmu", "--swap=plant=b.fmu"], [".*--swap plant"]),
+        (["--estimators=all", "--no-base"], ["--no-base"]),
+        ([], [".*--swap or --estimators"]),
+    ],
+    ids=["paths that no plant has", "several plants", "no base", "nothing"],
+)
+def test_wrong_use_is_refused_before_the_first_run(call, monkeypatch, options, places):
+    """All of it at once, exit 2; that a file is missing is the outcome of its plant."""
     monkeypatch.setattr(NO_RUN, None)
-    swaps = [f"--swap=plant={path}" for path in ("/dev/zero", "a.fmu", "a.fmu#xs")]
-    code, out, err = call("compare", "academic", *swaps)
+    code, out, err = call("compare", "academic", *options)
     assert (code, out) == (2, "")
-    first, second = err.splitlines()
-    assert re.match(r"cosim: --swap plant: .*'/dev/zero'", first)
-    assert re.match(r"cosim: --swap plant: .*'#xs'", second)
+    for line, place in zip(err.splitlines(), places, strict=True):
+        assert re.match(f"cosim: {place}", line)
 
 
 @pytest.mark.slow
@@ -138,25 +165,51 @@ def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch
     assert [bool(error) for error in errors(found)] == [False, True]
 
 
-def test_a_map_is_for_those_that_have_its_names(folder):
-    """The renamed FMU needs it, the exported one keeps the scenario's names."""
-    found = compare_two(folder, map=MAP)
-    assert errors(found) == ["", ""]
-    assert found.estimates["observer.x_a"] == "plant.x_a"
-    with pytest.raises(UsageError, match=r"map\['plant\.u'\]: .*'forse'.*'force'"):
-        compare_two(folder, map={"plant.u": "forse"})
-
-
 @pytest.mark.slow
-def test_a_map_may_list_ports(folder):
-    """As texts on the command line, as lists in Python; each listed name is checked."""
-    for elements in ("[s[0],s[1]]", ["s[0]", "s[1]"]):
-        found = compare_two(folder, map={**MAP, "plant.x_a": elements})
+def test_a_map_is_for_those_that_have_its_names(folder):
+    """The renamed FMU needs it, the exported one keeps the scenario's names; each name counts."""
+    others = {port: names for port, names in MAP.items() if port != "plant.x_a"}
+    for entries in (
+        {"plant.x_a": "s"},
+        {"plant.x_a": "[s[0],s[1]]"},
+        {"plant.x_a": ["s[0]", "s[1]"]},
+        {"plant.x_a[1]": "s[1]", "plant.x_a[0]": "s[0]"},
+    ):
+        found = compare_two(folder, map={**others, **entries})
         assert errors(found) == ["", ""]
+        assert found.estimates["observer.x_a"] == "plant.x_a"
         plain, renamed_plant = found.recordings.values()
         assert np.array_equal(plain["plant.x_a"], renamed_plant["plant.x_a"])
-    with pytest.raises(UsageError, match=r"map\['plant\.x_a'\]: .*'q\[1\]'"):
-        compare_two(folder, map={**MAP, "plant.x_a": ["s[0]", "q[1]"]})
+    for port, names, wrong in (
+        ("plant.u", "forse", "forse'.*'force'"),
+        ("plant.x_a", ["s[0]", "q[1]"], "'plant.q\\[1\\]'"),
+    ):
+        with pytest.raises(UsageError, match=rf"(?s)map\['{port}'\]: .*{wrong}"):
+            compare_two(folder, map={**MAP, port: names})
+
+
+def test_a_map_is_tried_in_the_run_that_is_set(folder):
+    """The log is shorter than the scenario as it is."""
+    swap = {"plant": [folder / "log.mcap"]}
+    found = compare("academic", swap=swap, map={"plant.y": "y"}, set=SHORTEST)
+    assert errors(found) == ["", ""]
+
+
+def test_an_interruption_is_no_outcome(folder, failing, monkeypatch):
+    """Neither of a plant, nor of an estimator, nor of a replay."""
+
+    def interrupted(*_, **__):
+        raise Interrupted("Ctrl-C")
+
+    monkeypatch.setattr(comparing, "replay", interrupted)
+    with pytest.raises(Interrupted):
+        cosim.compare_estimators("academic", estimators="drem", set=SHORTEST)
+    monkeypatch.setattr(LogReplays, "record", interrupted)
+    with pytest.raises(Interrupted):
+        cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]})
+    monkeypatch.setattr(comparing, "run", interrupted)
+    with pytest.raises(Interrupted):
+        compare_two(folder)
 
 
 @pytest.mark.parametrize(
@@ -246,23 +299,18 @@ def test_keys_of_another_method_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("estimators", "text"),
+    ("scenario", "estimators", "text"),
     [
-        ("rayleih", "'rayleih'.*'rayleigh'"),
-        (["drem", "drem"], "drem .*twice"),
-        ([], "got none"),
+        ("academic", "rayleih", "'rayleih'.*'rayleigh'"),
+        ("academic", ["drem", "drem"], "drem .*twice"),
+        ("academic", [], "got none"),
+        ("pair", "all", "identifier.* got none"),
     ],
 )
-def test_unknown_methods_are_refused(estimators, text):
+def test_unknown_methods_and_missing_identifiers_are_refused(scenario, estimators, text):
     """Before the run."""
     with pytest.raises(UsageError, match=text):
-        cosim.compare_estimators("academic", estimators=estimators)
-
-
-def test_a_scenario_needs_one_identifier():
-    """Without one there is nothing to compare."""
-    with pytest.raises(UsageError, match=r"identifier.* got none"):
-        cosim.compare_estimators("pair")
+        cosim.compare_estimators(scenario, estimators=estimators)
 
 
 @pytest.mark.slow
@@ -291,20 +339,6 @@ def test_the_table_and_json_say_the_same(call, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (["--estimators=all", "--swap=plant=a.fmu", "--swap=plant=b.fmu"], "--swap plant"),
-        (["--estimators=all", "--no-base"], "--no-base"),
-        ([], "--swap or --estimators"),
-    ],
-)
-def test_estimators_and_plants_are_compared_one_after_the_other(call, options, named):
-    """Several plants beside --estimators, or nothing to compare, is wrong use."""
-    code, _, err = call("compare", "academic", *options)
-    assert (code, named in err) == (2, True)
-
-
-@pytest.mark.parametrize(
     ("table", "text"),
     [
         ({"method": "rayleigh", "gain": 1.0}, "gain: .*'rayleigh'"),
@@ -319,3 +353,219 @@ def test_keys_of_no_use_are_refused(table, text):
     """A key of another method, or a number that makes no estimator."""
     with pytest.raises(ScenarioError, match=text):
         cosim.run("academic", set={"identifier": {"kind": "identifier", **table}})
+
+
+# --- replays ---
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Record a run past the start of its identification."""
+    path = tmp_path_factory.mktemp("logs") / "a.mcap"
+    return cosim.run("academic-as-printed", out=path, set=END)
+
+
+@pytest.fixture(scope="module")
+def failing(tmp_path_factory):
+    """Record a run whose replays fail with other expressions."""
+    folder = tmp_path_factory.mktemp("failing")
+    (folder / "failing.toml").write_text(FAILING)
+    return cosim.run(folder / "failing.toml", out=folder / "f.mcap")
+
+
+@pytest.mark.slow
+def test_each_row_is_a_replay_of_its_own(log):
+    """With the values of its row and those that all have; in the order of the product.
+
+    Its results are estimates, errors, verdicts and noise, by the names of the table.
+    """
+    common = {"observer.filter_rate": 500.0}
+    vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
+    sweep = cosim.replay_sweep(log, vary=vary, set=common)
+    assert sweep.varied == tuple(vary)
+    values = [tuple(row.values.values()) for row in sweep.rows]
+    assert values == list(product(*vary.values()))
+    for row in sweep.rows:
+        again = cosim.replay(log, set={**common, **row.values})
+        assert row.summary == summarize(again)
+        results = row.results
+        assert results == results_of(summarize(again))
+        assert set(sweep.columns) == set(results)
+        theta = [results[f"identifier.theta[{number}]"] for number in (0, 1)]
+        assert theta == again["identifier.theta"][-1].tolist()
+        errors = [results[f"identifier.theta[{number}] error"] for number in (0, 1)]
+        assert errors == np.abs(np.array(theta) - [-0.1, -0.3]).tolist()
+        assert isinstance(results["identifier verdict"], str)
+        assert results["identifier noise"] > 0.0
+        assert results["observer.x_a rms error"] <= results["observer.x_a largest error"]
+    assert sweep["nothing"] == [None] * 4
+    assert len(set(sweep["identifier.theta[0]"])) == 4
+    assert sweep.passed
+    assert not list(log.path.parent.glob("*[0-9].mcap"))
+
+
+def test_without_a_truth_the_results_are_the_last_values(failing):
+    """Of all outputs."""
+    sweep = cosim.replay_sweep(failing, vary={"u.amplitude": [1.0, 3.0]})
+    assert sweep.columns == ("u.y", "v.y", "w.y")
+    first, second = sweep["u.y"]
+    assert second == pytest.approx(3.0 * first)
+
+
+@pytest.mark.slow
+def test_the_log_is_opened_and_read_once(log, monkeypatch):
+    """All replays have the same log in memory."""
+    sources = []
+    rows = []
+
+    def recorded(source, *arguments, **options):
+        sources.append(source)
+        rows.append(source.rows("plant"))
+        return record_replay(source, *arguments, **options)
+
+    record_replay = replay.record_replay
+    monkeypatch.setattr(replay, "record_replay", recorded)
+    cosim.replay_sweep(log.path, vary={"identifier.P0": [1e3, 1e6, 1e9]})
+    assert len({id(source) for source in sources}) == 1
+    assert all(np.shares_memory(rows[0], other) for other in rows[1:])
+
+
+@pytest.mark.slow
+def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
+    """As of one file; the sweep is called by the part that was named."""
+    last = cosim.run("academic-as-printed", out=tmp_path / "a.mcap", set=END, rotate="5s")
+    assert last.path.name == "a.part2.mcap"
+    vary = {"identifier.P0": [1e3, 1e9]}
+    parts = cosim.replay_sweep(last.path, vary=vary)
+    whole = cosim.replay_sweep(log, vary=vary)
+    assert parts.log == str(last.path)
+    assert [row.results for row in parts.rows] == [row.results for row in whole.rows]
+
+
+@pytest.mark.slow
+def test_all_combinations_are_checked_before_the_first_runs(log, failing, tmp_path):
+    """The message names the one that is wrong, and nothing was written."""
+    for vary, message in (
+        ({"identifier.P0": [1e3, -1.0]}, r"identifier\.P0 = -1\.0: .*P0: .*-1\.0"),
+        ({"plant.solver": ["RK45"]}, r"plant.solver = 'RK45': .*'plant'"),
+        ({"identifer.P0": [1.0]}, r"identifer.P0 = 1.0: .*component 'identifer"),
+        ({"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            cosim.replay_sweep(log, vary=vary, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(UsageError, match=r"v.y = '2 \*': .*components.v"):
+        cosim.replay_sweep(failing, vary={"v.y": ["2 *"]})
+
+
+def test_a_varied_key_cannot_be_set_too(log):
+    """In whichever spelling."""
+    message = r"set\['identifier.P0'\] or vary\['identifier.P0'\], got both"
+    vary = {"components.identifier.P0": [1.0]}
+    with pytest.raises(UsageError, match=message):
+        cosim.replay_sweep(log, vary=vary, set={"identifier.P0": 2.0})
+
+
+def test_a_replay_that_fails_is_a_row(failing, call):
+    """The others go on; the exit code says that one failed."""
+    sweep = cosim.replay_sweep(failing, vary={"w.y": ["t", "1/(t - 0.1)", "2*t"]})
+    assert [bool(row.problem) for row in sweep.rows] == [False, True, False]
+    assert "'w.y' became inf at t = 0.1 s" in sweep.rows[1].problem
+    assert sweep.rows[1].results == {}
+    assert sweep["w.y"] == [0.2, None, 0.4]
+    assert not sweep.passed
+    code, out, err = call("replay", failing.path, "--vary", "w.y=t,1/(t - 0.1)")
+    assert code == 1
+    assert "'1/(t - 0.1)'\tfailed" in out
+    assert "row 2: failed: 'w.y' became inf at t = 0.1 s" in err
+
+
+def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
+    """In the order of the rows; those that are there are not replaced."""
+    vary = {"u.amplitude": [1.0, 3.0]}
+    folder = tmp_path / "new" / "logs"
+    sweep = cosim.replay_sweep(failing, vary=vary, out=folder)
+    assert [row.path for row in sweep.rows] == [folder / "1.mcap", folder / "2.mcap"]
+    assert cosim.open_log(folder / "2.mcap")["u.y"][-1] == sweep["u.y"][1]
+    assert cosim.replay_sweep(failing, vary=vary, out=folder, force=True).passed
+    for options, message in (
+        ({"out": folder}, "exists"),
+        ({"out": tmp_path / "x.mcap"}, r"out: .*x\.mcap'"),
+        ({"force": True}, "force=True"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            cosim.replay_sweep(failing, vary=vary, **options)
+
+
+def test_progress_is_that_of_all_replays(failing):
+    """From the first to the last, as one."""
+    seen = []
+    cosim.replay_sweep(
+        failing, vary={"u.amplitude": [1.0, 3.0]}, progress=lambda *at: seen.append(at)
+    )
+    times = [time for time, _ in seen]
+    assert times == sorted(times)
+    assert seen[-1] == (0.4, 0.4)
+
+
+@pytest.mark.slow
+def test_the_command_line_shows_a_table(log, call):
+    """Rows are the varied values, columns what the results say; --json has all of each."""
+    command = ("replay", log.path, "--vary", "identifier.P0=1e3,1e9")
+    code, out, err = call(*command, "--set", "observer.filter_rate=500")
+    assert (code, err) == (0, "")
+    title, header, *rows = out.splitlines()
+    assert title == str(log.path)
+    names, first, second = (line.split("\t") for line in (header, *rows))
+    assert names[:3] == ["identifier.P0", "identifier.theta[0]", "identifier.theta[1]"]
+    assert "identifier.theta[0] error" not in names
+    assert ", error " in first[1]
+    assert [first[0], second[0]] == ["1000.0", "1000000000.0"]
+    assert len(first) == len(second) == len(names)
+    code, out, _ = call(*command, "--json")
+    found = json.loads(out)
+    assert found["varied"] == ["identifier.P0"]
+    assert [row["values"]["identifier.P0"] for row in found["rows"]] == [1e3, 1e9]
+    assert found["rows"][0]["summary"]["scenario"] == "academic-as-printed"
+    assert found["columns"] == list(found["rows"][0]["results"])
+    assert call(*command, "--quiet") == (0, "", "")
+    for option, value in (("--verify", ()), ("--plot", ("x.png",))):
+        code, _, err = call(*command, option, *value)
+        assert code == 2
+        assert {option, "--vary"} <= set(err.split())
+
+
+def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp_path, call):
+    """With the scenario and the map that a replay of it needs."""
+    path = field_log(tmp_path)
+    scenario = tmp_path / "loop.toml"
+    scenario.write_text(LOOP, encoding="utf-8")
+    vary = {"model.time_constant": [0.1, 0.4]}
+    sweep = cosim.replay_sweep(path, vary=vary, scenario=scenario, map=BOTH)
+    for row in sweep.rows:
+        again = cosim.replay(path, scenario=scenario, map=BOTH, set=row.values)
+        assert repr(row.summary) == repr(summarize(again))  # NaN is not equal to itself
+    assert len(set(sweep["model.y"])) == 2
+    wrong = {"model.time_constant": [0.1, -1.0]}
+    with pytest.raises(UsageError, match=r"model.time_constant = -1.0: .*components.model"):
+        cosim.replay_sweep(path, vary=wrong, scenario=scenario, map=BOTH)
+    with pytest.raises(UsageError, match="scenario"):
+        cosim.replay_sweep(path, vary=vary, map=BOTH)
+    with pytest.raises(UsageError, match="omit scenario"):
+        cosim.replay_sweep(failing, vary=vary, scenario=scenario)
+    maps = [f"--map={port}={name}" for port, name in BOTH.items()]
+    command = ("replay", path, "--scenario", scenario, *maps)
+    code, out, _ = call(*command, "--vary", "model.time_constant=0.1,0.4")
+    assert code == 0
+    assert len(out.splitlines()) == 4
+
+
+@pytest.mark.slow
+def test_plants_of_models_are_varied_in_a_rerun(log):
+    """Nothing of them is taken from the log then."""
+    vary = {"u.amplitude": [1.0, 2.0]}
+    with pytest.raises(UsageError, match="rerun=True"):
+        cosim.replay_sweep(log, vary=vary)
+    sweep = cosim.replay_sweep(log, vary=vary, rerun=True)
+    run = cosim.run("academic-as-printed", set={**END, "u.amplitude": 2.0})
+    assert sweep.rows[1].results["identifier.theta[0]"] == run["identifier.theta"][-1, 0]

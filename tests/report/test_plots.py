@@ -12,10 +12,19 @@ import cosim
 from cosim.errors import UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
-from cosim.report.plots import PictureOptions, plot_difference, plot_run, plot_signals, runs
-from cosim.report.plots.curves import Curve, curves_of, draw_curves
-from cosim.report.plots.picture import Picture, broken
-from cosim.report.plots.runs import error_curves, near_most
+from cosim.report.plots import runs
+from cosim.report.plots.picture import Picture, PictureOptions, broken
+from cosim.report.plots.runs import (
+    Curve,
+    curves_of,
+    draw_curves,
+    error_curves,
+    near_most,
+    plot_difference,
+    plot_run,
+    plot_signals,
+    truth_curves,
+)
 from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
 
@@ -86,8 +95,8 @@ def test_units_of_one_kind_share_an_axis_and_others_do_not(logs, out):
     from matplotlib.figure import Figure
 
     panel = Figure().subplots()
-    (length,) = curves_of(logs[0], "a.y", PictureOptions())
-    (width,) = curves_of(logs[0], "b.y", PictureOptions())
+    (length,) = curves_of(logs[0], "a.y")
+    (width,) = curves_of(logs[0], "b.y")
     band = np.full(101, 100.0)
     draw_curves(panel, [length, Curve("b.y", width.unit, width.times, width.values, band=band)])
     assert panel.lines[1].get_ydata().tolist() == [0.5] * 101
@@ -124,7 +133,7 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
     assert size_of(out) == (12.7, 7.62)
     assert "A &amp; B" in texts(out)
     for window in (options, PictureOptions(start=0.25, stop=0.5)):
-        (curve,) = curves_of(logs[0], "a.y", window)
+        curve = curves_of(logs[0], "a.y")[0].within(window)
         assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
 
 
@@ -206,11 +215,13 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(out):
     expected = {"academic", "errors", "error of observer.delta", "identifier.theta[1]"}
     assert expected <= set(texts(out))
     assert size_of(out) == (32.0, 3.0 + 3 * 6.0)  # a row each for x, delta and theta
-    (error,) = error_curves(run, "observer.delta", PictureOptions())
+    (error,) = error_curves(run, "observer.delta")
     assert np.array_equal(error.values, run["observer.delta"] - run["delta.y"])
-    errors = error_curves(run, "identifier.theta", PictureOptions())
+    errors = error_curves(run, "identifier.theta")
     for curve, values, true in zip(errors, run["identifier.theta"].T, (-0.1, -0.3), strict=True):
         assert np.array_equal(curve.values, values - true, equal_nan=True)
+    truth = [(one.values.tolist(), len(one.times)) for one in truth_curves(run, "identifier.theta")]
+    assert truth == [([-0.1], 0), ([-0.3], 0)]  # which are drawn over the whole axis
 
 
 @pytest.mark.slow
@@ -346,7 +357,7 @@ def test_a_text_is_broken_after_blanks_and_names_after_their_parts(text, count, 
     ],
 )
 def test_numbers_at_axes_are_whole_and_apart(out, scale, low, high, fewest):
-    """None runs into another, and none is to be added to another beside the axis."""
+    """None runs into another; but for time none is to be added to another beside the axis."""
     picture = Picture(1, PictureOptions(size=(14.0, 9.0)), shares_time=False)
     panel = picture.panels[0]
     values = np.linspace(low, high, 20)
@@ -356,8 +367,8 @@ def test_numbers_at_axes_are_whole_and_apart(out, scale, low, high, fewest):
     picture.save(out)
     panel.figure.draw_without_rendering()  # at its own resolution again
     assert panel.yaxis.label.get_window_extent().height <= panel.figure.bbox.height
+    assert "+" not in panel.yaxis.get_offset_text().get_text()
     for axis in (panel.xaxis, panel.yaxis):
-        assert "+" not in axis.get_offset_text().get_text()
         shown = [*axis.get_majorticklabels(), *axis.get_minorticklabels()]
         seen = [label.get_window_extent() for label in shown if label.get_text()]
         assert len(seen) >= fewest

@@ -2,28 +2,15 @@
 
 import json
 import re
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import cosim
-from cosim.cli import main
-from cosim.report.plots.schedule import layout_of
-from cosim.report.schedule import GraphSchedule, ScheduledConnection, ScheduledStage, schedule_of
+from cosim.report.plots.picture import Picture
+from cosim.report.schedule import plot_schedule, schedule_of
 from tests.scenario import certified
 from tests.scenario.certified import write
-
-
-def run(capsys, *arguments, code=0):
-    """Run a command; return what it prints."""
-    with pytest.raises(SystemExit) as left:
-        main([*map(str, arguments)])
-    assert (left.value.code or 0) == code
-    output = capsys.readouterr()
-    return output.err if code else output.out
 
 
 def courses(name):
@@ -41,6 +28,7 @@ def test_loop_has_its_members_in_order_and_what_is_extrapolated():
     late = [ports for ports, course in found.items() if course == "extrapolated"]
     assert late == [("error.y", "controller.u")]
     assert found["reference.y", "error.u1"] == "linear"
+    assert courses("compensation")["identifier.theta", "compensator.theta"] == "delayed"
 
 
 def test_rates_and_feedthrough_are_those_of_the_interfaces():
@@ -49,11 +37,6 @@ def test_rates_and_feedthrough_are_those_of_the_interfaces():
     assert components["plant"].period is None
     assert components["plant"].feedthrough == {"y": ("u",), "x_a": (), "x_b": ("u",)}
     assert components["u"].stage < components["plant"].stage < components["observer"].stage
-
-
-def test_delayed_inputs_are_named():
-    found = courses("compensation")
-    assert found["identifier.theta", "compensator.theta"] == "delayed"
 
 
 SAMPLED = """
@@ -117,15 +100,15 @@ def test_sampled_input_is_held_from_the_offset_on(sampled):
     assert recorded["own.x"][-1] == pytest.approx(-np.expm1(-0.6) * np.sin(0.2), abs=1e-15)
 
 
-def test_text_and_picture_show_period_and_offset(sampled, tmp_path, capsys):
-    """In the picture both of them, in place of the kind where there is no room for it."""
+def test_text_and_picture_show_period_and_offset(sampled, tmp_path, call):
     pytest.importorskip("matplotlib")
     out = tmp_path / "graph.svg"
-    lines = run(capsys, "info", sampled(OFFSET), "--graph", "--out", out).splitlines()
+    lines = call("info", sampled(OFFSET), "--graph", "--out", out)[1].splitlines()
     assert "own\t2\tcontroller\tevery 0.6 s, first 0.2 s after the start\tnone" in lines
     assert "sine.y\town.u\tzero-order hold of its samples" in lines
     assert "every 0.6 s + 0.2 s" in out.read_text()
-    assert "sensor, every 0.2 s" in out.read_text()
+    assert "every 0.2 s<" in out.read_text()
+    assert lines[-1] == str(out)
 
 
 def test_newton_solves_for_its_inputs(tmp_path):
@@ -165,23 +148,23 @@ plant = { kind = "lag", time_constant = 1.0 }
 """
 
 
-def test_what_takes_substeps_is_named(tmp_path, capsys):
+def test_what_takes_substeps_is_named(tmp_path, call):
     """Of FMUs by their descriptions; not a sampled controller, but the loop inside its own."""
     path = tmp_path / "lags.toml"
     path.write_text(LAGS.format('{ kind = "lag", time_constant = 1.0 }'), encoding="utf-8")
-    run(capsys, "export", path, "--component", "one", "--out", tmp_path / "one.fmu")
+    call("export", path, "--component", "one", "--out", tmp_path / "one.fmu")[1]
     for interface_type in ("me", "cs"):
         table = f'{{ kind = "fmu", path = "one.fmu", interface_type = "{interface_type}" }}'
         path.write_text(LAGS.format(table), encoding="utf-8")
-        line = run(capsys, "info", path, "--graph").splitlines()[2]
+        line = call("info", path, "--graph")[1].splitlines()[2]
         assert line.endswith("; in substeps of at least 0.001 s")
     path.write_text(CONTROL, encoding="utf-8")
-    line = run(capsys, "info", path, "--graph").splitlines()[2]
+    line = call("info", path, "--graph")[1].splitlines()[2]
     assert line.endswith("; force, plant in substeps of at least 0.001 s")
 
 
-def test_text_shows_stages_components_and_connections(capsys):
-    lines = run(capsys, "info", "closed-loop", "--graph").splitlines()
+def test_text_shows_stages_components_and_connections(call):
+    lines = call("info", "closed-loop", "--graph")[1].splitlines()
     assert lines[0] == "closed-loop: stages in order, communication step 0.001 s"
     assert (
         "3\tcontroller, plant, observer, feedback, error\tstep by step, gauss-seidel: advance "
@@ -191,82 +174,54 @@ def test_text_shows_stages_components_and_connections(capsys):
     assert "plant\t3\tdescriptor\tevery step\ty from u, x_b from u, none: x_a" in lines
     assert "identifier\t5\tidentifier\tevery 0.1 s\tnone" in lines
     assert "error.y\tcontroller.u\textrapolated: held from the start of the step" in lines
-    content = json.loads(run(capsys, "info", "closed-loop", "--graph", "--json"))
+    content = json.loads(call("info", "closed-loop", "--graph", "--json")[1])
+    assert list(content) == ["scenario", "step", "stages", "components", "connections"]
     assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
 
 
-def test_picture_is_written(tmp_path, capsys):
-    pytest.importorskip("matplotlib")
-    out = tmp_path / "graph.svg"
-    shown = run(capsys, "info", "closed-loop", "--graph", "--out", out)
-    assert shown.endswith(f"{out}\n")
-    for text in ("controller", "loop: gauss-seidel, first order", "every 0.1 s"):
-        assert text in out.read_text("utf-8")
+def test_wrong_use_is_refused(tmp_path, call):
+    """A log has no graph, a picture is one of a graph, of a known type; ports must be known."""
+    (tmp_path / "a.mcap").touch()
+    echo = write(tmp_path, certified.ECHO)
+    wrong = {
+        ("a.mcap", "--graph"): "--graph a.mcap: .*a scenario.*a log",
+        ("academic", "--out", "a.png"): "--out .*--graph",
+        ("academic", "--graph", "--out", "a.xyz"): "'.xyz'",
+        (echo, "--graph"): "the ports of echo are defined by user code",
+    }
+    for arguments, text in wrong.items():
+        code, output, error = call("info", *arguments)
+        assert (code, output) == (2, "")
+        assert re.search(text, error)
 
 
-def test_wrong_use_is_one_error_each(tmp_path, capsys):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(b"")
-    error = run(capsys, "info", path, "--graph", code=2)
-    assert re.search(rf"--graph {re.escape(str(path))}: .*a scenario.*a log", error)
-    error = run(capsys, "info", "academic", "--out", tmp_path / "a.png", code=2)
-    assert re.search("--out .*--graph", error)
-    error = run(capsys, "info", "academic", "--graph", "--out", tmp_path / "a.xyz", code=2)
-    assert "'.xyz'" in error
-    error = run(capsys, "info", write(tmp_path, certified.ECHO), "--graph", code=2)
-    assert "the ports of echo are defined by user code" in error
-
-
-# --- the places ---
-
-
-@st.composite
-def schedules(draw):
-    """Return a schedule of up to 20 components, with loops, each stage driven by earlier ones."""
-    sizes = draw(st.lists(st.sampled_from([1, 1, 1, 2, 4]), min_size=1, max_size=12))
-    stages = []
-    names: list[str] = []
-    connections = []
-    for number, size in enumerate(sizes, start=1):
-        members = tuple(f"c{len(names) + k}" for k in range(size))
-        for member in members:
-            for source in draw(st.lists(st.sampled_from(names), max_size=3)) if names else ():
-                connections.append(
-                    ScheduledConnection(f"{source}.y", f"{member}.u", "linear", False)
-                )
-        for first, second in pairwise(members):
-            connections.append(ScheduledConnection(f"{first}.y", f"{second}.v", "linear", False))
-        coupling = "gauss-seidel" if size > 1 else ""
-        stages.append(ScheduledStage(number, members, coupling, members, (), size > 1))
-        names += members
-    return GraphSchedule("random", 0.1, tuple(stages), (), tuple(connections))
-
-
-@pytest.mark.slow
-@given(schedules())
-def test_no_two_components_and_lanes_overlap(schedule):
-    """All stand in their layers, one below the other; what is driven stands right of its source."""
-    layout = layout_of(schedule)
-    stage_of = {name: stage.number for stage in schedule.stages for name in stage.members}
-    assert layout.places.keys() == stage_of.keys()
-    taken = {}
-    for layer, middle in layout.places.values():
-        taken.setdefault(layer, []).append((middle - 0.5, middle + 0.5))
-        assert -1e-9 <= middle - 0.5 < middle + 0.5 <= layout.height + 1e-9
-    for way in layout.lanes.values():
-        for layer, middle in way:
-            taken.setdefault(layer, []).append((middle, middle))
-    for spans in taken.values():
-        for (_, bottom), (top, _) in pairwise(sorted(spans)):
-            assert bottom <= top + 1e-9
-    for connection in schedule.connections:
-        source, target = connection.components
-        if stage_of[source] != stage_of[target]:
-            first, last = layout.places[source][0], layout.places[target][0]
-            assert first < last
-            passed = [layer for layer, _ in layout.lanes[source, target]]
-            assert passed == list(range(first + 1, last))
-    for number, (layer, top, bottom) in layout.frames.items():
-        for name, place in layout.places.items():
-            inside = place[0] == layer and top <= place[1] <= bottom
-            assert inside == (stage_of[name] == number)
+def test_components_stand_on_the_diagonal_and_arrows_do_not_touch(tmp_path, monkeypatch):
+    """What leads on leaves to the right and comes from above; what leads back, left and below."""
+    Annotation = pytest.importorskip("matplotlib.text").Annotation
+    panels = []
+    monkeypatch.setattr(Picture, "save", lambda picture, out, title: panels.extend(picture.panels))
+    schedule = schedule_of("closed-loop")
+    plot_schedule(schedule, tmp_path / "a.png")
+    (panel,) = panels
+    names = [text.get_text() for text in panel.texts if text.get_fontweight() == "bold"]
+    assert [name.split()[-1] for name in names] == [one.name for one in schedule.components]
+    order = {one.name: place for place, one in enumerate(schedule.components)}
+    arrows = [(text.xyann, text.xy) for text in panel.texts if isinstance(text, Annotation)]
+    ends = [end for arrow in arrows for end in arrow]
+    assert len(set(ends)) == len(ends)
+    found = set()
+    for (x, y), (to_x, to_y) in arrows:
+        source, target = round(y), round(to_x)
+        found.add((source, target))
+        assert (x - source, to_y - target) == pytest.approx(
+            (0.39, -0.36) if source < target else (-0.39, 0.36)
+        )
+    expected = [(c.source.split(".")[0], c.to.split(".")[0]) for c in schedule.connections]
+    assert found == {(order[source], order[to]) for source, to in expected}
+    (loop,) = [stage for stage in schedule.stages if stage.coupling]
+    assert "loop: gauss-seidel, first order" in {text.get_text() for text in panel.texts}
+    frame = max(panel.patches, key=lambda patch: patch.get_width())
+    first, last = order[loop.members[0]], order[loop.members[-1]]
+    assert (frame.get_x(), frame.get_x() + frame.get_width()) == pytest.approx(
+        (first - 0.48, last + 0.48)
+    )

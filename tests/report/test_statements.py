@@ -82,14 +82,18 @@ def contradicted(path):
 @pytest.mark.parametrize(
     ("old", "new", "statement"),
     [
-        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth"),
-        ("stop = 0.05", "stop = 0.06", "stop"),
-        ("stop = 0.05", "stop = 1e9", "stop"),
-        ("stop = 0.05", "", "stop"),
-        ('kind = "sine"\namplitude = 1.0\nrate = 1.0', 'kind = "fmu"\npath = "x"', "table of 'u'"),
-        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "table of 'u'"),
-        ('name = "academic"', 'name = "other"', "scenario"),
-        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connection to 'observer.u'"),
+        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth.truth"),
+        ("stop = 0.05", "stop = 0.06", "times.stop"),
+        ("stop = 0.05", "stop = 1e9", "times.stop"),
+        ("stop = 0.05", "", "times.stop"),
+        (
+            'kind = "sine"\namplitude = 1.0\nrate = 1.0',
+            'kind = "fmu"\npath = "x"',
+            "component tables.u.table",
+        ),
+        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "component tables.u.table"),
+        ('name = "academic"', 'name = "other"', "times.scenario"),
+        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connections.observer.u"),
     ],
 )
 def test_another_scenario_is_found(valid, tmp_path, old, new, statement):
@@ -151,7 +155,7 @@ def test_no_result_can_be_changed(valid, tmp_path, key):
 
     for changes in ({"results": change}, {"data": b"{}"}, {"data": b""}):
         statement, *_ = contradicted(forged(valid, tmp_path / "b.mcap", **changes))
-        assert "result.json" in statement
+        assert statement.startswith(("result.json.", "last row."))
 
 
 ERROR = {"error": "a constant on y", "size": 1.0, "half_widths": {"theta[0]": 3.0}, "text": ""}
@@ -164,13 +168,13 @@ def scale(found, key, factor):
 @pytest.mark.parametrize(
     ("change", "statements"),
     [
-        (lambda own: scale(own["parameters"][0], "value", 1.0 + 1e-3), ["verdicts on"]),
-        (lambda own: scale(own["amplitudes"][0][1], "value", 1.0 + 1e-3), ["amplitudes of"]),
+        (lambda own: scale(own["parameters"][0], "value", 1.0 + 1e-3), ["parameters.0.value"]),
+        (lambda own: scale(own["amplitudes"][0][1], "value", 1.0 + 1e-3), ["amplitudes.0.1.value"]),
         (
             lambda own: scale(own["irregular"]["effects"][1], "lower", 1.0 + 1e-3),
-            ["guaranteed intervals of"],
+            ["irregular.effects.1.lower"],
         ),
-        (lambda own: own.update(undetected=[ERROR]), ["undetected errors of"]),
+        (lambda own: own.update(undetected=[ERROR]), ["undetected"]),
         # what other processors make of them
         (lambda own: scale(own["parameters"][0], "value", 1.0 + 1e-9), []),
         (lambda own: scale(own["amplitudes"][0][1], "value", 1.0 + 1e-9), []),
@@ -188,7 +192,7 @@ def test_no_estimate_can_be_changed(judged, tmp_path, change, statements):
         change(results["identification"]["identifier"])
 
     found = contradicted(forged(judged, tmp_path / "b.mcap", results=change_results))
-    assert found == [f"{statement} 'identifier'" for statement in statements]
+    assert found == [f"verdicts.identifier.{statement}" for statement in statements]
 
 
 def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
@@ -224,7 +228,10 @@ def test_declared_signals_are_compared(valid, tmp_path):
         if topic == "/regressor":
             items["cosim.kind"] = "identifier"
     path = with_own_hash(put_together(content, tmp_path / "b.mcap"))
-    assert set(contradicted(path)) == {"signals of 'observer'", "kind of 'regressor'"}
+    assert set(contradicted(path)) == {
+        "component tables.observer.signals.3.unit",
+        "component tables.regressor.kind",
+    }
 
 
 @pytest.mark.slow
@@ -235,12 +242,12 @@ def test_warnings_of_computed_components_are_compared(tmp_path):
     cosim.run("academic", out=valid, set=held)
     assert contradicted(valid) == []
     said = {"cosim.run": {"warnings": "[]"}}
-    assert contradicted(forged(valid, tmp_path / "b.mcap", metadata=said)) == ["warnings"]
+    assert contradicted(forged(valid, tmp_path / "b.mcap", metadata=said)) == ["warnings.0.0"]
     content = take_apart(valid)
     content.messages = [row for row in content.messages if b"do not trust delta" not in row[3]]
-    assert contradicted(put_together(content, tmp_path / "c.mcap"))[0] == "messages"
+    assert "warnings.1" in contradicted(put_together(content, tmp_path / "c.mcap"))
     path = forged(valid, tmp_path / "d.mcap", results=lambda results: results.update(warnings=[]))
-    assert contradicted(path) == ["warnings in result.json"]
+    assert contradicted(path) == ["result.json.warnings"]
 
 
 @pytest.mark.parametrize(("version", "passes"), [("0.0.1", True), (cosim.__version__, False)])
@@ -256,7 +263,13 @@ def test_the_sentences_of_another_version_are_not_compared(valid, tmp_path, vers
 
 @pytest.mark.parametrize(
     ("eigenvalues", "passes"),
-    [([-2.0000001, -4.0], True), ([-2.2, -4.0], False), ([-4.0], False), (["x", -2.0], False)],
+    [
+        ([-2.0000001, -4.0], True),
+        ([-2.2, -4.0], False),
+        ([-4.0], False),
+        (["x", -2.0], False),
+        ([10**400], False),  # no float holds it
+    ],
 )
 def test_eigenvalues_are_compared_but_for_what_depends_on_the_processor(
     valid, tmp_path, eigenvalues, passes
@@ -267,7 +280,9 @@ def test_eigenvalues_are_compared_but_for_what_depends_on_the_processor(
     assert metadata["eigenvalues"] == [-4.0, -2.0]
     changed = json.dumps({**metadata, "eigenvalues": eigenvalues})
     path = forged(valid, tmp_path / "b.mcap", metadata={component: {"metadata": changed}})
-    assert contradicted(path) == ([] if passes else ["eigenvalues of 'observer'"])
+    assert contradicted(path) == (
+        [] if passes else ["component tables.observer.metadata.eigenvalues"]
+    )
 
 
 def test_no_metadata_hides_a_table(valid, tmp_path):
@@ -277,7 +292,7 @@ def test_no_metadata_hides_a_table(valid, tmp_path):
     metadata = json.dumps({**json.loads(items["metadata"]), "table": items["table"]})
     changed = {component: {"metadata": metadata, "table": altered(items["table"])}}
     found = contradicted(forged(valid, tmp_path / "b.mcap", metadata=changed))
-    assert "table of 'observer'" in found
+    assert "component tables.observer.table" in found
 
 
 @pytest.mark.fast("pair", "academic", "academic-noisy")
@@ -318,21 +333,6 @@ def test_the_log_of_a_swapped_run_passes_without_what_was_swapped_in(valid, tmp_
     assert verified(path).problems == []
 
 
-@pytest.mark.parametrize(
-    ("found", "expected", "texts"),
-    [
-        ([1, 2, 3], [1, 7, 3], ("what, entry 1: 2 in", "7 in")),
-        ([1, 2, 3], [1], ("what, from entry 1 on: [2, 3] in", "[] in")),
-        ([], [1], ("what: [] in", "[1] in")),
-        ("a", "b", ("what: 'a' in", "'b' in")),
-    ],
-)
-def test_of_lists_the_first_difference_is_shown(found, expected, texts):
-    """Long ones are shortened where they begin to differ otherwise."""
-    shown = str(Contradiction("what", found, expected))
-    assert all(text in shown for text in texts)
-
-
 def test_a_log_without_an_estimate_is_not_contradicted_by_a_replay_without_verdicts(tmp_path):
     """There is nothing in it that the replay should have found."""
     short = {"scenario.stop": 0.1, "scenario.step": 0.02}
@@ -340,12 +340,3 @@ def test_a_log_without_an_estimate_is_not_contradicted_by_a_replay_without_verdi
     assert log.results["identification"]["identifier"].keys() == {"problem"}
     again = cosim.replay(log, set={"scenario.verdicts": False})
     assert verify(open_log(log.path), again).contradictions == ()
-
-
-def test_a_number_beyond_all_others_is_another_eigenvalue(valid, tmp_path):
-    """One that no float holds, too."""
-    content = take_apart(valid)
-    items = dict(content.metadata)["cosim.component.observer"]
-    items["metadata"] = json.dumps({**json.loads(items["metadata"]), "eigenvalues": [10**400]})
-    forgery = put_together(content, tmp_path / "a.mcap")
-    assert "eigenvalues of 'observer'" in contradicted(forgery)

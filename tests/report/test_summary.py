@@ -1,6 +1,8 @@
 """What the summary says of a run, and what is said where a log's records are damaged."""
 
 import json
+import re
+from html import unescape
 
 import numpy as np
 import pytest
@@ -9,25 +11,9 @@ import cosim
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.documents import plain
 from cosim.errors import LogError
-from cosim.report.summary import summarize
+from cosim.report.tables.run import print_summary
 from tests.log.crafting import put_together, take_apart
 
-LOOP = """
-[scenario]
-name = "loop"
-stop = 0.1
-step = 0.01
-[components]
-a = { kind = "lag", time_constant = 0.3 }
-b = { kind = "gain", K = 0.5 }
-cascade = { kind = "delay", delay = 0.01 }
-late = { kind = "gain", K = 0.5 }
-[connections]
-"a.u" = "b.y"
-"b.u" = "a.y"
-"cascade.u" = "late.y"
-"late.u" = "cascade.y"
-"""
 GAIN = plain(LoopGain(("a",), "jacobi", h=0.1, steps=1))
 WINDOW = {"half_width_steps": 1, "order": 2, "noise": [], "amplitude": 1.0, "bandwidth": 1.0}
 STEPS = {"step": 0.1, "finer_steps": [0.05]}
@@ -35,19 +21,45 @@ LATE = {"factor": 1.0, "blocks": 1, "late": 0, "largest": 0.0, "time": 0.0}
 DEEP = '{"x":' * 500 + "1" + "}" * 500
 
 
-def test_loops_of_first_order_are_in_the_summary(tmp_path):
-    """The first extrapolates an input; the second needs none at the end of a step."""
-    path = tmp_path / "loop.toml"
-    path.write_text(LOOP, encoding="utf-8")
-    (loop,) = summarize(cosim.run(path)).loops
-    assert set(loop.split()) >= {"gauss-seidel", "a", "b"}
-
-
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory):
     """Record a short run."""
     path = tmp_path_factory.mktemp("valid") / "a.mcap"
     return cosim.run("academic-as-printed", out=path, set={"scenario.stop": 0.1})
+
+
+def lines_of_page(page):
+    """Return caption, header and rows of every table of a page as a pipe has them."""
+    lines = []
+    for caption, table in re.findall("<caption>(.*?)</caption>(.*?)</table>", page):
+        rows = [
+            re.findall("<t[hd]>(.*?)</t[hd]>", row) for row in re.findall("<tr>(.*?)</tr>", table)
+        ]
+        lines += [caption, *("\t".join(row).rstrip("\t") for row in rows)]
+    return [unescape(line) for line in lines if line]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "step", "named"),
+    [
+        ("academic-as-printed", 1e-3, {"observer.delta", "identifier.theta[0]"}),
+        ("pair", 0.01, {"motor.y", "signal"}),
+        pytest.param(
+            *("compensation", 0.02, {"observer.x_a", "identifier.theta", "phase[0]"}),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, step, named):
+    """Behind the signals every number and line, with a certificate too, but for the wall time."""
+    changes = {"scenario.step": step, "scenario.stop": 60 * step}
+    run = cosim.run(scenario, set=changes, certify=scenario == "pair")
+    print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
+    printed = capsys.readouterr().out.splitlines()
+    shown = lines_of_page(run._repr_html_())[2 + len(run) :]
+    assert shown == [line for line in printed if not line.startswith("wall time\t")]
+    assert shown[0].startswith(f"{scenario}: ")
+    assert named <= {line.partition("\t")[0] for line in shown}
 
 
 @pytest.mark.parametrize(
@@ -127,6 +139,7 @@ def test_a_damaged_record_is_one_error_and_all_else_is_read(
     log = cosim.open_log(damaged)
     with pytest.raises(LogError) as error:
         cosim.certificate(log) if key == "certificate" else log.summary()
+    assert str(error.value) in unescape(log._repr_html_())
     for text in (str(damaged), *named):
         assert text in str(error.value)
     assert "expected" in str(error.value) or "available" in str(error.value)

@@ -143,7 +143,7 @@ def test_every_component_that_differs_is_shown_with_its_first_difference(valid):
     first, then, table, *others = verification.problems
     assert "first: observer." in first
     assert "then: regressor." in then
-    assert "changed scenario: table of 'observer'" in table
+    assert "changed scenario: component tables.observer.table" in table
     assert not any("contradicts its scenario" in problem for problem in others)
     differing = {entry.component for entry in verification.components if entry.first is not None}
     assert differing == {"observer", "regressor"}
@@ -208,7 +208,8 @@ def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_
     assert compared == [*known.split(), "last-row", "verdicts"]
     path = forged(identified, tmp_path / "b.mcap", results=forge)
     found = {entry.statement for entry in verified(path).contradictions}
-    assert {"verdicts on 'identifier'", "last row in result.json: observer.u"} <= found
+    verdict = "verdicts.identifier.parameters.0.verdict"
+    assert {verdict, "last row.observer.u"} <= found
 
 
 def test_a_part_is_not_said_to_have_the_last_row_of_the_replay(identified, tmp_path):

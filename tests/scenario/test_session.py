@@ -184,7 +184,7 @@ def test_a_replay_of_other_overrides_is_found_out(tmp_path, monkeypatch):
     monkeypatch.setattr(Log, "events", lambda self: changed)
     verification = verify(log, again)
     assert not verification.passed
-    assert "the log contradicts its scenario: overrides, " in "\n".join(verification.problems)
+    assert "the log contradicts its scenario: overrides." in "\n".join(verification.problems)
     other = verify(log, replay(log))
     assert not other.difference.equal
 

@@ -161,6 +161,13 @@ class RecordedRun(RecordedSignals):
         # of a layer above this one, which knows scenarios
         return import_module("cosim.report.summary").summarize(self)
 
+    def _repr_html_(self) -> str:
+        """Return a table of the signals; of a run of a scenario, what the tables after it show."""
+        page = super()._repr_html_()
+        if "scenario" in self.metadata.get("cosim.run", {}):
+            page += import_module("cosim.report.tables.run").html_summary(self)
+        return page
+
     def window(self, t0: float | None = None, t1: float | None = None) -> RecordedWindow:
         """Return the part of the run in ``t0 <= t <= t1``; rows are read when asked for.
 

@@ -103,6 +103,21 @@ def warning_texts(warnings: Iterable[RunMessage]) -> list[str]:
     return texts
 
 
+def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table as notebooks show it; its texts are escaped."""
+    from html import escape  # only notebooks need it
+
+    lines = []
+    for row in rows:
+        cells = "".join(f"<td>{escape(cell)}</td>" for cell in row)
+        lines.append(f"<tr>{cells}</tr>")
+    names = "".join(f"<th>{escape(name)}</th>" for name in header)
+    return (
+        f"<table><caption>{escape(caption)}</caption><thead><tr>{names}</tr></thead>"
+        f"<tbody>{''.join(lines)}</tbody></table>"
+    )
+
+
 def find_signal(
     channels: Mapping[str, Channel], signal: str | Port, *, source: str
 ) -> RecordedPort:
@@ -357,11 +372,9 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
 
     def _repr_html_(self) -> str:
         """Return a table of the signals for notebooks."""
-        from html import escape  # only notebooks need it
-
-        rows = []
-        for name, signal in self.signals.items():
-            cells = (
+        names = ("signal", "size", "unit", "role", "variability", "description")
+        rows = [
+            (
                 name,
                 str(signal.size),
                 signal.unit_text,
@@ -369,15 +382,9 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
                 signal.variability,
                 signal.description,
             )
-            rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
-        names = ("signal", "size", "unit", "role", "variability", "description")
-        header = "".join(f"<th>{name}</th>" for name in names)
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        caption = escape(f"{self.label}: {self._overview()}")
-        return (
-            f"<table><caption>{caption}</caption><thead><tr>{header}</tr></thead>"
-            f"<tbody>{body}</tbody></table>"
-        )
+            for name, signal in self.signals.items()
+        ]
+        return html_table(f"{self.label}: {self._overview()}", names, rows)
 
     def _overview(self) -> str:
         end = self.end_ns / 1e9

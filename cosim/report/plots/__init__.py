@@ -1,22 +1,6 @@
 """Pictures of runs; they need the extra ``[plot]``.
 
-* ``picture``: figure, panels, format and file.
-* ``curves``: what is drawn into a panel, with names, units and bands.
-* ``runs``, ``identification``, ``schedule``: the pictures.
+* ``picture``: figure, panels, colors, format and file.
+* ``runs``: curves of recorded signals, and pictures of runs.
+* ``identification``: the picture of an identification from logs.
 """
-
-from __future__ import annotations
-
-from cosim.report.plots.identification import plot_identification
-from cosim.report.plots.picture import PictureOptions, need_plot
-from cosim.report.plots.runs import plot_comparison, plot_difference, plot_run, plot_signals
-
-__all__ = [
-    "PictureOptions",
-    "need_plot",
-    "plot_comparison",
-    "plot_difference",
-    "plot_identification",
-    "plot_run",
-    "plot_signals",
-]

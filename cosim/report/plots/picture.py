@@ -1,21 +1,31 @@
-"""A figure of panels, its texts in lines that fit, and the file it is written to."""
+"""A figure of panels, its colors, its texts in lines that fit, and the file it is written to."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from textwrap import TextWrapper
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from cosim.errors import UsageError
 from cosim.files import check_writable
 from cosim.filters import collected_warnings
+from cosim.report.printable import printable_line
+
+Style: TypeAlias = Mapping[str, Any]
 
 LARGEST: Final = 200.0  # cm
+LARGEST_DRAWN: Final = 1e300  # an axis has margins: the difference of its ends must be a number
+WIDTH: Final = 1.2  # of a line [points]
+# Okabe and Ito, without yellow: the color-blind can distinguish them
+COLORS: Final = ("#0072B2", "#D55E00", "#000000", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
+DASHES: Final = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
 _SMALLEST: Final = 3.0  # cm
 _CENTIMETER: Final = 1.0 / 2.54  # inches
 _DOTS_PER_INCH: Final = 150
@@ -23,14 +33,11 @@ _MOST_ROWS: Final = 4  # where a picture chooses its columns itself: more would 
 _NO_ROOM: Final = "constrained_layout not applied"  # a warning of matplotlib
 # text stays text: it can be searched and edited, and set in the font of the page
 _TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
-# of texts
-_WORDS: Final = re.compile(r"\S+\s*|\s+")
-_PARTS: Final = re.compile(r"[^._/]+[._/]*|[._/]+")  # of a name, with what ends them
-_MARGIN: Final = 0.97  # of the room, that is used
+_MOST_NAMES: Final = 24  # in the legend of a panel
+_NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
+_MARGIN: Final = 0.97  # of the room of a text, that is used
 _ROOMY: Final = 0.5  # of the part of a picture that a panel has: its axes have more mostly
 _MOST_COLUMNS: Final = 6  # of a legend
-_APART: Final = 1.25  # of the length of a number: from one to the next
-_GAP: Final = 3.0  # between numbers [dots]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +85,9 @@ class PictureOptions:
         """First and last time shown [s], infinite where they are those of the run."""
         start = -math.inf if self.start is None else self.start
         return start, math.inf if self.stop is None else self.stop
+
+
+STANDARD: Final = PictureOptions()
 
 
 def need_plot(out: Path) -> None:
@@ -144,7 +154,8 @@ class Picture:
         for empty in places[count:]:
             empty.set_visible(False)
         for panel in self.panels:
-            panel.ticklabel_format(useOffset=False)  # numbers as they are, not from 1e-5+4
+            panel.ticklabel_format(axis="y", useOffset=False)  # as they are, not from 1e-5+4
+            panel.grid(alpha=0.3)
 
     def legend(self, lines: list[Any], *, below: bool = False, title: str = "") -> None:
         """Show a legend of all panels above them; below them where the picture has a title.
@@ -180,8 +191,6 @@ class Picture:
         shown_title = title if self._options.title is None else self._options.title
         if shown_title:
             _fit(self._figure.suptitle(shown_title), self._figure.bbox.width)
-        for panel in self.panels:
-            panel.grid(alpha=0.3)
         if self._shares_time:
             for panel in self.panels[-self._columns :]:
                 panel.set_xlabel("t [s]")
@@ -206,56 +215,70 @@ class Picture:
             raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
     def _fit_axes(self) -> None:
-        """Break long names at the axes; leave out numbers that would run into others."""
-        from matplotlib.ticker import MaxNLocator
+        """Break long names at the axes; write numbers between powers of ten as short as can be."""
+        from matplotlib.ticker import LogFormatter
 
         share = _ROOMY * self._figure.bbox.size / (self._columns, self._rows)
-        labels = []
-        for panel in self._figure.axes:
-            for direction, axis in enumerate((panel.xaxis, panel.yaxis)):
-                labels.append((panel, axis.label, direction, axis.label.get_text()))
-                _fit(axis.label, share[direction], is_upright=direction == 1)
-        self._figure.draw_without_rendering()  # how long axes and numbers are is known only then
-        for panel, label, direction, text in labels:
-            label.set_text(text)
-            room = max(panel.get_window_extent().size[direction], share[direction])
-            _fit(label, room, is_upright=direction == 1)
-        for panel in self._figure.axes:
-            for axis in (panel.xaxis, panel.yaxis):
-                if axis.get_scale() == "log":
-                    _thin_out(axis)
-            locator = panel.xaxis.get_major_locator()
-            widths = [text.get_window_extent().width for text in panel.xaxis.get_majorticklabels()]
-            room = panel.get_window_extent().width / max(_APART * max(widths, default=0.0), 1.0)
-            if isinstance(locator, MaxNLocator) and room < len(widths):
-                locator.set_params(nbins=max(int(room), 1))
+        axes = [axis for panel in self._figure.axes for axis in (panel.xaxis, panel.yaxis)]
+        labels = [axis.label.get_text() for axis in axes]
+        for is_drawn in (False, True):  # how long axes and numbers are is known only then
+            for axis, text in zip(axes, labels, strict=True):
+                upright = int(axis.axis_name == "y")
+                length = axis.axes.get_window_extent().size[upright] if is_drawn else 0.0
+                axis.label.set_text(text)
+                _fit(axis.label, max(length, share[upright]), is_upright=bool(upright))
+            if not is_drawn:
+                self._figure.draw_without_rendering()
+        for axis in axes:
+            if axis.get_scale() == "log":
+                axis.set_minor_formatter(LogFormatter())
+
+
+def show_legend(panel: Any) -> None:
+    """Name the curves of a panel beside it, where they hide nothing; of many only the first."""
+    lines, names = panel.get_legend_handles_labels()
+    shown = lines[:_MOST_NAMES]
+    panel.legend(
+        shown,
+        names[:_MOST_NAMES],
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        frameon=False,
+        fontsize="small",
+        ncols=-(-len(shown) // _NAMES_IN_COLUMN),  # rounded up
+        title=f"the first {len(shown)} of {len(lines)}" if len(shown) < len(lines) else None,
+        title_fontsize="small",
+    )
+
+
+def color_styles(count: int) -> list[Style]:
+    """Return a style for each of several curves: colors, then dashes too."""
+    looks = [{"linestyle": dashes, "color": color} for dashes in DASHES for color in COLORS]
+    return [{**looks[i % len(looks)], "linewidth": WIDTH} for i in range(count)]
+
+
+def shown_text(name: str) -> str:
+    """Return a name as matplotlib shows it: no mathematics, no control characters."""
+    return printable_line(name).replace("$", r"\$")
+
+
+# --- texts that fit ---
+
+
+class _NameWrapper(TextWrapper):
+    """Wraps after blanks, and after the dots and bars of names."""
+
+    wordsep_re = re.compile(r"(\s+|[^\s._/]+[._/]*|[._/]+)")
 
 
 def broken(text: str, count: int) -> str:
-    """Return a text in lines of at most so many characters, broken after blanks.
+    """Return a text in lines of at most so many characters, broken after blanks, dots and bars.
 
-    A name that is longer is broken after its dots and bars, and a part of it anywhere.
+    A part of a name that is longer is broken anywhere.
     """
-    lines = []
-    for line in text.split("\n"):
-        current = ""
-        for piece in _pieces(line, count):
-            if current and len((current + piece).rstrip()) > count:
-                lines.append(current.rstrip())
-                current = ""
-            current += piece
-        lines.append(current.rstrip())
-    return "\n".join(lines)
-
-
-def _pieces(line: str, count: int) -> list[str]:
-    """Return what a line may be broken into; without its blanks, none is longer than ``count``."""
-    pieces = []
-    for word in _WORDS.findall(line):
-        parts = [word] if len(word.rstrip()) <= count else _PARTS.findall(word)
-        for part in parts:
-            pieces += [part[k : k + count] for k in range(0, len(part.rstrip()), count)]
-    return pieces
+    wrapper = _NameWrapper(count)
+    lines = [part for line in text.split("\n") for part in wrapper.wrap(line) or [""]]
+    return "\n".join(map(str.rstrip, lines))
 
 
 def _fit(artist: Any, room: float, *, is_upright: bool = False) -> None:
@@ -270,19 +293,6 @@ def _fit(artist: Any, room: float, *, is_upright: bool = False) -> None:
         longest = max(map(len, artist.get_text().split("\n")))
         count = max(min(int(_MARGIN * longest * room / length), count - 1), 1)
         artist.set_text(broken(text, count))
-
-
-def _thin_out(axis: Any) -> None:
-    """Write the numbers between powers of ten only where they have room."""
-    direction = 0 if axis.axis_name == "x" else 1
-    taken = [label.get_window_extent() for label in axis.get_majorticklabels()]
-    texts = {}
-    for label in axis.get_minorticklabels():
-        extent = label.get_window_extent().padded(_GAP)
-        if label.get_text() and not any(extent.overlaps(other) for other in taken):
-            taken.append(extent)
-            texts[label.get_position()[direction]] = label.get_text()
-    axis.set_minor_formatter(lambda value, _: texts.get(value, ""))
 
 
 def _format(out: Path) -> str:

@@ -1,9 +1,12 @@
-"""Pictures of recorded runs: signals, estimates beside their truth, and what differs."""
+"""Pictures of recorded runs: signals, estimates beside their truth, and what differs.
+
+Each element of a signal is a curve, with name, unit and band; a panel shows some of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -11,59 +14,333 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.port import named_ports
+from cosim.core.port import Port, named_ports
 from cosim.core.recorded.selection import split_names
 from cosim.core.recording import Recording
 from cosim.errors import UsageError
-from cosim.log.comparison.difference import LogDifference, SignalDifference
-from cosim.report.plots.curves import (
+from cosim.log.comparison.difference import LogDifference
+from cosim.report.plots.picture import (
     COLORS,
     DASHES,
-    TRUTH,
+    LARGEST_DRAWN,
+    STANDARD,
     WIDTH,
-    Curve,
+    Picture,
+    PictureOptions,
     Style,
     color_styles,
-    curves_of,
-    draw_curves,
+    need_plot,
     show_legend,
+    shown_text,
 )
-from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import (
     beside_truth,
     difference,
-    element_names,
     has_signal,
+    recorded_port,
     rows_of,
-    signal_of,
     stacked_units,
-    time_ns_of,
-    units_of,
 )
 from cosim.scenario.record import run_metadata, truth_of
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
-from cosim.units import units_text, with_unit
+from cosim.units import Unit, conversion, units_text, with_unit
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison, EstimatorComparison
 
 MOST_OUTPUTS: Final = 12  # of a run without truth that a picture shows
 FAR_BEYOND: Final = 10.0  # times how far most curves of a panel reach: it is not for these
-ZERO: Final[Style] = {"color": "0.75", "linewidth": 1.0}
 _LIMIT: Final[Style] = {"color": "0.4", "linewidth": 0.9}
 _PAIR: Final[tuple[Style, Style]] = (
     {"color": COLORS[0], "linewidth": 2.0 * WIDTH},
     {"color": COLORS[1], "linewidth": WIDTH},
 )  # the wider one stays visible under the other
+TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
+ZERO: Final[Style] = {"color": "0.75", "linewidth": 1.0}
 SCIENTIFIC: Final = (-2, 3)  # powers of ten of numbers written in full, of errors
-_STANDARD: Final = PictureOptions()
+_FAINT: Final = 0.2  # opacity of a band
+
+
+# --- curves ---
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One element of a signal over time.
+
+    Parameters
+    ----------
+    name : str
+    unit : Unit
+    times : Vector, shape (N,)
+        [s].
+    values : Vector, shape (N,)
+    held : bool
+        Whether it has a zero-order hold between its rows; else it is interpolated linearly.
+    run : str
+        What tells its run from others, behind its name.
+    band : Vector, shape (N,), or None
+        Half width of the band around it.
+    """
+
+    name: str
+    unit: Unit
+    times: Vector
+    values: Vector
+    held: bool = False
+    run: str = ""
+    band: Vector | None = None
+
+    @property
+    def edges(self) -> tuple[Vector, Vector]:
+        """Both edges of its band; itself where it has none."""
+        band = 0.0 if self.band is None else self.band
+        return self.values - band, self.values + band
+
+    def draw(self, panel: Any, style: Style, *, label: str | None = None) -> None:
+        """Draw the curve as it is between two rows, and its band.
+
+        Raises
+        ------
+        UsageError
+            If a value is too large for an axis.
+        """
+        finite = self.values[np.isfinite(self.values)]
+        largest = float(np.abs(finite).max(initial=0.0))
+        if largest > LARGEST_DRAWN:
+            raise UsageError(
+                f"{self.name}{self.run}: {largest:g} is too large to be drawn; expected at most "
+                f"{LARGEST_DRAWN:g}"
+            )
+        drawstyle = "steps-post" if self.held else "default"
+        panel.plot(self.times, self.values, drawstyle=drawstyle, label=label, **style)
+        if self.band is not None:
+            edges = np.clip(self.edges, -LARGEST_DRAWN, LARGEST_DRAWN)
+            step = "post" if self.held else None
+            look = {"color": style["color"], "alpha": _FAINT, "linewidth": 0.0}
+            panel.fill_between(self.times, *edges, step=step, **look)
+
+    def within(self, options: PictureOptions) -> Curve:
+        """Return the part that a picture shows, with the rows next to it.
+
+        Raises
+        ------
+        UsageError
+            If it begins after the last time shown, or ends before the first.
+        """
+        start, stop = options.window
+        if len(self.times) and (start > self.times[-1] or stop < self.times[0]):
+            raise UsageError(
+                "start, stop: no rows in this interval; expected a part of "
+                f"{self.times[0]:g} s to {self.times[-1]:g} s"
+            )
+        first = int(np.searchsorted(self.times, start, side="right")) - 1
+        shown = slice(max(0, first), int(np.searchsorted(self.times, stop, side="left")) + 1)
+        band = None if self.band is None else self.band[shown]
+        return replace(self, times=self.times[shown], values=self.values[shown], band=band)
+
+    def in_unit_of(self, other: Curve) -> Curve:
+        """Return the curve in the unit of another.
+
+        Raises
+        ------
+        UsageError
+            If the units are of different kinds.
+        """
+        convert = conversion(self.unit, other.unit)
+        if convert is None:
+            raise UsageError(
+                f"{other.name}{other.run} in {other.unit.name!r} and {self.name}{self.run} in "
+                f"{self.unit.name!r} cannot share an axis; give each a panel of its own"
+            )
+        if convert.copies:
+            return self
+        values = convert(self.values)
+        band = None if self.band is None else convert(self.edges[1]) - values
+        return replace(self, unit=other.unit, values=values, band=band)
+
+
+def curves_of(
+    recording: Recording, port: str, *, like: Sequence[Unit] | None = None, run: str = ""
+) -> list[Curve]:
+    """Return a curve for each element of a port; in the units ``like``, if given.
+
+    Raises
+    ------
+    LogError
+        If there is no such component, signal or element.
+    """
+    found = recorded_port(recording, port)
+    rows = rows_of(recording, port, like=like)
+    times = recording.time_ns(found.channel.name) / 1e9
+    names = Port.parse(port).element_names(found.size)
+    held = found.signal.variability == "discrete"
+    elements = zip(names, like or found.measures, rows.T, strict=True)
+    return [Curve(name, unit, times, values, held, run) for name, unit, values in elements]
+
+
+def difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
+    """Return ``other - first`` of each element of a port, at the instants that they share."""
+    times, values = difference(first, other, port)
+    pairs = zip(curves_of(first, port), values.T, strict=True)
+    return [replace(curve, times=times, values=column) for curve, column in pairs]
+
+
+def estimate_curves(recording: Recording, estimate: str) -> list[Curve]:
+    """Return the elements of an estimate; of theta with the band of its 95 % interval.
+
+    Where its component records no ``standard_error`` there is no band.
+    """
+    curves = curves_of(recording, estimate)
+    component, _, signal = estimate.rpartition(".")
+    error = f"{component}.standard_error"
+    if signal != "theta" or not has_signal(recording, error):
+        return curves
+    quantile = normal_two_sided(CONFIDENCE)
+    errors = curves_of(recording, error)
+    if len(errors) != len(curves):  # of a component of a user
+        return curves
+    pairs = zip(curves, errors, strict=True)
+    return [replace(curve, band=quantile * one.values) for curve, one in pairs]
+
+
+def truth_curves(recording: Recording, estimate: str) -> list[Curve]:
+    """Return the true signals of an estimate, or values without times; none: they are not known."""
+    true = truth_of(recording).get(estimate)
+    if true is None:
+        return []
+    ports = named_ports(true)
+    if ports:
+        units = stacked_units(recording, ports, estimate)
+        pairs = zip(ports, units, strict=True)
+        return [one for port, like in pairs for one in curves_of(recording, port, like=like)]
+    values = np.atleast_1d(np.array(true, np.float64))
+    elements = zip(curves_of(recording, estimate), values, strict=True)
+    return [replace(one, times=np.zeros(0), values=value[np.newaxis]) for one, value in elements]
+
+
+def error_curves(recording: Recording, estimate: str) -> list[Curve]:
+    """Return estimate minus truth, at the instants that they share, with the band of the estimate.
+
+    An estimate that lags is compared with the truth that much earlier. None: there is no truth.
+    """
+    true = truth_of(recording).get(estimate)
+    if true is None:
+        return []
+    curves = estimate_curves(recording, estimate)
+    times = curves[0].times
+    rows = rows_of(recording, estimate)
+    ports = named_ports(true)
+    if ports:
+        time_ns, rows, true = beside_truth(recording, estimate, ports)
+        times = time_ns / 1e9
+    has_all = len(times) == len(curves[0].times)
+    return [
+        replace(
+            curve,
+            name=f"error of {curve.name}",
+            times=times,
+            values=values,
+            band=curve.band if has_all else None,
+        )
+        for curve, values in zip(curves, (rows - np.array(true, np.float64)).T, strict=True)
+    ]
+
+
+# --- what a panel shows ---
+
+
+def draw_curves(panel: Any, curves: Sequence[Curve], styles: Sequence[Style] | None = None) -> None:
+    """Draw curves into a panel, with their names and units; by default in the standard styles.
+
+    All are shown in the unit of the first; where elements of one signal cannot be, each in its own.
+    The axis has the name of the signal, or of the element, that all are of.
+
+    Raises
+    ------
+    UsageError
+        If the units of several signals are of different kinds.
+    """
+    first = curves[0]
+    names = {curve.name for curve in curves}
+    signals = {name.partition("[")[0] for name in names}
+    has_own_units = False
+    if len(signals) == 1 and len({curve.run for curve in curves}) == 1:
+        has_own_units = any(conversion(curve.unit, first.unit) is None for curve in curves)
+    for curve, style in zip(curves, styles or color_styles(len(curves)), strict=True):
+        shown = curve if has_own_units else curve.in_unit_of(first)
+        unit = _bracketed(curve.unit) if has_own_units else ""
+        shown.draw(panel, style, label=f"{shown_text(f'{curve.name}{curve.run}')} {unit}".rstrip())
+    common = ""
+    if len(signals) == 1:
+        common = first.name if len(names) == 1 else first.name.partition("[")[0]
+    unit = "" if has_own_units else _bracketed(first.unit)
+    panel.set_ylabel(f"{shown_text(common)} {unit}".strip())
+    if len(curves) > 1:
+        show_legend(panel)
+
+
+def _bracketed(unit: Unit) -> str:
+    return "" if unit.name is None else f"[{shown_text(unit.name)}]"
+
+
+def draw_truth(panel: Any, truth: Sequence[Curve]) -> None:
+    """Draw true signals in gray, and true values as lines all the time."""
+    for one in truth:
+        if len(one.times):
+            one.draw(panel, TRUTH)
+        else:
+            panel.axhline(one.values[0], **TRUTH)
+
+
+def draw_pair(
+    panels: Sequence[Any], curves: Sequence[Curve], truth: Sequence[Curve], errors: Sequence[Curve]
+) -> Sequence[Curve]:
+    """Draw an estimate over its truth in gray, and beside it what is returned.
+
+    These are its errors; where they are not known, the half widths of its bands, if it has any.
+    """
+    left, right = panels
+    draw_truth(left, truth)
+    draw_curves(left, curves)
+    beside = errors or [
+        replace(one, name=f"95 % of {one.name}", values=one.band, band=None)
+        for one in curves
+        if one.band is not None
+    ]
+    if beside:
+        draw_curves(right, beside)
+        right.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
+    if errors:
+        right.axhline(0.0, **ZERO)
+    return beside
+
+
+def limit_to_settled(panel: Any, curves: Sequence[Curve], truth: Sequence[Curve] = ()) -> None:
+    """Limit a panel to the truth and the second half of curves: transients would hide these."""
+    parts = [np.zeros(0), *(one.values for one in truth)]
+    for curve in curves:
+        parts += map(second_half, (curve.values, *curve.edges))
+    values = np.concatenate(parts)
+    finite = values[np.isfinite(values)]
+    if len(finite):
+        margin = 0.15 * float(np.ptp(finite)) or 1.0
+        panel.set_ylim(finite.min() - margin, finite.max() + margin)
+
+
+def second_half(values: Vector) -> Vector:
+    """Return the second half of the values of a curve."""
+    return values[len(values) // 2 :]
+
+
+# --- pictures ---
 
 
 def plot_signals(
     recordings: Recording | Sequence[Recording],
     signals: Sequence[str],
     out: Path,
-    options: PictureOptions = _STANDARD,
+    options: PictureOptions = STANDARD,
 ) -> None:
     """Draw signals over time, one panel for each entry of ``signals``.
 
@@ -100,19 +377,19 @@ def plot_signals(
         styles: list[Style] = []
         for run, label, line in zip(runs, labels, lines, strict=True):
             for port in split_names(entry):
-                curves += curves_of(run, port, options, run=label)
+                curves += [one.within(options) for one in curves_of(run, port, run=label)]
             styles += [line] * (len(curves) - len(styles))
         colored = zip(color_styles(len(curves)), styles, strict=True)
         draw_curves(panel, curves, [{**color, **line} for color, line in colored])
     picture.save(out)
 
 
-def plot_run(recording: Recording, out: Path, options: PictureOptions = _STANDARD) -> None:
+def plot_run(recording: Recording, out: Path, options: PictureOptions = STANDARD) -> None:
     """Draw the standard picture of a run.
 
     A row for each estimate: on the left with its truth, on the right its error, both with the 95 %
-    interval where the standard error is recorded. For a run without
-    truth a panel for each output; states only of components that have no other.
+    interval where the standard error is recorded. For a run without truth a panel for each output;
+    states only of components that have no other.
 
     Raises
     ------
@@ -129,15 +406,13 @@ def plot_run(recording: Recording, out: Path, options: PictureOptions = _STANDAR
     picture = Picture(2 * len(estimates), options, columns=2)
     panels = picture.panels
     for left, right, estimate in zip(panels[::2], panels[1::2], estimates, strict=True):
-        curves = estimate_curves(recording, estimate, options)
-        truth = draw_truth(left, recording, estimate, options)
-        draw_curves(left, curves)
+        curves, truth, errors = (
+            [one.within(options) for one in whole(recording, estimate)]
+            for whole in (estimate_curves, truth_curves, error_curves)
+        )
+        draw_pair((left, right), curves, truth, errors)
         limit_to_settled(left, curves, truth)
-        errors = error_curves(recording, estimate, options)
-        draw_curves(right, errors)
         limit_to_settled(right, errors)
-        right.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
-        right.axhline(0.0, **ZERO)
     panels[0].set_title("estimates (lines) and truth (gray)", fontsize="medium")
     panels[1].set_title("errors", fontsize="medium")
     picture.save(out, title=title)
@@ -155,16 +430,11 @@ def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, titl
         title = f"{title}: the first {MOST_OUTPUTS} of {len(names)} outputs"
     picture = Picture(min(len(names), MOST_OUTPUTS), options)
     for panel, name in zip(picture.panels, names, strict=False):
-        draw_curves(panel, curves_of(recording, name, options))
+        draw_curves(panel, [one.within(options) for one in curves_of(recording, name)])
     picture.save(out, title=title)
 
 
-def plot_difference(
-    comparison: LogDifference,
-    runs: Sequence[Recording],
-    out: Path,
-    options: PictureOptions = _STANDARD,
-) -> None:
+def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: Path) -> None:
     """Draw the worst signal of a comparison: the element in which both are farthest apart.
 
     Above both curves, below ``b - a`` at the instants that they share, with the tolerance where
@@ -179,13 +449,17 @@ def plot_difference(
     need_plot(out)
     worst = comparison.worst
     assert worst is not None
-    apart = _apart(worst, runs)
-    picture = Picture(2, options)
+    with np.errstate(invalid="ignore"):  # infinity minus itself
+        curves = difference_curves(runs[0], runs[1], worst.signal)
+    apart = max(curves, key=lambda one: np.nan_to_num(np.abs(one.values), nan=0.0).max(initial=0.0))
+    if worst.first is not None and not np.isfinite(worst.largest):  # where only one is a number
+        apart = next(curve for curve in curves if curve.name == worst.first.signal)
+    picture = Picture(2, STANDARD)
     above, below = picture.panels
-    curves = []
+    both: list[Curve] = []
     for run, label in zip(runs, _short_labels(runs), strict=True):
-        curves += curves_of(run, apart.name, options, run=label)
-    draw_curves(above, curves, _PAIR)
+        both += curves_of(run, apart.name, run=label)
+    draw_curves(above, both, _PAIR)
     draw_curves(below, [replace(apart, name="b - a")], [{"color": COLORS[2]}])
     if worst.tolerance > 0.0:
         below.axhline(worst.tolerance, label="tolerance", linestyle="--", **_LIMIT)
@@ -197,30 +471,7 @@ def plot_difference(
     picture.save(out, title=f"{apart.name}: largest |a - b| = {worst.largest:.3g}")
 
 
-def _apart(worst: SignalDifference, runs: Sequence[Recording]) -> Curve:
-    """Return the difference of the element of a signal in which two runs are farthest apart."""
-    with np.errstate(invalid="ignore"):  # infinity minus itself
-        curves = _difference_curves(runs[0], runs[1], worst.signal)
-    if np.isfinite(worst.largest) or worst.first is None:
-        reaches = [np.nan_to_num(np.abs(curve.values), nan=0.0).max() for curve in curves]
-        return curves[int(np.argmax(reaches))]
-    names = [curve.name for curve in curves]
-    return curves[names.index(worst.first.signal)]  # where only one of both is a number
-
-
-def _difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
-    times, values = difference(first, other, port)
-    names = element_names(port, values.shape[1])
-    held = signal_of(first, port).variability == "discrete"
-    curves = []
-    for name, unit, column in zip(names, units_of(first, port), values.T, strict=True):
-        curves.append(Curve(name, unit, times, column, held))
-    return curves
-
-
-def plot_comparison(
-    comparison: Comparison | EstimatorComparison, out: Path, options: PictureOptions = _STANDARD
-) -> None:
+def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> None:
     """Draw the estimates of several runs over their truth, and their differences to the first.
 
     One row for each estimate: on the left the estimates, on the right the differences. A plant, or
@@ -235,53 +486,44 @@ def plot_comparison(
     recordings = comparison.recordings
     if not comparison.estimates:
         raise UsageError("no run has an estimate with a [truth], so there is nothing to compare")
-    styles: dict[str, Style] = {}
     widths = np.linspace(2.8, 1.0, len(recordings))  # leave equal lines visible
-    for run, color, width in zip(recordings, cycle(COLORS), widths):
-        styles[run] = {"color": color, "linewidth": width}
-    picture = Picture(2 * len(comparison.estimates), options, columns=2)
+    styles: dict[str, Style] = {
+        run: {"color": color, "linewidth": width}
+        for run, color, width in zip(recordings, cycle(COLORS), widths)
+    }
+    first = next(iter(recordings))
+    picture = Picture(2 * len(comparison.estimates), STANDARD, columns=2)
     panels = picture.panels
     rows = zip(panels[::2], panels[1::2], comparison.estimates.items(), strict=True)
     for left, right, (estimate, true) in rows:
         runs = {run: one for run, one in recordings.items() if has_signal(one, estimate)}
         for recording in runs.values():
             if truth_of(recording).get(estimate) == true:
-                truth = draw_truth(left, recording, estimate, options)
-                limit_to_settled(left, curves_of(recording, estimate, options), truth)
+                truth = truth_curves(recording, estimate)
+                draw_truth(left, truth)
+                limit_to_settled(left, curves_of(recording, estimate), truth)
                 break
+        drawn: list[Curve] = []
         for run, recording in runs.items():
-            _draw_elements(left, curves_of(recording, estimate, options), styles[run])
-            left.set_ylabel(with_unit(estimate, units_text(units_of(recording, estimate)) or None))
-        _draw_differences(right, recordings, estimate, styles, options)
+            _draw_elements(left, curves_of(recording, estimate), styles[run])
+            measures = recorded_port(recording, estimate).measures
+            left.set_ylabel(with_unit(estimate, units_text(measures) or None))
+            if first in runs and run != first:
+                curves = difference_curves(recordings[first], recording, estimate)
+                _draw_elements(right, curves, styles[run])
+                drawn += curves
+        limit_to_settled(right, near_most(drawn))
+        right.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
+        names = list(dict.fromkeys(curve.name for curve in drawn))
+        if len(names) > 1:
+            for name, dashes in zip(names, cycle(DASHES)):
+                right.plot([], [], color="0.3", linestyle=dashes, label=name)
+            show_legend(right)
     panels[0].set_title("estimates", fontsize="medium")
-    panels[1].set_title(f"difference to {next(iter(recordings))}", fontsize="medium")
+    panels[1].set_title(f"difference to {first}", fontsize="medium")
     named = {**styles, "truth": TRUTH}
     picture.legend([panels[0].plot([], [], label=run, **named[run])[0] for run in named])
     picture.save(out)
-
-
-def _draw_differences(
-    panel: Any,
-    recordings: Mapping[str, Recording],
-    estimate: str,
-    styles: Mapping[str, Style],
-    options: PictureOptions,
-) -> None:
-    (_, first), *others = recordings.items()
-    drawn: list[Curve] = []
-    for run, recording in others:
-        if has_signal(first, estimate) and has_signal(recording, estimate):
-            whole = _difference_curves(first, recording, estimate)
-            curves = [curve.within(options) for curve in whole]
-            _draw_elements(panel, curves, styles[run])
-            drawn += curves
-    limit_to_settled(panel, near_most(drawn))
-    panel.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
-    names = list(dict.fromkeys(curve.name for curve in drawn))
-    if len(names) > 1:
-        for name, dashes in zip(names, cycle(DASHES)):
-            panel.plot([], [], color="0.3", linestyle=dashes, label=name)
-        show_legend(panel)
 
 
 def near_most(curves: Sequence[Curve]) -> list[Curve]:
@@ -289,7 +531,7 @@ def near_most(curves: Sequence[Curve]) -> list[Curve]:
 
     A method that fails would hide all the others; it leaves the panel, and the left one shows it.
     """
-    halves = [np.abs(_second_half(curve.values)) for curve in curves]
+    halves = [np.abs(second_half(curve.values)) for curve in curves]
     reaches = [float(half[np.isfinite(half)].max(initial=0.0)) for half in halves]
     shown = [reach for reach in reaches if reach > 0.0]
     farthest = FAR_BEYOND * float(np.median(shown)) if shown else 0.0
@@ -308,81 +550,3 @@ def _short_labels(recordings: Sequence[Recording]) -> list[str]:
     paths = [Path(recording.label) for recording in recordings]
     stems = [path.stem for path in paths]
     return [f" ({path.stem if stems.count(path.stem) == 1 else path})" for path in paths]
-
-
-# --- estimates, which other pictures show too ---
-
-
-def estimate_curves(recording: Recording, estimate: str, options: PictureOptions) -> list[Curve]:
-    """Return the elements of an estimate; of theta with the band of its 95 % interval.
-
-    Where its component records no ``standard_error`` there is no band.
-    """
-    curves = curves_of(recording, estimate, options)
-    component, _, signal = estimate.rpartition(".")
-    error = f"{component}.standard_error"
-    if signal != "theta" or not has_signal(recording, error):
-        return curves
-    quantile = normal_two_sided(CONFIDENCE)
-    errors = curves_of(recording, error, options)
-    if len(errors) != len(curves):  # of a component of a user
-        return curves
-    pairs = zip(curves, errors, strict=True)
-    return [replace(curve, band=quantile * one.values) for curve, one in pairs]
-
-
-def error_curves(recording: Recording, estimate: str, options: PictureOptions) -> list[Curve]:
-    """Return estimate minus truth, at the instants that they share, with the band of the estimate.
-
-    An estimate that lags is compared with the truth that much earlier.
-    """
-    true = truth_of(recording)[estimate]
-    ports = named_ports(true)
-    if ports:
-        times, estimated, truth = beside_truth(recording, estimate, ports)
-    else:
-        times = time_ns_of(recording, estimate)
-        estimated = rows_of(recording, estimate)
-        truth = np.atleast_2d(np.array(true, np.float64))
-    curves = []
-    whole = estimate_curves(recording, estimate, PictureOptions())
-    for curve, values in zip(whole, (estimated - truth).T, strict=True):
-        band = curve.band if len(times) == len(curve.times) else None
-        name = f"error of {curve.name}"
-        error = replace(curve, name=name, times=times / 1e9, values=values, band=band)
-        curves.append(error.within(options))
-    return curves
-
-
-def draw_truth(
-    panel: Any, recording: Recording, estimate: str, options: PictureOptions
-) -> list[Vector]:
-    """Draw the true signals, or values, of an estimate in gray; return what is drawn."""
-    true = truth_of(recording)[estimate]
-    ports = named_ports(true)
-    drawn: list[Vector] = []
-    for port, units in zip(ports, stacked_units(recording, ports, estimate), strict=True):
-        for curve in curves_of(recording, port, options, like=units):
-            curve.draw(panel, TRUTH)
-            drawn.append(curve.values)
-    if not ports:
-        drawn.append(np.atleast_1d(np.array(true, np.float64)))
-        for value in drawn[0]:
-            panel.axhline(value, **TRUTH)
-    return drawn
-
-
-def limit_to_settled(panel: Any, curves: Sequence[Curve], truth: Sequence[Vector] = ()) -> None:
-    """Limit a panel to the truth and the second half of curves: transients would hide these."""
-    parts = [np.zeros(0), *truth]
-    for curve in curves:
-        parts += map(_second_half, (curve.values, *curve.edges))
-    values = np.concatenate(parts)
-    finite = values[np.isfinite(values)]
-    if len(finite):
-        margin = 0.15 * float(np.ptp(finite)) or 1.0
-        panel.set_ylim(finite.min() - margin, finite.max() + margin)
-
-
-def _second_half(values: Vector) -> Vector:
-    return values[len(values) // 2 :]

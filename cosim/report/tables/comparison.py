@@ -1,8 +1,9 @@
-"""Comparisons: two logs, several plants or estimators, replays, a component and its replacement."""
+"""Comparisons: two logs, several plants or estimators, replays of one log."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,16 +14,14 @@ from cosim.report.tables.console import (
     new_table,
     print_json,
     print_line,
-    print_section,
     print_table,
 )
 
 if TYPE_CHECKING:
     from cosim.log.comparison.difference import LogDifference
     from cosim.log.comparison.event_difference import EventsDifference
-    from cosim.report.comparing import Comparison, EstimatorComparison, EstimatorResult
-    from cosim.report.sweep import ReplaySweep, SweepRow
-    from cosim.scenario.recordings.swap_report import SwapReports
+    from cosim.report.comparing import Comparison, EstimatorComparison, ReplaySweep, SweepValue
+
 
 # --- logs ---
 
@@ -32,19 +31,19 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     if as_json:
         print_json(difference.to_dict())
         return
-    has_own = bool(difference.tol)
-    tolerance = ["tolerance"] if has_own else []
-    columns = ["signal", "", *tolerance, "max |a - b|", "max |a|", "ratio", "first outside"]
-    table = new_table("", columns)
+    columns = ["signal", "", "tolerance", "max |a - b|", "max |a|", "ratio", "first outside"]
+    rows = []
     for row in difference.rows:
         outside = ""
         if row.first is not None:
             time = row.first.time_ns / 1e9
             outside = f"{row.first.signal} at {time} s: {', '.join(row.first.texts)}"
-        numbers = [row.tolerance] if has_own else []
-        numbers += [row.largest, row.scale, row.ratio]
-        table.add_row(row.signal, row.status, *(f"{value:.3g}" for value in numbers), outside)
-    print_table(table)
+        numbers = (row.tolerance, row.largest, row.scale, row.ratio)
+        rows.append([row.signal, row.status, *map(_number, numbers), outside])
+    if not difference.tol:  # of single signals
+        for cells in (columns, *rows):
+            del cells[2]
+    print_table(new_table("", columns, rows))
     for row in difference.rows:
         in_a, in_b, both = row.rows
         if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
@@ -78,36 +77,18 @@ def _events_text(difference: EventsDifference) -> str:
     )
 
 
-# --- components ---
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
 
 
-def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
-    """Print how swapped components compare with those that they replace."""
-    warnings = [*reports.of_run, *reports.warnings]
-    if as_json:
-        print_json(
-            {
-                "swaps": {name: report.to_dict() for name, report in reports.reports.items()},
-                "problems": reports.refusals,
-                "imported": dict(reports.imported),
-                "warnings": [{"of": name, "text": text} for name, text in warnings],
-            }
-        )
-        return
-    for report in reports.reports.values():
-        print_section(report.component, report.lines)
-    for component, name in reports.imported.items():
-        print_line(f"{component}: {name} was imported")
-    if reports.refusals:
-        return
-    for component, text in warnings:
-        print_line(f"warning: {component}: {text}", error=True)
-    found = "no problems found"
-    if reports.different:
-        found = f"the scenario can run; rows that differ: {reports.different}"
-    elif warnings:
-        found = f"the scenario can run; warnings: {len(warnings)}"
-    print_line(f"dry run: {found}")
+# --- several runs ---
+
+
+def _print_failures(failures: Iterable[tuple[str, str]]) -> None:
+    """Print why some of several runs failed."""
+    for name, text in failures:
+        for line in text.splitlines():
+            print_line(f"{name}: failed: {line}", error=True)
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:
@@ -115,17 +96,15 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     if as_json:
         print_json(comparison.to_dict())
         return
+    failures = [(one.label, one.error) for one in comparison.outcomes if one.error]
+    rows = list(_plant_rows(comparison))
+    order = list(dict.fromkeys(row[0] for row in rows))
+    rows.sort(key=lambda row: order.index(row[0]))
+    for label, text in failures:
+        rows.append(("", "", label, "failed", text.splitlines()[0], ""))
     first = next(iter(comparison.recordings), "")
-    title = f"{comparison.scenario}: {comparison.component}"
-    table = new_table(title, ("estimate", "truth", "plant", "value", "error", f"from {first}"))
-    for rows in _plant_rows(comparison).values():
-        for row in rows:
-            table.add_row(*row)
-        table.add_section()
-    failures = [outcome for outcome in comparison.outcomes if outcome.error]
-    for outcome in failures:
-        table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
-    print_table(table)
+    columns = ("estimate", "truth", "plant", "value", "error", f"from {first}")
+    print_table(new_table(f"{comparison.scenario}: {comparison.component}", columns, rows))
     if not comparison.estimates:
         print_line(
             "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
@@ -134,43 +113,29 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     for label, recording in comparison.recordings.items():
         for text in warning_texts(recording.warnings):
             print_line(f"warning: {label}: {text}", error=True)
-    for outcome in failures:
-        for line in outcome.error.splitlines():
-            print_line(f"{outcome.label}: failed: {line}", error=True)
+    _print_failures(failures)
 
 
-def _plant_rows(comparison: Comparison) -> dict[str, list[tuple[str, ...]]]:
-    """Return by estimate: it, truth, plant, value, error, and distance from the first plant's."""
+def _plant_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
+    """Yield by plant and estimate: it, truth, plant, value, error, distance from the first's."""
     from cosim.report.recorded_rows import element_names
 
-    apart: dict[tuple[str, str], float] = {}  # by estimate or its element, and plant
+    apart: dict[tuple[str, str], float | None] = {}  # by estimate or its element, and plant
     for one in comparison.differences:
         names = element_names(one.estimate, len(one.largest))
         for name, largest in zip(names, one.largest, strict=True):
-            if largest is not None:
-                apart[name, one.label] = largest
-                whole = one.estimate, one.label
-                apart[whole] = max(largest, apart.get(whole, 0.0))
-    rows: dict[str, list[tuple[str, ...]]] = {}
+            apart[name, one.label] = largest
+        known = [largest for largest in one.largest if largest is not None]
+        apart[one.estimate, one.label] = max(known, default=None)
     for label, summary in comparison.summaries.items():
         for signal in summary.signals:
             error = f"{signal.largest:.3g} for t >= {signal.since:g} s"
             distance = _number(apart.get((signal.estimate, label)))
-            row = signal.estimate, signal.truth, label, "", error, distance
-            rows.setdefault(signal.estimate, []).append(row)
+            yield signal.estimate, signal.truth, label, "", error, distance
         for own in summary.values:
             value = "no value" if own.value is None else f"{own.value:+.6f}"
             distance = _number(apart.get((own.estimate, label)))
-            row = own.estimate, f"{own.truth:+g}", label, value, _number(own.error), distance
-            rows.setdefault(own.estimate, []).append(row)
-    return rows
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
-
-
-# --- estimators ---
+            yield own.estimate, f"{own.truth:+g}", label, value, _number(own.error), distance
 
 
 def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
@@ -178,78 +143,66 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
     if as_json:
         print_json(comparison.to_dict())
         return
-    title = f"{comparison.scenario}: {comparison.component}"
-    table = new_table(title, ("method", "theta", "error", "time / rest", "verdict"))
+    failures = [(one.method, one.failure) for one in comparison.results if one.failure]
+    rows = []
     for result in comparison.results:
-        if result.failure:
-            table.add_row(result.method, "failed", result.failure.partition("\n")[0], "", "")
+        if result.theta is None:
+            rows.append([result.method, "failed", result.failure.partition("\n")[0]])
             continue
+        thetas = []
+        for value, half_width in zip(result.theta, result.half_width, strict=True):
+            width = "" if np.isnan(half_width) else f" ± {half_width:.2g}"
+            thetas.append(f"{_value(value, '+.6f')}{width}")
         errors = [] if result.error is None else [_value(value, "+.2g") for value in result.error]
-        verdicts = ", ".join(record.verdict for record in result.verdicts)
-        ratio = _number(result.time_ratio)
-        table.add_row(result.method, _theta(result), ", ".join(errors), ratio, verdicts)
-    print_table(table)
+        verdicts = [record.verdict for record in result.verdicts]
+        texts = [", ".join(texts) for texts in (thetas, errors, verdicts)]
+        texts.insert(2, _number(result.time_ratio))
+        rows.append([result.method, *texts])
+    title = f"{comparison.scenario}: {comparison.component}"
+    columns = ("method", "theta", "error", "time / rest", "verdict")
+    print_table(new_table(title, columns, rows))
     print_line("±: half width of the 95 % interval, where there is one")
     print_line("time / rest: computing time of the identifier over that of all other components")
-    for result in comparison.results:
-        for line in result.failure.splitlines():
-            print_line(f"{result.method}: failed: {line}", error=True)
-
-
-def _theta(result: EstimatorResult) -> str:
-    """Return theta, with half of its 95 % interval where there is one."""
-    assert result.theta is not None
-    texts = []
-    for value, half_width in zip(result.theta, result.half_width, strict=True):
-        width = "" if np.isnan(half_width) else f" ± {half_width:.2g}"
-        texts.append(f"{_value(value, '+.6f')}{width}")
-    return ", ".join(texts)
+    _print_failures(failures)
 
 
 def _value(value: float, form: str) -> str:
     return "no value" if np.isnan(value) else format(value, form)
 
 
-# --- replays ---
-
-
 def print_sweep(sweep: ReplaySweep, *, as_json: bool, quiet: bool) -> None:
     """Print what the results of a sweep say, and why some replays failed."""
-    from cosim.report.sweep import ERROR, HALF_WIDTH, LARGEST_ERROR
+    from cosim.report.comparing import ERROR, HALF_WIDTH, LARGEST_ERROR
 
-    suffixes = {HALF_WIDTH: " ± ", ERROR: ", error "}  # of a result, in its cell
     if as_json:
         print_json(sweep.to_dict())
     elif not quiet:
-        # --json has the others, too
-        columns = [name for name in sweep.columns if not name.endswith(LARGEST_ERROR)]
-        for suffix in suffixes:
-            beside = {f"{name}{suffix}" for name in sweep.columns}
-            columns = [name for name in columns if name not in beside]
-        table = new_table(sweep.log, (*sweep.varied, *columns))
+        suffixes = {HALF_WIDTH: " ± ", ERROR: ", error "}  # of a result, in its cell
+        hidden = {name + suffix for name, suffix in product(sweep.columns, suffixes)}
+        for name in sweep.columns:
+            if name.endswith(LARGEST_ERROR):
+                hidden.add(name)  # --json has it
+        columns = [name for name in sweep.columns if name not in hidden]
+        rows = []
         for row in sweep.rows:
-            table.add_row(*map(quoted, row.values.values()), *_cells(row, columns, suffixes))
-        print_table(table)
+            cells = ["failed"]
+            if not row.problem:
+                cells = [_cell(row.results, column, suffixes) for column in columns]
+            rows.append([*map(quoted, row.values.values()), *cells])
+        print_table(new_table(sweep.log, (*sweep.varied, *columns), rows))
         warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
         for text in warning_texts(DistinctWarnings(warnings)):
             print_line(f"warning: {text}", error=True)
-    for number, row in enumerate(sweep.rows, start=1):
-        for line in row.problem.splitlines():
-            print_line(f"row {number}: failed: {line}", error=True)
+    _print_failures((f"row {i}", row.problem) for i, row in enumerate(sweep.rows, start=1))
 
 
-def _cells(row: SweepRow, columns: Sequence[str], suffixes: Mapping[str, str]) -> list[str]:
-    if row.problem:
-        return ["failed", *[""] * (len(columns) - 1)] if columns else []
-    cells = []
-    for column in columns:
-        value = row.results.get(column, "")
-        text = "no value" if value is None else value
-        if isinstance(text, float):
-            text = f"{text:.6g}"
-        for suffix, words in suffixes.items():
-            beside = row.results.get(f"{column}{suffix}")
-            if isinstance(beside, float):
-                text += f"{words}{beside:.2g}"
-        cells.append(text)
-    return cells
+def _cell(results: Mapping[str, SweepValue], column: str, suffixes: Mapping[str, str]) -> str:
+    value = results.get(column, "")
+    text = "no value" if value is None else str(value)
+    if isinstance(value, float):
+        text = f"{value:.6g}"
+    for suffix, words in suffixes.items():
+        beside = results.get(f"{column}{suffix}")
+        if isinstance(beside, float):
+            text += f"{words}{beside:.2g}"
+    return text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,10 +10,9 @@ from textwrap import TextWrapper
 from typing import Any, Final
 
 import typer
-from rich.cells import cell_len
 from rich.console import Console
+from rich.measure import measure_renderables
 from rich.table import Table
-from rich.text import Text
 
 from cosim.processes import COMMAND_VARIABLE
 from cosim.report.printable import printable, printable_line
@@ -22,13 +20,12 @@ from cosim.report.printable import printable, printable_line
 _WIDTH: Final = 80  # columns of a terminal that does not say
 _GAP: Final = 2  # blanks between columns
 _FOLDED: Final = 40  # characters of a word in the last column, such as a path, that may be broken
+_NO_NUMBERS: Final = {"NaN": "nan", "Infinity": "inf", "-Infinity": "-inf"}  # in JSON
 
 
-def new_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]] = ()) -> Table:
-    """Return a table without lines, of the rows given."""
-    table = Table(title=title, header_style="", box=None, padding=(0, _GAP, 0, 0))
-    for column in columns:
-        table.add_column(column)
+def new_table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] = ()) -> Table:
+    """Return a table of the rows given."""
+    table = Table(*columns, title=title)
     for row in rows:
         table.add_row(*row)
     return table
@@ -42,11 +39,11 @@ def print_table(table: Table) -> None:
     file or a pipe every row is one line, with a tab between its cells; a header that says nothing
     is left out.
     """
-    width = terminal_width()
     title = printable(str(table.title or ""))
     columns = []
     for column in table.columns:
         columns.append([printable(str(cell)) for cell in (column.header, *column.cells)])
+    width = terminal_width()
     if width is None:
         lines = [(title,), *zip(*columns, strict=True)]
         for i, line in enumerate(lines):
@@ -57,18 +54,31 @@ def print_table(table: Table) -> None:
     if title:
         console.print(title, style="bold", soft_wrap=True)
     columns = [cells for cells in columns if any(cells[1:])] or columns
-    widths = _column_widths(columns, width)
-    if widths is None:
-        _print_records(columns, width)
+    header, *rows = zip(*columns, strict=True)
+    widths = _column_widths(columns, console)
+    if not widths:
+        _print_records(header, rows, width)
         return
     aligned = Table(header_style="", box=None, padding=(0, _GAP, 0, 0), pad_edge=False)
-    aligned.show_header = any(cells[0] for cells in columns)
-    for cells, column_width in zip(columns, widths, strict=True):
-        aligned.add_column(Text(cells[0]), width=column_width, overflow="fold")
-    for i, original in enumerate(table.rows, start=1):
-        row = [Text(cells[i]) for cells in columns]
-        aligned.add_row(*row, end_section=original.end_section)
+    aligned.show_header = any(header)
+    for name, column_width in zip(header, widths, strict=True):
+        aligned.add_column(name, width=column_width, overflow="fold")
+    for row in rows:
+        aligned.add_row(*row)
     console.print(aligned)
+
+
+def _print_records(header: Sequence[str], rows: Iterable[Sequence[str]], width: int) -> None:
+    """Print the cells of every row below each other, wrapped between words."""
+    wrapper = TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    wrapper.initial_indent = "  "
+    wrapper.subsequent_indent = "    "
+    for row in rows:
+        typer.echo(row[0])
+        for name, cell in zip(header[1:], row[1:], strict=True):
+            if cell:
+                text = f"{name}: {cell}" if name else cell
+                typer.echo(wrapper.fill(text))
 
 
 def print_tables(tables: Iterable[Table]) -> None:
@@ -89,6 +99,7 @@ def terminal_width() -> int | None:
     chosen = os.environ.get("COLUMNS", "")
     if chosen.isdecimal() and int(chosen):
         return int(chosen)
+    # of what stands for stdout, which need not be the first one of the process
     return os.get_terminal_size(sys.stdout.fileno()).columns or _WIDTH
 
 
@@ -97,39 +108,19 @@ def print_line(text: str, *, error: bool = False) -> None:
     typer.echo(printable(text), err=error)
 
 
-def _column_widths(columns: Sequence[Sequence[str]], width: int) -> list[int] | None:
-    """Return the widths of columns that break no word; None: they do not fit into ``width``."""
-    widths = []
-    least = []
-    for cells in columns:
-        lines = "\n".join(cells).split("\n")
-        widths.append(max(map(cell_len, lines)))
-        least.append(max((cell_len(word) for line in lines for word in line.split()), default=0))
+def _column_widths(columns: Sequence[Sequence[str]], console: Console) -> list[int]:
+    """Return the widths of columns that break no word; none: they do not fit side by side."""
+    sizes = [measure_renderables(console, console.options, cells) for cells in columns]
+    widths = [size.maximum for size in sizes]
+    least = [size.minimum for size in sizes]
     least[-1] = min(least[-1], _FOLDED)
-    room = width - _GAP * (len(columns) - 1)
+    room = console.width - _GAP * (len(columns) - 1)
     if sum(least) > room:
-        return None
-    for _ in range(sum(widths) - room):
+        return []
+    while sum(widths) > room:
         _, widest = max((widths[i], i) for i in range(len(columns)) if widths[i] > least[i])
         widths[widest] -= 1
     return widths
-
-
-def _print_records(columns: Sequence[Sequence[str]], width: int) -> None:
-    """Print the cells of every row below each other, wrapped between words."""
-    wrapper = TextWrapper(
-        width,
-        initial_indent="  ",
-        subsequent_indent="    ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    header, *rows = zip(*columns, strict=True)
-    for row in rows:
-        typer.echo(row[0])
-        for name, cell in zip(header[1:], row[1:], strict=True):
-            if cell:
-                typer.echo(wrapper.fill(f"{name}: {cell}" if name else cell))
 
 
 def print_section(title: str, content: Any) -> None:
@@ -139,16 +130,18 @@ def print_section(title: str, content: Any) -> None:
 
 def print_sections(sections: Iterable[tuple[str, Any]]) -> None:
     """Print several sections, each a title and its content, as :func:`print_section` does."""
-    print_tables([_section_table(title, content) for title, content in sections if content])
-
-
-def _section_table(title: str, content: Any) -> Table:
-    if isinstance(content, Mapping):
-        rows = [[key, _cell(value)] for key, value in content.items() if value is not None]
-        return new_table(title, ("", ""), rows)
-    columns = list(content[0])
-    rows = [[_cell(row.get(column)) for column in columns] for row in content]
-    return new_table(title, columns, rows)
+    tables = []
+    for title, content in sections:
+        if not content:
+            continue
+        columns = ["", ""]
+        if isinstance(content, Mapping):
+            rows = [[key, value] for key, value in content.items() if value is not None]
+        else:
+            columns = list(content[0])
+            rows = [[row.get(column) for column in columns] for row in content]
+        tables.append(new_table(title, columns, [map(_cell, row) for row in rows]))
+    print_tables(tables)
 
 
 def _cell(value: Any) -> str:
@@ -159,16 +152,9 @@ def _cell(value: Any) -> str:
 
 def print_json(content: Any) -> None:
     """Print JSON; numbers that it has no word for are the texts "nan", "inf" and "-inf"."""
-    typer.echo(json.dumps(_strict(content), indent=2, allow_nan=False, default=str))
+    text = json.dumps(content, default=_plain)
+    typer.echo(json.dumps(json.loads(text, parse_constant=_NO_NUMBERS.get), indent=2))
 
 
-def _strict(content: Any) -> Any:
-    match content:
-        case float():
-            return content if math.isfinite(content) else str(content)
-        case Mapping():
-            return {key: _strict(value) for key, value in content.items()}
-        case list() | tuple():
-            return [_strict(value) for value in content]
-        case _:
-            return content
+def _plain(value: object) -> object:
+    return dict(value) if isinstance(value, Mapping) else str(value)

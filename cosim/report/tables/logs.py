@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeGuard
+from typing import TYPE_CHECKING, Any, Final, TypeGuard
 
 from cosim.core.recorded.signals import warning_texts
 from cosim.core.recording import Recording
@@ -50,20 +50,19 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
     if as_json:
         print_json(recovery.to_dict())
         return
-    table = new_table("", ("component", "rows", "lost"))
+    table = []
     for name, rows in recovery.rows.items():
         shown = []
         for interval in rows.lost[:_MOST_INTERVALS]:
             first = interval.first_ns / NANOSECONDS
             last = interval.last_ns / NANOSECONDS
             shown.append(f"{interval.count} from {first} s to {last} s")
-        omitted = rows.lost[_MOST_INTERVALS:]
+        omitted = [interval.count for interval in rows.lost[_MOST_INTERVALS:]]
         if omitted:
-            count = sum(interval.count for interval in omitted)
             plural = "" if len(omitted) == 1 else "s"
-            shown.append(f"{count} in {len(omitted)} more interval{plural}")
-        table.add_row(name, str(rows.count), "; ".join(shown) or "0")
-    print_table(table)
+            shown.append(f"{sum(omitted)} in {len(omitted)} more interval{plural}")
+        table.append((name, str(rows.count), "; ".join(shown) or "0"))
+    print_table(new_table("", ("component", "rows", "lost"), table))
     if not recovery.end_is_known:
         end = recovery.end_ns / NANOSECONDS
         print_line(f"any rows after {end} s are lost, too: the file has no end")
@@ -103,31 +102,26 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
     as_json, quiet : bool
     """
     whole = last.metadata.get(PARTIAL, {})
-    status, reason, content_hash = (
-        whole.get(key, "") for key in ("status", "reason", "content_hash")
-    )
-    logs = [str(path) for path in part_paths(last.path)]
-    end = last.end_ns / NANOSECONDS
+    content: dict[str, Any] = {
+        "logs": [str(path) for path in part_paths(last.path)],
+        "status": whole.get("status", ""),
+        "reason": whole.get("reason", ""),
+        "steps": last.steps,
+        "end": last.end_ns / NANOSECONDS,
+        "content_hash": whole.get("content_hash", ""),
+    }
     if as_json:
-        content = {
-            "logs": logs,
-            "status": status,
-            "reason": reason,
-            "steps": last.steps,
-            "end": end,
-            "content_hash": content_hash,
-        }
         print_json({**content, "results": dict(last.results), "wall": dict(wall)})
     elif not quiet:
         for text in warning_texts(last.warnings):
             print_line(f"warning: {text}", error=True)
-        table = new_table("", ("", ""))
-        table.add_row("status", ", ".join(filter(None, (status, reason))))
-        table.add_row("steps", f"{last.steps}, up to {end} s")
-        table.add_row("content hash", content_hash)
-        for path in logs:
-            table.add_row("log", path)
-        print_table(table)
+        rows = [
+            ("status", ", ".join(filter(None, (content["status"], content["reason"])))),
+            ("steps", f"{last.steps}, up to {content['end']} s"),
+            ("content hash", content["content_hash"]),
+            *(("log", path) for path in content["logs"]),
+        ]
+        print_table(new_table("", ("", ""), rows))
         print_line(
             "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
             "last one replays the run"

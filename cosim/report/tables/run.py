@@ -4,44 +4,30 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.table import Table
 
 from cosim.core.recorded.run import RecordedRun
-from cosim.core.recorded.signals import warning_texts
+from cosim.core.recorded.signals import html_table, warning_texts
 from cosim.core.recording import Recording
-from cosim.errors import flag, listing, option, quoted
+from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
-from cosim.report.estimators import (
-    CompensationSummary,
-    DeltaReconstruction,
-    Identification,
-    bad_verdicts,
-    numbers_text,
-)
-from cosim.report.recorded_rows import signal_of
-from cosim.report.summary import SignalError, Summary, span, summarize
+from cosim.report.estimators import bad_verdicts, by_reason, value_text
+from cosim.report.recorded_rows import recorded_port
+from cosim.report.summary import Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_tables
-from cosim.report.tables.estimates import (
-    chance_text,
-    estimate_notes,
-    estimate_rows,
-    estimate_table,
-    guaranteed_texts,
-    noise_of_y,
-)
 from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
-from cosim.theory.documents import Verdict
-
-ORDINALS: Final = {1: "first", 2: "second", 3: "third"}
+from cosim.theory.documents import ParameterVerdict, Verdict
 
 # what times or values are taken for: a wrong one is a wrong result, so that it is always said
 _TAKEN: Final = re.compile(r"\bunits?\b|\btimes are\b|\bsame time\b|\bstamps?\b")
+_SHOWN_RTOL: Final = 1e-6  # of values with six digits
+_COLUMNS: Final = ("parameter", "estimate", "95 % interval", "truth", "error", "verdict")
 MOST_GAINS: Final = 5  # after actions, in a table
 
 
@@ -74,29 +60,55 @@ def print_summary(
     summary = summarize(recording)
     certificate = certificate_of(recording, summary)
     if as_json:
-        content: dict[str, Any] = summary.to_dict()
+        content = summary.to_dict()
         if certificate is not None:
             content["certificate"] = certificate.to_dict()
-        content["wall"] = dict(wall)
-        content["log"] = None if path is None else str(path)
+        content |= {"wall": dict(wall), "log": None if path is None else str(path)}
         if profile is not None:
             content["profile"] = dict(profile)
         print_json(content)
         return
     for text in warning_texts(summary.warnings):
         print_line(f"warning: {text}", error=True)
-    see = "--certify" if certificate is None else "below"
-    facts = [*_facts(summary, recording, see), _wall_time(wall, summary)]
+    more = [("wall time", _wall_time(wall, summary.end - summary.start))]
     if path is not None:
-        facts.append(("log", str(path)))
-    tables = [*_value_tables(summary, recording), new_table("", ("", ""), facts)]
-    if certificate is not None:
-        tables += _certificate_tables(certificate)
+        more.append(("log", str(path)))
+    tables = _run_tables(recording, summary, certificate, more)
     if profile is not None:
         tables.append(_profile_table(profile))
+    print_tables(tables)
+
+
+def html_summary(recording: RecordedRun) -> str:
+    """Return the tables after a run as HTML; where it has no summary, why."""
+    try:
+        summary = summarize(recording)
+        tables = _run_tables(recording, summary, certificate_of(recording, summary))
+    except CosimError as error:  # a notebook shows the signals all the same
+        return html_table("", (), [(str(error),)])
+    texts = []
+    for table in tables:
+        header, *rows = zip(*([str(c.header), *c.cells] for c in table.columns), strict=True)
+        texts.append(html_table(str(table.title), header, rows))
+    return "".join(texts)
+
+
+def _run_tables(
+    recording: RecordedRun,
+    summary: Summary,
+    certificate: StepCertificate | None,
+    more: Iterable[tuple[str, str]] = (),
+) -> list[Table]:
+    """Return signals, constants, and what else is said, with ``more`` lines; then certificates."""
+    lines = _lines(summary, recording, "--certify" if certificate is None else "below")
+    values = [_signal_table(summary, recording), _estimate_table(summary)]
+    tables = [table for table in values if table.rows]
+    tables.append(new_table("", ("", ""), [*lines, *more]))
+    if certificate is not None:
+        tables += _certificate_tables(certificate)
     simulated = span(summary.start, summary.end)
     tables[0].title = f"{summary.scenario}: {simulated} in {summary.steps} steps"
-    print_tables(tables)
+    return tables
 
 
 def _print_quietly(recording: RecordedRun) -> None:
@@ -141,37 +153,72 @@ def _path_of(recording: Recording) -> Path | None:
     return None
 
 
-def _value_tables(summary: Summary, recording: Recording) -> Iterator[Table]:
-    """Yield the tables of numbers: signals, then constants and parameters; none that is empty."""
-    if summary.signals:
-        yield _signal_table(summary.signals)
-    elif summary.last:  # there is no truth to compare with
-        rows = []
-        for name, last in summary.last.items():
-            values = last if isinstance(last, list) else [last]
-            text = " ".join(f"{value:.6g}" for value in values)
-            rows.append((name, text, signal_of(recording, name).unit_text))
-        unit = "unit" if any(row[-1] for row in rows) else ""
-        yield new_table("", ("signal", "final value", unit), rows)
-    estimates = estimate_rows(summary)
-    if estimates:
-        yield estimate_table(estimates)
-
-
-def _signal_table(signals: Sequence[SignalError]) -> Table:
-    """Return the table of estimated signals beside the true ones."""
-    begins = [f" for t >= {signal.since:g} s" for signal in signals]
-    is_same = len(set(begins)) == 1
+def _signal_table(summary: Summary, recording: Recording) -> Table:
+    """Return the table of estimated signals beside the true ones; without a truth the last rows."""
     rows = []
-    for signal, begin in zip(signals, begins, strict=True):
+    for signal in summary.signals:
         largest = "no value" if math.isnan(signal.largest) else f"{signal.largest:.3g}"
         last = "" if math.isnan(signal.last) else f"{signal.last:.3g}"
-        rows.append((signal.estimate, signal.truth, largest + ("" if is_same else begin), last))
-    title = f"largest error{begins[0] if is_same else ''}"
-    return new_table("", ("signal", "truth", title, "error at the end"), rows)
+        rows.append((signal.estimate, signal.truth, largest, last))
+    if rows:
+        title = f"largest error for t >= {summary.signals[0].since:g} s"
+        return new_table("", ("signal", "truth", title, "error at the end"), rows)
+    last_rows = []
+    for name, value in summary.last.items():
+        values = value if isinstance(value, list) else [value]
+        text = " ".join(f"{element:.6g}" for element in values)
+        last_rows.append((name, text, recorded_port(recording, name).signal.unit_text))
+    unit = "unit" if any(row[-1] for row in last_rows) else ""
+    return new_table("", ("signal", "final value", unit), last_rows)
 
 
-def _facts(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[str, str]]:
+def _estimate_table(summary: Summary) -> Table:
+    """Return the constants that a run estimates, those with a truth first.
+
+    Such a one has two rows where its signal ends with another value than that of its verdict.
+    Columns that no row has are left out.
+    """
+    verdicts = [pair for own in summary.identifications for pair in own.labelled_verdicts]
+    by_label = dict(verdicts)
+    truths = {own.estimate: own for own in summary.values}
+    rows = []
+    for label, own in truths.items():
+        verdict = by_label.get(label)
+        if verdict is None:
+            rows.append(_estimate_row(label, own.value, own.truth))
+            continue
+        value = verdict.value
+        if own.value is not None:
+            shown = math.nan if value is None else value
+            if math.isclose(own.value, shown, rel_tol=_SHOWN_RTOL):
+                value = own.value
+            else:
+                rows.append(_estimate_row(f"{label} (signal)", own.value, own.truth))
+        rows.append(_estimate_row(label, value, own.truth, verdict))
+    for label, verdict in verdicts:
+        if label not in truths:
+            rows.append(_estimate_row(label, verdict.value, None, verdict))
+    columns = zip(_COLUMNS, *rows, strict=True)
+    shown_columns = [column for column in columns if any(column[1:])]
+    header, *cells = zip(*shown_columns, strict=True) if rows else [()]
+    return new_table("", header, cells)
+
+
+def _estimate_row(
+    label: str, value: float | None, truth: float | None, verdict: ParameterVerdict | None = None
+) -> tuple[str, ...]:
+    width = None if verdict is None else verdict.half_width
+    return (
+        label,
+        value_text(value),
+        "" if width is None else f"± {width:.2g}",
+        "" if truth is None else f"{truth:+g}",
+        "" if truth is None or value is None else f"{abs(value - truth):.3g}",
+        "" if verdict is None else verdict.verdict,
+    )
+
+
+def _lines(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[str, str]]:
     """Yield what is said of a run in words, each with its subject.
 
     Parameters
@@ -181,15 +228,17 @@ def _facts(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[s
     see : str
         What shows how large a coupling error is.
     """
-    start = recorded_start(recording)
     yield from _of_times(summary)
-    yield from estimate_notes(summary)
+    start = recorded_start(recording)
     for own in summary.identifications:
-        yield from _of_identification(own, summary, start)
+        label = _label("identification", own.component, summary.identifications)
+        yield from own.lines(label, start, summary.end)
     for design in summary.reconstructions:
-        yield from _of_reconstruction(design, single=len(summary.reconstructions) == 1)
-    for compensation in summary.compensations:
-        yield from _of_compensation(compensation, single=len(summary.compensations) == 1)
+        label = _label("reconstruction", design.component, summary.reconstructions)
+        yield from design.lines(label)
+    for model in summary.compensations:
+        label = _label("internal model", model.component, summary.compensations)
+        yield from model.lines(label)
     yield from _of_loops(summary, see)
     if summary.lateness is not None:
         yield "real time", str(summary.lateness)
@@ -198,6 +247,10 @@ def _facts(summary: Summary, recording: Recording, see: str) -> Iterator[tuple[s
         yield component, text
     if recorded_window(recording) is not None:
         yield "window", f"rows from {summary.start:.12g} s on; computed from {start:g} s"
+
+
+def _label(what: str, component: str, parts: Sequence[object]) -> str:
+    return what if len(parts) == 1 else f"{what} ({component})"
 
 
 def _of_times(summary: Summary) -> Iterator[tuple[str, str]]:
@@ -250,95 +303,11 @@ def _of_loops(summary: Summary, see: str) -> Iterator[tuple[str, str]]:
         yield "error growth", text
 
 
-def _of_identification(
-    own: Identification, summary: Summary, start: float
-) -> Iterator[tuple[str, str]]:
-    """Yield when an identification starts and why, what its data determine, and their noise."""
-    of_component = f" of {own.component}" if len(summary.identifications) > 1 else ""
-    origin = "given"
-    if "T_id" in own.times:
-        origin = f"start {start:g} s + " if start else ""
-        origin += (
-            f"observer {own.times['T_obs']:.4f} s + filter {own.times['T_f']:.4f} s + longest "
-            f"delay {own.times['D_max']:g} s"
-        )
-    late = ", after the end of the run" if own.start_time > summary.end else ""
-    yield f"identification{of_component}", f"from {own.start_time:g} s{late} ({origin})"
-    if own.eigenvalues:
-        yield "information matrix", f"eigenvalues {numbers_text(own.eigenvalues)}"
-    for text in filter(None, (own.verdict, *own.notes)):
-        yield "", text
-    if own.noise:
-        yield "noise of y", noise_of_y(own.deviation, own.noise)
-    part = own.guaranteed
-    if part is None:
-        return
-    label = f"|delta_0| <= {part.bound:g}"
-    if part.problem:
-        yield label, part.problem
-        return
-    yield label, f"guaranteed intervals by output error{chance_text(part)}:"
-    for effect in part.effects:
-        yield effect.name, "; ".join(guaranteed_texts(effect))
-
-
-def _of_reconstruction(
-    reconstruction: DeltaReconstruction, *, single: bool
-) -> Iterator[tuple[str, str]]:
-    """Yield what delta costs: noise, bias and lag, and what its window was chosen for."""
-    kind = f"{reconstruction.filter} filter"
-    if reconstruction.filter != "first-order":  # the scenario has it
-        parameters = reconstruction.parameters.items()
-        kind = ", ".join([kind, *(f"{name} {value:g}" for name, value in parameters)])
-    bias = reconstruction.bias
-    error = "y is not differentiated, no bias"
-    if bias.coefficient:
-        ordinal = ORDINALS.get(bias.derivative, f"{bias.derivative}th")
-        signal = "the measurement" if bias.of == "G w" else bias.of
-        error = f"bias {bias.coefficient:.3g} x {ordinal} derivative of {signal}"
-    text = f"{kind}: noise gain {numbers_text(reconstruction.noise_gain)} 1/s; {error}"
-    if reconstruction.lag:
-        text += f"; lag {reconstruction.lag:g} s"
-    yield "reconstruction" if single else f"reconstruction by {reconstruction.component}", text
-    choice = reconstruction.choice
-    if choice is not None:
-        yield (
-            "",
-            f"chosen for noise of {numbers_text(choice.noise)} in y and delta of "
-            f"{choice.amplitude:.3g} up to {choice.bandwidth:.3g} rad/s; expected error "
-            f"{choice.error_by_noise:.2g} from noise, {choice.error_by_bias:.2g} from bias; "
-            f"{choice.assumption}",
-        )
-
-
-def _of_compensation(
-    compensation: CompensationSummary, *, single: bool
-) -> Iterator[tuple[str, str]]:
-    """Yield when the internal model became active, and what is left of the regulated error."""
-    label = "internal model" if single else f"internal model of {compensation.component}"
-    before = numbers_text(compensation.before)
-    if compensation.active_since is None:
-        yield label, f"not active: {compensation.reason}"
-        yield "regulated error", f"{before} rms, as measured"
-        return
-    text = f"active from {compensation.active_since:g} s"
-    if compensation.theta:
-        first = ", ".join(f"{value:.6g}" for value in compensation.theta)
-        last = ", ".join(f"{value:.6g}" for value in compensation.last_theta)
-        text += f" with theta = {first}, at the end {last}; loop proven stable for theta in "
-        text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in compensation.interval)
-    yield label, text
-    after = numbers_text(compensation.after)
-    text = f"{before} rms before, {after} rms for t >= {compensation.since:.4g} s, as measured"
-    yield "regulated error", text
-
-
-def _wall_time(wall: Mapping[str, float], summary: Summary) -> tuple[str, str]:
+def _wall_time(wall: Mapping[str, float], simulated: float) -> str:
     total = sum(wall.values())
     parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
-    simulated = summary.end - summary.start
-    speed = f"{simulated / (total - wall.get('imports', 0.0)):.3g} x real time"
-    return "wall time", f"{total:.2f} s ({parts}), {speed}"
+    speed = simulated / (total - wall.get("imports", 0.0))
+    return f"{total:.2f} s ({parts}), {speed:.3g} x real time"
 
 
 def _profile_table(profile: Mapping[str, float]) -> Table:
@@ -355,45 +324,38 @@ def _certificate_tables(certificate: StepCertificate) -> list[Table]:
     finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
     title = f"error of the communication step {certificate.step:g} s, from runs with {finer}"
     rows = []
-    for signal in certificate.signals:
-        if signal.is_bounded or (signal.largest is not None and signal.order is not None):
-            is_bounded = signal.is_bounded
-            largest = f"at most {signal.bound:.3g}" if is_bounded else f"{signal.largest:.3g}"
+    equal = []
+    unknown = []
+    for own in certificate.signals:
+        if own.is_bounded or (own.largest is not None and own.order is not None):
+            largest = f"at most {own.bound:.3g}" if own.is_bounded else f"{own.largest:.3g}"
             row = (
-                signal.signal,
-                largest if signal.unit is None else f"{largest} {signal.unit}",
-                "" if signal.time is None else f"{signal.time:g} s",
-                "" if signal.last is None else f"{signal.last:+.3g}",
-                "" if signal.order is None else f"{signal.order:.2f}",
+                own.signal,
+                largest if own.unit is None else f"{largest} {own.unit}",
+                "" if own.time is None else f"{own.time:g} s",
+                "" if own.last is None else f"{own.last:+.3g}",
+                "" if own.order is None else f"{own.order:.2f}",
             )
             rows.append(row)
+        elif own.largest is not None:
+            equal.append(own.signal)
+        if own.largest is None:
+            label = "upper bound" if own.is_bounded else "no estimate"
+            unknown.append((label, own.reason, own.signal))
+    below = []
+    if certificate.problem:
+        below.append(("no estimate", certificate.problem))
+    if equal:
+        below.append(("no error", f"{', '.join(equal)}: identical in all three runs"))
+    for (label, reason), signals in by_reason(unknown).items():
+        below.append((label, f"{', '.join(signals)}: {reason}"))
+    if not certificate.problem:
+        below += [(share.estimate, str(share)) for share in certificate.shares]
+        below += [("note", note) for note in certificate.notes()]
     columns = ("signal", "largest", "at t", "at the end", "order")
     tables = [
         new_table("search for the communication step", ("", ""), certificate.search()),
         new_table(title, columns, rows),
-        new_table("" if rows else title, ("", ""), _below(certificate)),
+        new_table("" if rows else title, ("", ""), below),
     ]
     return [table for table in tables if table.rows]
-
-
-def _below(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
-    """Yield signals without an estimate by the reason, shares of errors, then notes."""
-    if certificate.problem:
-        yield "no estimate", certificate.problem
-        return
-    equal: list[str] = []
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for signal in certificate.signals:
-        if signal.largest is None:
-            label = "upper bound" if signal.is_bounded else "no estimate"
-            reasons.setdefault((label, signal.reason), []).append(signal.signal)
-        elif signal.order is None:
-            equal.append(signal.signal)
-    if equal:
-        yield "no error", f"{', '.join(equal)}: identical in all three runs"
-    for (label, reason), signals in reasons.items():
-        yield label, f"{', '.join(signals)}: {reason}"
-    for share in certificate.shares:
-        yield share.estimate, str(share)
-    for note in certificate.notes():
-        yield "note", note

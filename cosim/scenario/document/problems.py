@@ -41,22 +41,10 @@ class TableProblems(UsageError):
 
 
 class _ValueProblem(NamedTuple):
-    """A validation error.
+    """A validation error: where its value stands, what was tried for that, and what is wrong."""
 
-    Parameters
-    ----------
-    path : Key
-        Where the value stands; of a missing key, where it should.
-    choices : tuple of (Key, alternative)
-        The values with alternatives that it is in, the outermost first, and the alternative that
-        was tried.
-    is_type : bool
-        Whether the value is of another type.
-    problem : Problem
-    """
-
-    path: Key
-    choices: tuple[tuple[Key, str | int], ...]
+    path: Key  # of a missing key, where it should stand
+    choices: tuple[tuple[Key, str | int], ...]  # values with alternatives, and the one tried
     is_type: bool
     problem: Problem
 
@@ -67,23 +55,18 @@ def problems_of(
     """Translate a validation error of ``data``, which stands under the key ``prefix``."""
     items: list[Mapping[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
     unknown = [str(item["loc"][-1]) for item in items if item["type"] == "extra_forbidden"]
-    value_problems = []
+    found = []
     for item in items:
-        is_missing = item["type"] == "missing"
-        if is_missing and get_close_matches(str(item["loc"][-1]), unknown, cutoff=0.5):
+        loc = item["loc"]
+        if item["type"] == "missing" and get_close_matches(str(loc[-1]), unknown, cutoff=0.5):
             continue  # the unknown key is probably this one
-        if item["type"] == "too_short" and any(_is_inside(other, item) for other in items):
+        if item["type"] == "too_short" and any(
+            other["loc"][: len(loc)] == loc != other["loc"] for other in items
+        ):
             continue  # pydantic does not count the entries that are wrong
-        value_problems.append(_value_problem(item, table, data, prefix))
-    nearest_problems = _Alternatives(table, data).nearest(value_problems)
-    keys = dict.fromkeys(problem.problem for problem in nearest_problems)
-    return [((*prefix, *key), text) for key, text in keys]
-
-
-def _is_inside(item: Mapping[str, Any], outer: Mapping[str, Any]) -> bool:
-    """Whether an error is of an entry of what another error is of."""
-    loc = outer["loc"]
-    return len(item["loc"]) > len(loc) and item["loc"][: len(loc)] == loc
+        found.append(_value_problem(item, table, data, prefix))
+    texts = dict.fromkeys(problem.problem for problem in _nearest(found, 0, table, data))
+    return [((*prefix, *key), text) for key, text in texts]
 
 
 def _value_problem(
@@ -96,8 +79,8 @@ def _value_problem(
     choices = []
     value = data
     for part in loc[: len(loc) - len(missing)]:
-        children = _children(value)
-        if part in children:
+        children = dict(enumerate(value)) if isinstance(value, list | tuple) else value
+        if isinstance(children, Mapping) and part in children:
             value = children[part]
             path = (*path, part)
         else:
@@ -106,72 +89,35 @@ def _value_problem(
     return _ValueProblem((*path, *missing), tuple(choices), item["type"] in TYPES, problem)
 
 
-class _Alternatives:
-    """Chooses, of the alternatives that a value may be, the one that it is nearest to.
+def _nearest(
+    problems: Sequence[_ValueProblem], level: int, table: type[BaseModel], data: Any
+) -> list[_ValueProblem]:
+    """Return the problems of the alternatives that values are nearest to.
 
-    An alternative that refuses the value as a whole is out, if another one refuses parts of it.
-    Where this leaves several that do not agree, the value is refused as a whole: pydantic's
-    messages about each of them would contradict each other.
+    An alternative that refuses a value as a whole is out, if another one refuses parts of it. Where
+    this leaves several that do not agree, the value is refused as a whole: pydantic's messages
+    about each of them would contradict each other. ``level`` counts the choices inwards.
     """
-
-    def __init__(self, table: type[BaseModel], data: Any) -> None:
-        self._table = table
-        self._data = data
-
-    def nearest(self, problems: Sequence[_ValueProblem], level: int = 0) -> list[_ValueProblem]:
-        """Return the problems of the nearest alternatives, from a level of choices inwards."""
-        result = []
-        choices: dict[Key, list[_ValueProblem]] = {}
-        for problem in problems:
-            if len(problem.choices) > level:
-                choice, _ = problem.choices[level]
-                choices.setdefault(choice, []).append(problem)
-            else:
-                result.append(problem)
-        for choice, group in choices.items():
-            result += self._nearest_of(choice, group, level)
-        return result
-
-    def _nearest_of(
-        self, choice: Key, problems: Sequence[_ValueProblem], level: int
-    ) -> list[_ValueProblem]:
-        """Return the problems of the nearest alternative of one value."""
-        groups = _by_alternative(problems, level)
-        kept = [self.nearest(group, level + 1) for group in groups.values()]
-        inside = [
-            group for group in kept if any(len(problem.path) > len(choice) for problem in group)
-        ]
-        candidates = inside or kept
-        exact = [group for group in candidates if not any(problem.is_type for problem in group)]
-        if len(candidates) == 1 or exact:
-            return (exact or candidates)[0]
-        value = quoted(_value(self._data, choice))
-        expected = described(annotation_at(self._table, choice))
-        whole = (choice, f"expected {expected}, got {value}")
-        return [_ValueProblem(choice, problems[0].choices[:level], True, whole)]
-
-
-def _by_alternative(
-    problems: Sequence[_ValueProblem], level: int
-) -> dict[str | int, list[_ValueProblem]]:
-    """Return problems of one value by the alternative that was tried."""
-    groups: dict[str | int, list[_ValueProblem]] = {}
+    nearest_problems = [problem for problem in problems if len(problem.choices) <= level]
+    chosen: dict[Key, dict[str | int, list[_ValueProblem]]] = {}
     for problem in problems:
-        _, alternative = problem.choices[level]
-        groups.setdefault(alternative, []).append(problem)
-    return groups
-
-
-def _children(data: Any) -> Mapping[Any, Any]:
-    if isinstance(data, (list, tuple)):
-        return dict(enumerate(data))
-    return data if isinstance(data, Mapping) else {}
-
-
-def _value(data: Any, path: Key) -> Any:
-    for part in path:
-        data = data[part]
-    return data
+        if len(problem.choices) > level:
+            at, alternative = problem.choices[level]
+            chosen.setdefault(at, {}).setdefault(alternative, []).append(problem)
+    for at, alternatives in chosen.items():
+        kept = [_nearest(group, level + 1, table, data) for group in alternatives.values()]
+        inside = [group for group in kept if any(len(p.path) > len(at) for p in group)]
+        candidates = inside or kept
+        exact = [group for group in candidates if not any(p.is_type for p in group)]
+        if exact or len(candidates) == 1:
+            nearest_problems += (exact or candidates)[0]
+            continue
+        value = data
+        for part in at:
+            value = value[part]
+        text = f"expected {described(annotation_at(table, at))}, got {quoted(value)}"
+        nearest_problems.append(_ValueProblem(at, (), True, (at, text)))
+    return nearest_problems
 
 
 def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel], prefix: Key) -> str:

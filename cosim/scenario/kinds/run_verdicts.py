@@ -26,7 +26,6 @@ from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.verdicts import Assessment, judge
-from cosim.theory.disturbed_plant import DataSet
 
 OUTPUT_ERROR: Final = "output-error"
 IDENTIFY_WITH_OFFSET: Final = "`cosim identify --offset`"
@@ -42,37 +41,38 @@ class Assessor:
     """
 
     def __init__(self, graph: Graph, identified: Mapping[str, IdentifiedPlant]) -> None:
-        self._identifiers = [_IdentifierData(graph, name, one) for name, one in identified.items()]
+        self._identifiers = {
+            name: _IdentifierData(graph, name, one) for name, one in identified.items()
+        }
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Keep the rows of a block."""
-        for identifier in self._identifiers:
-            identifier.take(block, signals)
+        for data in self._identifiers.values():
+            data.take(block, signals)
 
     def results(self) -> dict[str, Any]:
         """Return the verdicts by identifier, as plain values."""
-        return {own.name: own.result().to_dict() for own in self._identifiers}
+        return {name: data.verdicts().to_dict() for name, data in self._identifiers.items()}
 
 
 class _IdentifierData:
     """The data of one identifier: y and u of its observer, the alphas, its last estimate."""
 
     def __init__(self, graph: Graph, name: str, identified: IdentifiedPlant) -> None:
-        own = graph.layout[name]
+        own = graph.layout[name].signal_columns
         observer = graph.layout[identified.observer]
-        alphas = graph.layout[identified.regressor].signal_columns
+        of_observer = observer.signal_columns
         none = slice(0, 0)
-        self.name = name
         self._identified = identified
-        self._theta = own.signal_columns.get("theta", none)  # there is none without parameters
-        self._error = own.signal_columns.get("standard_error")
+        self._theta = own.get("theta", none)  # there is none without parameters
+        self._error = own.get("standard_error")
         self._kept = {
-            "y": observer.signal_columns["y"],
-            "u": observer.signal_columns.get("u", none),
-            "alpha": alphas.get("alpha", none),
+            "y": of_observer["y"],
+            "u": of_observer.get("u", none),
+            "alpha": graph.layout[identified.regressor].signal_columns.get("alpha", none),
         }
-        if "samples" in own.signal_columns:
-            self._kept |= {key: own.signal_columns[key] for key in ("sample_times", "samples")}
+        if "samples" in own:
+            self._kept |= {key: own[key] for key in ("sample_times", "samples")}
         u = observer.interface.input_columns().get("u", none)
         self._held = graph.held[identified.observer][u]
         self._in_feedback = inputs_in_feedback(graph, identified.observer)
@@ -88,8 +88,8 @@ class _IdentifierData:
             self._rows[key].append(signals[first:, columns].copy())
         self._last = signals[-1].copy()
 
-    def result(self) -> IdentifierVerdicts:
-        """Return the verdict on the last estimate."""
+    def verdicts(self) -> IdentifierVerdicts:
+        """Return the verdicts on the last estimate, or why there are none."""
         if not self._times:
             return IdentifierVerdicts(problem="the run ended before there were data")
         if self._identified.problem:
@@ -101,34 +101,29 @@ class _IdentifierData:
 
     def _assessed(self) -> IdentifierVerdicts:
         identified = self._identified
-        theta = self._last[self._theta]
-        assessment = advised(
-            assess(identified.problem_of([self._data()]), theta), [identified.alpha]
+        t = np.concatenate(self._times)
+        rows = {key: np.concatenate(parts) for key, parts in self._rows.items()}
+        samples = None
+        if "samples" in rows:
+            samples = SampleRows(t, rows["sample_times"], rows["samples"])
+        data = identified.data_set(
+            t, rows["y"], rows["u"], self._held, self._in_feedback, rows["alpha"], samples
         )
+        theta = self._last[self._theta]
+        fitted = assess(identified.problem_of([data.last(identified.window)]), theta)
+        assessment = advised(fitted, [identified.alpha])
         amplitudes = amplitude_verdicts(assessment)
         with_offset = "`offset = true`" if identified.has_offset_key else IDENTIFY_WITH_OFFSET
+        error = None if self._error is None else self._last[self._error]
         bound = identified.irregular
         return replace(
             verdicts_of(assessment),
             extent=identified.extent,
             amplitudes=amplitudes,
             undetected=undetected_errors(assessment, amplitudes, with_offset=with_offset),
-            estimate=judge(
-                assessment, theta, None if self._error is None else self._last[self._error]
-            ),
+            estimate=judge(assessment, theta, error),
             irregular=None if bound is None else _irregular(assessment, bound),
         )
-
-    def _data(self) -> DataSet:
-        t = np.concatenate(self._times)
-        rows = {key: np.concatenate(parts) for key, parts in self._rows.items()}
-        samples = None
-        if "samples" in rows:
-            samples = SampleRows(t, rows["sample_times"], rows["samples"])
-        whole = self._identified.data_set(
-            t, rows["y"], rows["u"], self._held, self._in_feedback, rows["alpha"], samples
-        )
-        return whole.last(self._identified.window)
 
 
 def verdicts_of(assessment: Assessment) -> IdentifierVerdicts:

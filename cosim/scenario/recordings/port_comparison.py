@@ -13,8 +13,8 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Final, Literal, NamedTuple, TypeAlias
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from cosim.core.signals import Causality, Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.fmi.linearizing.linearization import is_singular, pole_text, poles
 from cosim.scenario.kinds.base import LinearSystem
+from cosim.scenario.record import ComparedAspect, PortVerdict
 from cosim.units import (
     Conversion,
     Unit,
@@ -33,12 +34,9 @@ from cosim.units import (
     units_text,
 )
 
-PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
-
 _WORST_FIRST: Final[tuple[PortVerdict, ...]] = ("error", "differs", "unknown", "ok")
 SAME = 1e-9  # relative difference up to which two numbers are the same
 ROUNDING = 1e-6  # numbers below are compared as if they were as large: what rounding leaves of 0
-SAME_SIZE = 10.0  # factor up to which two numbers are of one size
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,63 +279,6 @@ def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
     return np.array(factors)
 
 
-@dataclass(frozen=True, slots=True)
-class Aspect:
-    """One aspect of a port or a component, before and after.
-
-    Parameters
-    ----------
-    name : str
-    before, after : plain value; None: unknown, or there is none
-    verdict : PortVerdict
-    ratio : float or None
-        Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
-    """
-
-    name: str
-    before: Any
-    after: Any
-    verdict: PortVerdict
-    ratio: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedAspect:
-    """One aspect of a port, or of the whole component where ``port`` is empty.
-
-    Parameters
-    ----------
-    port, aspect : str
-    before, after : plain value; None: unknown, or there is none
-    verdict : PortVerdict
-    connected : bool
-        Whether the scenario names the port.
-    ratio : float or None
-        Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
-    source : str or None
-        What the port stands for in the new component; None: the port of its name.
-    """
-
-    port: str
-    aspect: str
-    before: Any
-    after: Any
-    verdict: PortVerdict
-    connected: bool
-    ratio: float | None = None
-    source: str | None = None
-
-    @property
-    def label(self) -> str:
-        """The port, and what it stands for in the new component."""
-        return port_label(self.port, self.source)
-
-    @property
-    def of_another_size(self) -> bool:
-        """Whether the numbers differ by so much that the unit is probably another."""
-        return self.ratio is not None and _same_size(self.ratio) == "differs"
-
-
 def compare_components(
     before: ComparedComponent,
     after: ComparedComponent,
@@ -365,49 +306,32 @@ def compare_components(
         old = before.port(port)
         new = after.port(port)
         for aspect in _port_aspects(old, new, severity):
-            rows.append(_row(port, aspect, port in connected, sources.get(port)))
-    for aspect in _whole_aspects(before, after):
-        rows.append(_row("", aspect, True))
-    return tuple(rows)
-
-
-def port_label(port: str, source: str | None) -> str:
-    """Return a port, and behind an arrow what it stands for in a new component."""
-    return port if source is None else f"{port} -> {source}"
-
-
-def _row(port: str, aspect: Aspect, connected: bool, source: str | None = None) -> ComparedAspect:
-    return ComparedAspect(
-        port,
-        aspect.name,
-        aspect.before,
-        aspect.after,
-        aspect.verdict,
-        connected,
-        aspect.ratio,
-        source,
-    )
+            source = sources.get(port)
+            rows.append(replace(aspect, port=port, connected=port in connected, source=source))
+    return (*rows, *_whole_aspects(before, after))
 
 
 def _port_aspects(
     old: ComparedPort | None, new: ComparedPort | None, severity: PortVerdict
-) -> Iterator[Aspect]:
+) -> Iterator[ComparedAspect]:
     """Yield the aspects of a port; ``severity`` is the verdict where a connection cannot hold."""
     if old is None or new is None:
         old_causality = None if old is None else old.causality
         new_causality = None if new is None else new.causality
-        yield Aspect("causality", old_causality, new_causality, severity)
+        yield ComparedAspect("", "causality", old_causality, new_causality, severity)
         return
     yield _equal("causality", old.causality, new.causality, severity)
     yield _equal("type", old.signal.type, new.signal.type)
     yield _equal("size", old.size, new.size, severity)
     unit_verdict = _unit(old, new, severity)
-    yield Aspect("unit", units_text(old.units) or None, units_text(new.units) or None, unit_verdict)
+    yield ComparedAspect(
+        "", "unit", units_text(old.units) or None, units_text(new.units) or None, unit_verdict
+    )
     yield _equal("variability", old.signal.variability, new.signal.variability)
     nominal = _in_unit_of(old, new, new.nominal)
     ratio = _ratio(old.nominal, nominal)
-    verdict = "ok" if ratio is None else _same_size(ratio)
-    yield Aspect("nominal", old.nominal, new.nominal, verdict, ratio)
+    row = ComparedAspect("", "nominal", old.nominal, new.nominal, "ok", ratio=ratio)
+    yield replace(row, verdict="differs") if row.of_another_size else row
     if old.causality != new.causality:
         return
     if old.causality == "input":
@@ -417,14 +341,14 @@ def _port_aspects(
         yield from _output_aspects(old, new)
 
 
-def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
+def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[ComparedAspect]:
     yield _equal("feedthrough", _inputs_of(old), _inputs_of(new))
     initial = _in_unit_of(old, new, new.initial)
     yield _numbers("initial output", old.initial, new.initial, initial)
     yield from _response_aspects(old, new)
 
 
-def _response_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
+def _response_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[ComparedAspect]:
     """Compare static gains; where they and the poles do not differ, responses at a rate too."""
     linear = old.component.linear or new.component.linear
     if linear is None:
@@ -445,10 +369,10 @@ def _response_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
 
 def _compared_responses(
     aspect: str, before: dict[str, Entry] | None, after: dict[str, Entry] | None, error: float
-) -> Aspect:
+) -> ComparedAspect:
     """Compare element by element where both have it; show those that differ, or all."""
     if before is None or after is None:
-        return Aspect(aspect, _plain(before), _plain(after), "unknown")
+        return ComparedAspect("", aspect, _plain(before), _plain(after), "unknown")
     both = [name for name in before if name in after]
     different = []
     for name in both:
@@ -459,12 +383,13 @@ def _compared_responses(
         [abs(before[name].value) for name in both], [abs(after[name].value) for name in both]
     )
     shown_names = different or both
-    return Aspect(
+    return ComparedAspect(
+        "",
         aspect,
         _plain({name: before[name] for name in shown_names}),
         _plain({name: after[name] for name in shown_names}),
         "differs" if different else "ok",
-        ratio,
+        ratio=ratio,
     )
 
 
@@ -481,10 +406,10 @@ def _numbers(
     before: Sequence[float] | None,
     after: Sequence[float] | None,
     converted: Sequence[float] | Vector | None,
-) -> Aspect:
+) -> ComparedAspect:
     """Compare numbers; ``converted`` are those after in the unit of those before."""
     verdict = _same_values(before, converted, least=ROUNDING)
-    return Aspect(aspect, before, after, verdict, _ratio(before, converted))
+    return ComparedAspect("", aspect, before, after, verdict, ratio=_ratio(before, converted))
 
 
 def _ratio(
@@ -504,16 +429,12 @@ def _largest(values: Sequence[float] | Vector) -> float:
     return float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
 
 
-def _same_size(ratio: float) -> PortVerdict:
-    return "ok" if 1.0 / SAME_SIZE <= ratio <= SAME_SIZE else "differs"
-
-
 def _inputs_of(output: ComparedPort) -> str | list[str]:
     """Return the inputs with direct feedthrough to an output, as a row has them."""
     return "unknown" if output.feedthrough is None else sorted(output.feedthrough)
 
 
-def _whole_aspects(before: ComparedComponent, after: ComparedComponent) -> Iterator[Aspect]:
+def _whole_aspects(before: ComparedComponent, after: ComparedComponent) -> Iterator[ComparedAspect]:
     new_capabilities = dict(after.capabilities.items())
     for aspect, old in before.capabilities.items():
         new = new_capabilities[aspect]
@@ -524,17 +445,17 @@ def _whole_aspects(before: ComparedComponent, after: ComparedComponent) -> Itera
     yield from _poles(before, after)
 
 
-def _poles(before: ComparedComponent, after: ComparedComponent) -> Iterator[Aspect]:
+def _poles(before: ComparedComponent, after: ComparedComponent) -> Iterator[ComparedAspect]:
     if before.linear is None and after.linear is None:
         return
     old_poles = None if before.linear is None else before.linear.pairs
     new_poles = None if after.linear is None else after.linear.pairs
     verdict = _same_values(old_poles, new_poles, _error(before, after))
-    yield Aspect("poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict)
+    yield ComparedAspect("", "poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict)
 
 
-def _equal(aspect: str, old: Any, new: Any, severity: PortVerdict = "differs") -> Aspect:
-    return Aspect(aspect, old, new, "ok" if old == new else severity)
+def _equal(aspect: str, old: Any, new: Any, severity: PortVerdict = "differs") -> ComparedAspect:
+    return ComparedAspect("", aspect, old, new, "ok" if old == new else severity)
 
 
 def _error(*components: ComparedComponent) -> float:

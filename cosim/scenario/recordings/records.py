@@ -32,8 +32,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     """
     scenario = experiment.scenario
     settings = scenario.file.scenario
-    stages = experiment.graph.stages
-    loops = [stage.description for stage in stages if stage.is_first_order]
+    graph = experiment.graph
     run = {
         "scenario": scenario.name,
         "edits": scenario.document.edits(),
@@ -41,21 +40,21 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "stop": repr(settings.stop),
         "step": str(settings.step),
         "truth": json.dumps(experiment.truth),
-        "first_order_loops": json.dumps(loops),
+        "first_order_loops": json.dumps([s.description for s in graph.stages if s.is_first_order]),
         "warnings": json.dumps(experiment.warnings),
     }
     if scenario.actions:
         run["actions"] = json.dumps(scenario.tree["actions"])
     if settings.until is not None:
         run["until"] = settings.until
-    if experiment.gains:
-        run["loop_gains"] = json.dumps(list(map(plain, experiment.gains)))
-    if experiment.built.model_records:
-        run["models"] = json.dumps(experiment.built.model_records)
-    if experiment.origin is not None:
-        run["replay"] = json.dumps(plain(experiment.origin))
-    connections = {}
-    for to, connection in experiment.graph.connections.items():
+    further = {
+        "loop_gains": list(map(plain, experiment.gains)),
+        "models": experiment.built.model_records,
+        "replay": experiment.origin and plain(experiment.origin),
+    }
+    run |= {key: json.dumps(value) for key, value in further.items() if value}
+    records = {"cosim.run": run, "cosim.connections": {}}
+    for to, connection in graph.connections.items():
         written = scenario.connections.get(to, connection)
         values: dict[str, Any] = {
             "from": written.label,
@@ -63,30 +62,22 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "offset": written.offset,
             "unit": written.unit,
         }
-        if to in experiment.graph.conversions:
-            values["conversions"] = _plain_conversions(experiment.graph, to, connection)
-        connections[str(to)] = json.dumps(values)
-    records = {"cosim.run": run, "cosim.connections": connections}
+        if to in graph.conversions:
+            values["conversions"] = _plain_conversions(graph, to, connection)
+        records["cosim.connections"][str(to)] = json.dumps(values)
     if experiment.setting_designs:
         records[SETTINGS] = dict(experiment.setting_designs)
-    for name in scenario.specs:
-        records[f"cosim.component.{name}"] = _record_of(experiment, name)
+    for name, spec in scenario.specs.items():
+        record = {
+            "table": json.dumps(scenario.tree["components"][name]),
+            "metadata": json.dumps(experiment.metadata.get(name, {})),
+            "fingerprint": fingerprint(scenario, name, experiment.built.reads[name]),
+        }
+        as_of_old = name in graph.means and not asks_for_means(spec)
+        if graph.members[name].channel.interface.one_value and not as_of_old:
+            record[MEANS] = json.dumps(graph.mean_inputs.get(name, []))
+        records[f"cosim.component.{name}"] = record
     return records
-
-
-def _record_of(experiment: Experiment, name: str) -> dict[str, str]:
-    """Return the metadata record of a component."""
-    scenario = experiment.scenario
-    record = {
-        "table": json.dumps(scenario.tree["components"][name]),
-        "metadata": json.dumps(experiment.metadata.get(name, {})),
-        "fingerprint": fingerprint(scenario, name, experiment.built.reads[name]),
-    }
-    graph = experiment.graph
-    as_of_old = name in graph.means and not asks_for_means(scenario.specs[name])
-    if graph.members[name].channel.interface.one_value and not as_of_old:
-        record[MEANS] = json.dumps(graph.mean_inputs.get(name, []))
-    return record
 
 
 def _plain_conversions(graph: Graph, to: Port, connection: Connection) -> list[dict[str, float]]:
@@ -114,11 +105,6 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
         If one of these is too large, or is not the one any more that was opened.
     """
     text = experiment.scenario.document.text
-    attachments = [Attachment(SCENARIO_FILE, "application/toml", text.encode())]
-    attachments += [
-        Attachment(name, "application/xml", xml.encode())
-        for name, xml in experiment.built.attachments.items()
-    ]
     graph = experiment.graph
     selection = experiment.scenario.file.record.selection
     channels = {channel.name: channel for channel in graph.layout.channels}
@@ -126,7 +112,14 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
     chosen, _ = partial_layout(graph.layout, signals, selection.every)
     recorded = {channel.name: channel for channel in chosen.channels}
     panels = viewer_panels(recorded, graph.connections, experiment.truth)
-    attachments.append(Attachment(LAYOUT_FILE, "application/json", layout_json(panels)))
+    attachments = [
+        Attachment(SCENARIO_FILE, "application/toml", text.encode()),
+        *(
+            Attachment(name, "application/xml", x.encode())
+            for name, x in experiment.built.attachments.items()
+        ),
+        Attachment(LAYOUT_FILE, "application/json", layout_json(panels)),
+    ]
     if embed:
         from cosim.scenario.recordings.embedding import embedded_fmus  # rarely needed
 

@@ -8,12 +8,11 @@ from itertools import groupby
 from typing import Any, Final
 
 from cosim.errors import ScenarioError, option
+from cosim.scenario.record import ComparedAspect, port_label
 from cosim.scenario.recordings.port_comparison import (
-    ComparedAspect,
     Proposal,
     different_texts,
     feedthrough_text,
-    port_label,
     shown,
 )
 from cosim.units import with_unit

@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
-from cosim.report.tables.assumptions import print_assumptions
+from cosim.report.tables.preparation import print_assumptions
 from cosim.scenario.assumptions.beginning import BEGINNING
 from cosim.scenario.assumptions.compensation import (
     ACTIVATION,

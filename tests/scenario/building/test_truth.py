@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
-from cosim.report.plots import plot_run
+from cosim.report.plots.runs import plot_run
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document, find

@@ -240,7 +240,7 @@ def test_the_command_prints_a_table_or_json(call):
 
 def test_the_table_shows_the_best_of_every_choice(designed, capsys):
     """What a design sets stands there as --set takes it."""
-    from cosim.report.tables.experiment_design import print_design
+    from cosim.report.tables.preparation import print_design
 
     print_design(designed, as_json=False)
     out = capsys.readouterr().out
@@ -252,7 +252,7 @@ def test_the_table_shows_the_best_of_every_choice(designed, capsys):
 @pytest.mark.slow
 def test_every_choice_has_a_row_or_a_reason(capsys):
     """Steps that the delays do not fit, or too few of them; filters and windows too long to try."""
-    from cosim.report.tables.experiment_design import print_design
+    from cosim.report.tables.preparation import print_design
 
     settings = {**TINY, "scenario.step": 0.02, "regressor.delays": [0.1, 0.3, 0.5]}
     design = cosim.design("academic-noisy", set=settings, longest=0.5)

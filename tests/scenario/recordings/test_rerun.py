@@ -326,8 +326,8 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
     anew = replays_of(log, rerun=True).designs()
     verification = verify(log, cosim.replay(log, rerun=True), anew)
     assert verification.difference.equal
-    (found,) = verification.contradictions
-    assert found.statement.startswith("design of 'motor': ")
+    found, *_ = verification.contradictions
+    assert found.statement.startswith("designs.motor.")
     # of E x' = A x + ...: the derivative by the state is A/E, half as large for 2 E
     assert found.found == pytest.approx(0.5 * found.expected)
     assert verify(honest, cosim.replay(honest, rerun=True), anew).passed
@@ -335,7 +335,7 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
         with pytest.raises(SystemExit, match=code):
             main(["replay", str(log.path), "--verify", *more])
     out = capsys.readouterr()
-    assert "design of 'motor'" in out.err
+    assert "designs.motor." in out.err
     assert "component tables, designs, overrides" in out.out
 
 

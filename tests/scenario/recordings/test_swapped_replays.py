@@ -136,7 +136,7 @@ def test_a_swapped_replay_is_compared_with_the_log(folder, call):
     assert call(*command)[0] == 0
     code, _, err = call(*command, "--verify")
     assert code == 1
-    assert "kind of 'filter': 'lag' in the log, 'fmu' in the replay" in err
+    assert "component tables.filter.kind: 'lag' in the log, 'fmu' in the replay" in err
 
 
 def test_a_swap_is_compared_with_what_was_recorded(folder):

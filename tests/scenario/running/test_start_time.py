@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import CosimError, ScenarioError, UsageError
-from cosim.report.plots import plot_signals
+from cosim.report.plots.runs import plot_signals
 from cosim.report.summary import span, summarize
 from cosim.scenario.exporting import export_component
 

@@ -119,8 +119,8 @@ def test_a_changed_value_of_a_substep_is_found(pair, tmp_path):
         changed = with_changed_substep(log, tmp_path / f"{number}.mcap", number)
         problems = verify(changed, cosim.replay(changed)).problems
         assert len(problems) == 1
-        assert "substep of the loop of 'one' at t = 0.0" in problems[0]
-        assert f"value {number}: " in problems[0]
+        assert "substeps.loop of 'one' at t = 0.0" in problems[0]
+        assert f".values.{number}: " in problems[0]
 
 
 def test_a_changed_count_of_substeps_is_found(pair, tmp_path):
@@ -137,8 +137,8 @@ def test_a_changed_count_of_substeps_is_found(pair, tmp_path):
     changed = Log(tmp_path / "y.mcap")
     (problem,) = verify(changed, cosim.replay(changed)).problems
     missed = results["substeps"][0]["missed"]
-    assert "counts of substeps in result.json" in problem
-    assert f"loop of 'one', missed: {missed} in the log, {missed - 1} in the replay" in problem
+    place = "substeps.counts.0.missed"
+    assert f"{place}: {missed} in the log, {missed - 1} in the replay" in problem
 
 
 def test_a_changed_output_is_found_beside_recorded_components(tmp_path):
@@ -154,8 +154,8 @@ def test_a_changed_output_is_found_beside_recorded_components(tmp_path):
     for number in (2, 8, 17):
         changed = with_changed_substep(log, tmp_path / f"{number}.mcap", number)
         (problem,) = verify(changed, cosim.replay(changed)).problems
-        assert "substep of the loop of 'controller' at t = 0.0" in problem
-        assert f"value {number}: " in problem
+        assert "substeps.loop of 'controller' at t = 0.0" in problem
+        assert f".values.{number}: " in problem
     last = len(log.substeps()[-1].values) - 1
     assert last == 23
     changed = with_changed_substep(log, tmp_path / "plant.mcap", last)

@@ -11,7 +11,7 @@ import cosim
 from cosim.cli import main
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import ScenarioError
 from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
@@ -558,13 +558,3 @@ def test_where_the_replaced_is_unknown_a_map_may_name_its_ports(other, by_hand):
     wrong = {**MAP, "plant.x_b": "auxx"}
     with pytest.raises(ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.auxx': 'plant' has no"):
         cosim.run(parse(document.with_swaps(swaps, wrong).with_changes(COARSE)))
-
-
-def test_a_comparison_takes_lists_of_ports_too(other):
-    """An entry is for every alternative that has all of its ports; an unknown one is named."""
-    maps = {**MAP, "plant.x_a": "[s[0], s[1]]"}
-    short = {"scenario.stop": 0.01}
-    comparison = cosim.compare("academic", swap={"plant": [other]}, map=maps, set=short)
-    assert [outcome.error for outcome in comparison.outcomes] == ["", ""]
-    with pytest.raises(UsageError, match=r"map\['plant\.x_a'\]: no alternative has a port 't'"):
-        cosim.compare("academic", swap={"plant": [other]}, map={"plant.x_a": ["s", "t"]})
