@@ -161,7 +161,7 @@ class OutputErrorIdentifier:
             deviations=None if problem.stated is None else problem.noise.deviations,
             grids=tuple(self._grid(on_y, *ends) for ends in boxes),
             reach=tuple(self._reach(number, h) for number in range(len(boxes))),
-            between=self._between(design, held),
+            between=self._between(design, problem.held_inputs(held)),
             predictor=_predictor(design),
         )
 
@@ -203,7 +203,7 @@ class OutputErrorIdentifier:
             B=design["B"],
             C=design["C"],
             D=D,
-            held=self.problem.held_inputs(held),
+            held=held,
         )
 
 

@@ -254,7 +254,10 @@ def load(
             temporary = TemporaryFolder("fmu")
             resources.callback(temporary.remove)
             folder = temporary.path
-            archive = _unpack(path, archive, folder)
+            if archive is None:
+                archive = read(path, into=folder)
+            elif read_archive(Path(path), (), folder).sha256 != archive.sha256:
+                raise FmuError(f"{path}: was changed while it was opened; try it again")
         else:
             folder = shared.path
         interface_type, description = _with_options(archive, options)
@@ -294,15 +297,6 @@ def load(
         notes=(*notes, *_notes_on_loading(description.name, changes)),
         unsaved=unsaved,
     )
-
-
-def _unpack(path: Path | str, archive: Archive | None, folder: Path) -> Archive:
-    """Unpack an FMU into a folder; return what was read from it before, or now."""
-    if archive is None:
-        return read(path, into=folder)
-    if read_archive(Path(path), (), folder).sha256 != archive.sha256:
-        raise FmuError(f"{path}: was changed while it was opened; try it again")
-    return archive
 
 
 def describe(path: Path | str, options: FmuOptions = DEFAULT_OPTIONS) -> DescribedFmu:

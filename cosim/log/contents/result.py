@@ -57,35 +57,18 @@ def part_group(
     content_hash : str
         Of the rows of the file.
     """
-    return end_group(_part_items(number, first_ns, asdict(last_row), content_hash), {})
+    return end_group(part_items(number, first_ns, asdict(last_row), content_hash), {})
 
 
-def last_part_group(
-    number: int,
-    first_ns: int | None,
-    whole: ResultItems,
-    *,
-    content_hash: str,
-    values: Mapping[str, Any],
-) -> RecordGroup:
-    """Return the end of the last file of a log of several, with that of the whole run.
-
-    Parameters
-    ----------
-    number, first_ns, content_hash
-        As of :func:`part_group`.
-    whole : mapping
-        What is recorded of the end of the run.
-    values : mapping
-        Of the whole run, too; for the attachment.
-    """
-    part = end_group(_part_items(number, first_ns, whole, content_hash), values)
+def with_whole(part: RecordGroup, whole: ResultItems) -> RecordGroup:
+    """Return the end of the last file of a log of several behind that of the whole run."""
     return _joined(result_record(PARTIAL, whole), part)
 
 
-def _part_items(
+def part_items(
     number: int, first_ns: int | None, last_row: Mapping[str, Any], content_hash: str
 ) -> ResultItems:
+    """Return what is recorded of the end of a file of several; see :func:`part_group`."""
     end_ns = last_row["end_ns"]
     where = "without rows" if first_ns is None else span_text(first_ns, end_ns)
     return {

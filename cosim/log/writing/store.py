@@ -15,9 +15,10 @@ from cosim.log.contents.layout import Part, signals_json
 from cosim.log.contents.result import (
     LastRow,
     end_group,
-    last_part_group,
     part_group,
+    part_items,
     result_items,
+    with_whole,
 )
 from cosim.log.mcap_file.chunks import CHUNK_BYTES, one_chunk, separate_chunks
 from cosim.log.mcap_file.compression import Compression
@@ -140,15 +141,13 @@ class LogStore:
         self._keep_tail()
         content_hash = self._content_hash(self._hashes[0])
         whole = result_items(end, self.last_row, content_hash=content_hash)
-        group = end_group(whole, values)
+        own = whole
         if self._number > 1:
-            group = last_part_group(
-                self._number,
-                self._first_ns,
-                whole,
-                content_hash=self._content_hash(self._hashes[-1]),
-                values=values,
-            )
+            own_hash = self._content_hash(self._hashes[-1])
+            own = part_items(self._number, self._first_ns, whole, own_hash)
+        group = end_group(own, values)
+        if self._number > 1:
+            group = with_whole(group, whole)
         self._file.commit(group)
         self._file.close()
         self._workers.close()
