@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, Never, Protocol, cast
@@ -87,26 +88,26 @@ def check_component(
     bench = _Bench(make, inputs, h, steps, seed)
     _check_declared(bench)
     for held in bench.masks():
-        expected = bench.run(bench.prepared(held))
-        _check_values(bench, "a value", expected)
-        _check_values(bench, "a value of initialize", bench.initialize(bench.prepared(held)))
-        _check_repeatable(bench, held, expected)
-        _check_design(bench, held, expected)
-        _check_blocks(bench, held, expected)
-        _check_outputs(bench, held, expected)
-        _check_ownership(bench, held, expected)
-        _check_feedthrough(bench, held, expected)
-        _check_initialization(bench, held)
+        case = bench.under(held)
+        _check_values(case, "a value", case.expected)
+        _check_values(case, "a value of initialize", case.initialize(case.prepared()))
+        _check_repeatable(case)
+        _check_design(case)
+        _check_blocks(case)
+        _check_outputs(case)
+        _check_ownership(case)
+        _check_feedthrough(case)
+        _check_initialization(case)
         if held.any() or bench.interface.delayed:
-            _check_held_inputs(bench, held, expected)
+            _check_held_inputs(case)
         if bench.interface.native:
-            _check_native(bench, held, expected)
+            _check_native(case)
         if bench.interface.linearizable:
-            _check_linearized(bench, held, expected)
+            _check_linearized(case)
         if bench.interface.substeps:
-            _check_substeps(bench, held, expected)
+            _check_substeps(case)
     if bench.interface.rollback:
-        _check_rollback(bench, bench.masks()[0])
+        _check_rollback(bench)
 
 
 def check_rollback(
@@ -129,13 +130,13 @@ def check_rollback(
         Where a run from a restored state differs.
     """
     bench = _Bench(make, inputs, h, steps, seed)
-    _check_rollback(bench, bench.masks()[0])
+    _check_rollback(bench)
 
 
-def _check_rollback(bench: _Bench, held: Mask) -> None:
+def _check_rollback(bench: _Bench) -> None:
     """Require that a restored component goes on as it did after it was saved."""
     for k in (0, bench.steps // 2):
-        prepared = bench.prepared(held)
+        prepared = bench.prepared()
         # The interface is what declares save and restore; a type checker cannot follow it.
         component = cast("RollbackComponent[object]", prepared)
         bench.initialize(component)
@@ -153,11 +154,11 @@ def _check_rollback(bench: _Bench, held: Mask) -> None:
             rows = bench.advance(component, k, bench.steps)
             law = "a restored component goes on as it did after save"
             bench.compare(law, rows, expected, k + 1)
-        _check_later(bench, component, held, state, k)
+        _check_later(bench, component, state, k)
 
 
 def _check_later(
-    bench: _Bench, component: RollbackComponent[object], held: Mask, state: object, k: int
+    bench: _Bench, component: RollbackComponent[object], state: object, k: int
 ) -> None:
     """Require that states are restored in any order; ``state`` is that at ``k``.
 
@@ -174,16 +175,16 @@ def _check_later(
     rows = bench.advance(component, middle, bench.steps)
     law = "a later state can be restored after an earlier one"
     bench.compare(law, rows, expected, middle + 1)
-    _check_another(bench, held, later, middle, expected)
+    _check_another(bench, later, middle, expected)
 
 
-def _check_another(bench: _Bench, held: Mask, state: object, k: int, expected: Matrix) -> None:
+def _check_another(bench: _Bench, state: object, k: int, expected: Matrix) -> None:
     """Require that a state that can be pickled goes on in another component."""
     try:
         pickled = pickle.dumps(state)
     except Exception:  # a state is the component's own, and may raise anything
         return
-    prepared = bench.prepared(held)
+    prepared = bench.prepared()
     bench.initialize(prepared)
     # As above.
     another = cast("RollbackComponent[object]", prepared)
@@ -473,30 +474,30 @@ def _check_values(bench: _Bench, what: str, rows: Matrix) -> None:
         bench.fail(law, row, column, wanted, float(np.atleast_2d(rows)[row, column]))
 
 
-def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_repeatable(bench: _Bench) -> None:
     """Require the same run of a second component, with a recorded design, after a second start."""
-    component = bench.prepared(held)
+    component = bench.prepared()
     rows = bench.run(component)
-    bench.compare("a second component repeats the run", rows, expected)
+    bench.compare("a second component repeats the run", rows, bench.expected)
     bench.initialize(component, bench.perturbed[0])
     rows = bench.run(component)
     law = "initialize forgets the past, and an earlier initialize with other inputs"
-    bench.compare(law, rows, expected)
+    bench.compare(law, rows, bench.expected)
 
 
-def _check_design(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_design(bench: _Bench) -> None:
     """Require that a component takes its recorded design, and computes nothing of it again.
 
     On this machine both give the same bits; so the design is also changed by one bit.
     """
-    design = prepare(bench.make(), bench.h, held, {})
+    design = prepare(bench.make(), bench.h, bench.held, {})
     copies = {name: np.array(array) for name, array in design.items()}
     replayed = bench.make()
-    prepare(replayed, bench.h, held, copies)
+    prepare(replayed, bench.h, bench.held, copies)
     rows = bench.run(replayed)
-    bench.compare("a component takes its recorded design", rows, expected)
+    bench.compare("a component takes its recorded design", rows, bench.expected)
     changed = {name: np.nextafter(array, np.inf) for name, array in copies.items()}
-    taken = prepare(bench.make(), bench.h, held, changed)
+    taken = prepare(bench.make(), bench.h, bench.held, changed)
     for name, array in changed.items():
         if name not in taken or not np.array_equal(taken[name], array, equal_nan=True):
             raise AssertionError(
@@ -532,21 +533,21 @@ def _check_declared(bench: _Bench) -> None:
         )
 
 
-def _check_blocks(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_blocks(bench: _Bench) -> None:
     """Require that the size of the blocks does not change the run."""
     for size in (1, 7):
-        component = bench.prepared(held)
+        component = bench.prepared()
         blocks = [bench.start_outputs(component)[np.newaxis]]
         for begin in range(0, bench.steps, size):
             end = min(begin + size, bench.steps)
             blocks.append(bench.advance(component, begin, end))
         rows = np.vstack(blocks)
-        bench.compare(f"blocks of {size} give the bits of one block", rows, expected)
+        bench.compare(f"blocks of {size} give the bits of one block", rows, bench.expected)
 
 
-def _check_outputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_outputs(bench: _Bench) -> None:
     """Require that calls of outputs change nothing, whatever their inputs."""
-    component = bench.prepared(held)
+    component = bench.prepared()
     row = bench.start_outputs(component)
     for k in range(bench.steps + 1):
         bench.outputs(component, k, bench.perturbed[k])
@@ -554,15 +555,15 @@ def _check_outputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
         bench.compare("outputs gives the last row again", again, row, k)
         if k < bench.steps:
             row = bench.advance(component, k, k + 1)
-            bench.compare("outputs changes nothing", row, expected[k + 1], k + 1)
+            bench.compare("outputs changes nothing", row, bench.expected[k + 1], k + 1)
 
 
-def _check_ownership(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_ownership(bench: _Bench) -> None:
     """Require that arguments are not written to nor kept, and that results are no views.
 
     Rows of inputs may be strided: they are columns of a larger array here.
     """
-    component = bench.prepared(held)
+    component = bench.prepared()
     bench.initialize(component)
     wide = np.zeros((bench.steps + 1, bench.n_u + 3))
     strided = wide[:, 2 : 2 + bench.n_u]
@@ -584,47 +585,47 @@ def _check_ownership(bench: _Bench, held: Mask, expected: Matrix) -> None:
             "arguments and results of earlier calls are no part of the state, "
             "rows of inputs may be strided"
         )
-        bench.compare(law, rows, expected[begin + 1 : end + 1], begin + 1)
+        bench.compare(law, rows, bench.expected[begin + 1 : end + 1], begin + 1)
         # A component that kept one of these arrays will differ in the next block.
         for array in (u, t, rows, outputs):
             if array.flags.writeable:
                 array[:] = 1e3
 
 
-def _check_feedthrough(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_feedthrough(bench: _Bench) -> None:
     """Require that outputs ignore what is not declared to feed through."""
-    component = bench.prepared(held)
+    component = bench.prepared()
     bench.initialize(component)
     for k in range(bench.steps + 1):
         if k:
             bench.advance(component, k - 1, k)
         for name in bench.input_names:
             y = bench.outputs(component, k, bench.perturbed_in(name, k))
-            ignoring = np.where(bench.fed_by(name), expected[k], y)
+            ignoring = np.where(bench.fed_by(name), bench.expected[k], y)
             law = f"outputs ignores {name!r}, which is not declared to feed through"
-            bench.compare(law, ignoring, expected[k], k)
+            bench.compare(law, ignoring, bench.expected[k], k)
 
 
-def _check_initialization(bench: _Bench, held: Mask) -> None:
+def _check_initialization(bench: _Bench) -> None:
     """Require that initial outputs ignore what they are not declared to depend on."""
-    first = bench.initialize(bench.prepared(held))
+    first = bench.initialize(bench.prepared())
     for name in bench.input_names:
-        component = bench.prepared(held)
+        component = bench.prepared()
         y = bench.initialize(component, bench.perturbed_in(name, 0))
         ignoring = np.where(bench.fed_initially(name), first, y)
         law = f"initialize ignores {name!r}, which is not declared to count there"
         bench.compare(law, ignoring, first)
 
 
-def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_held_inputs(bench: _Bench) -> None:
     """Require that a held or delayed input may be wrong at the end of a step.
 
     In a loop it is known there only after the step: the state must ignore it, and ``outputs``
     corrects what feeds through.
     """
-    component = bench.prepared(held)
+    component = bench.prepared()
     bench.initialize(component)
-    held = held.copy()
+    held = bench.held.copy()
     for name in bench.interface.delayed:
         held[bench.interface.input_columns()[name]] = True
     fed = np.zeros(bench.n_y, np.bool_)
@@ -636,20 +637,20 @@ def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
         inputs = np.vstack([bench.u[k - 1], end])
         times = bench.t[k - 1 : k + 1]
         row = component.advance(times, bench.h, inputs)[0]
-        ignoring = np.where(fed, expected[k], row)
+        ignoring = np.where(fed, bench.expected[k], row)
         law = (
             "advance ignores a held input at the end of the step "
             "where it is not declared to feed through"
         )
-        bench.compare(law, ignoring, expected[k], k)
+        bench.compare(law, ignoring, bench.expected[k], k)
         corrected = bench.outputs(component, k)
         law = "the state ignores a held input at the end of the step"
-        bench.compare(law, corrected, expected[k], k)
+        bench.compare(law, corrected, bench.expected[k], k)
 
 
-def _check_linearized(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_linearized(bench: _Bench) -> None:
     """Require that a linearization fits the interface, and that to make one changes nothing."""
-    component = bench.prepared(held)
+    component = bench.prepared()
     first = bench.start_outputs(component)
     matrices = linearized(component, bench.start, read_only(bench.u[0].copy()))
     if matrices is not None and matrices.D.shape != (bench.n_y, bench.n_u):
@@ -658,57 +659,57 @@ def _check_linearized(bench: _Bench, held: Mask, expected: Matrix) -> None:
             f"got {matrices.D.shape}"
         )
     rows = np.vstack([first, bench.advance(component, 0, bench.steps)])
-    bench.compare("linearized changes nothing", rows, expected)
+    bench.compare("linearized changes nothing", rows, bench.expected)
 
 
-def _check_substeps(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_substeps(bench: _Bench) -> None:
     """Require that substeps are steps of their length, whatever the communication step is."""
     component = bench.make()
     step = 2.0 * bench.h
-    prepare(component, step, held, {})
+    prepare(component, step, bench.held, {})
     design = prepare_substeps(component, (bench.h,), {})
-    bench.compare("substeps are steps of their length", bench.run(component), expected)
+    bench.compare("substeps are steps of their length", bench.run(component), bench.expected)
     replayed = bench.make()
-    prepare(replayed, step, held, {})
+    prepare(replayed, step, bench.held, {})
     prepare_substeps(replayed, (bench.h,), {name: np.array(a) for name, a in design.items()})
-    bench.compare("substeps take their recorded design", bench.run(replayed), expected)
+    bench.compare("substeps take their recorded design", bench.run(replayed), bench.expected)
     surprised = bench.make()
-    prepare(surprised, step, held, {})
+    prepare(surprised, step, bench.held, {})
     prepare_substeps(surprised, (0.75 * step,), {})
     of_any_length = "substeps of other lengths than were announced are steps of their length"
-    bench.compare(of_any_length, bench.run(surprised), expected)
+    bench.compare(of_any_length, bench.run(surprised), bench.expected)
 
 
-def _check_native(bench: _Bench, held: Mask, expected: Matrix) -> None:
+def _check_native(bench: _Bench) -> None:
     """Require that the compiled step has the bits of ``advance``, also in turn with it."""
     for alternates in (False, True):
-        compiled = bench.compiled(held, alternates=alternates)
+        compiled = bench.compiled(alternates=alternates)
         try:
-            _check_compiled(compiled, held, expected)
+            _check_compiled(compiled)
             if not alternates:
-                _check_taken(compiled, held)
+                _check_taken(compiled)
         except AssertionError as error:
             turns = ", in turn with advance" if alternates else ""
             raise AssertionError(f"the compiled step{turns}: {error}") from error
 
 
-def _check_compiled(bench: _Bench, held: Mask, expected: Matrix) -> None:
-    bench.compare("has the bits of advance", bench.run(bench.prepared(held)), expected)
-    _check_blocks(bench, held, expected)
-    _check_outputs(bench, held, expected)
-    if held.any() or bench.interface.delayed:
-        _check_held_inputs(bench, held, expected)
+def _check_compiled(bench: _Bench) -> None:
+    bench.compare("has the bits of advance", bench.run(bench.prepared()), bench.expected)
+    _check_blocks(bench)
+    _check_outputs(bench)
+    if bench.held.any() or bench.interface.delayed:
+        _check_held_inputs(bench)
     if bench.interface.rollback:
-        _check_rollback(bench, held)
+        _check_rollback(bench)
 
 
-def _check_taken(bench: _Bench, held: Mask) -> None:
+def _check_taken(bench: _Bench) -> None:
     """Require that a step is compiled at all, where there is one.
 
     A discrete input may need an event whenever it changes, here at every step: that may be left to
     ``advance``.
     """
-    component = cast(_Compiled, bench.prepared(held))
+    component = cast(_Compiled, bench.prepared())
     bench.run(component)
     if any(signal.variability == "discrete" for signal in bench.interface.inputs):
         return
@@ -782,13 +783,17 @@ class _Compiled:
 
 
 class _Bench:
-    """A component's times and inputs, and other inputs to put in their place."""
+    """A component's times and inputs, and other inputs to put in their place.
+
+    ``held`` are the inputs with a zero-order hold, at first none.
+    """
+
+    expected: Matrix  # the rows of the run under ``held``
 
     def __init__(
         self, make: Callable[[], Component], inputs: Matrix | None, h: float, steps: int, seed: int
     ) -> None:
         self.make = make
-        self.seed = seed
         self.interface = make().interface
         self.input_names = [signal.name for signal in self.interface.inputs]
         self.n_u = self.interface.n_u
@@ -804,6 +809,14 @@ class _Bench:
         noise = np.random.default_rng(seed).standard_normal((steps + 1, self.n_u))
         self.u = self._of_its_type(noise) if inputs is None else np.array(inputs, np.float64)
         self.perturbed = self._other_values(noise)
+        self.held = np.zeros(self.n_u, np.bool_)
+
+    def under(self, held: Mask) -> _Bench:
+        """Return the same with these inputs held, and the rows of its run."""
+        case = copy(self)
+        case.held = held
+        case.expected = case.run(case.prepared())
+        return case
 
     def _check_inputs(self, inputs: Matrix) -> None:
         if inputs.shape[1:] != (self.n_u,) or len(inputs) < 2:
@@ -848,10 +861,13 @@ class _Bench:
         u[columns] = self.perturbed[k, columns]
         return u
 
-    def compiled(self, held: Mask, *, alternates: bool) -> _Bench:
-        """Return a bench with one prepared component, advanced by its compiled step."""
-        component = _Compiled(self.prepared(held), alternates=alternates)
-        return _Bench(lambda: component, self.u, self.h, self.steps, self.seed)
+    def compiled(self, *, alternates: bool) -> _Bench:
+        """Return the same with one prepared component, advanced by its compiled step."""
+        component = _Compiled(self.prepared(), alternates=alternates)
+        case = copy(self)
+        case.make = lambda: component
+        case.interface = component.interface
+        return case
 
     def masks(self) -> list[Mask]:
         """Return masks of inputs with a zero-order hold: none, all, every other signal."""
@@ -862,10 +878,10 @@ class _Bench:
         different = masks[: 1 + min(count, 2)]
         return [np.repeat(mask, sizes) for mask in different]
 
-    def prepared(self, held: Mask) -> Component:
+    def prepared(self) -> Component:
         """Return a new component, prepared."""
         component = self.make()
-        prepare(component, self.h, held, {})
+        prepare(component, self.h, self.held, {})
         return component
 
     def run(self, component: Component) -> Matrix:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.blocks.plant import linear_model
-from cosim.core.linear import LinearModel
-from cosim.core.signals import Signal
+from cosim.arrays import Matrix, Vector
+from cosim.core.linear import LinearModel, with_dependencies
+from cosim.core.signals import Interface, Signal
 from cosim.theory.observers.observer import (
     ObserverDesign,
+    StateSpace,
     initial_state_map,
     lagging_states,
     realize,
@@ -64,11 +65,7 @@ def observer_model(
     outputs = (first, delta, *others, *own_states)
     states = tuple(chain.from_iterable(signal.elements for signal in own_states))
     n = len(states)
-    A = system.A
-    B = system.B
-    C = system.C
-    D = system.D
-    model = linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0[:n], Xu=Xu[:n])
+    model = _model(Interface(inputs, outputs), states, system, X0[:n], Xu[:n])
     return _with_constant_state(model) if constant else model
 
 
@@ -97,17 +94,8 @@ def averaged_observer(
     rate = Signal("rate", realization.width)
     level = Signal("level", realization.width)
     system = realization.system
-    model = linear_model(
-        _inputs(reduced),
-        (*direct, rate, level),
-        states=tuple(z.elements),
-        A=system.A,
-        B=system.B,
-        C=system.C,
-        D=system.D,
-        X0=X0[:n_a],
-        Xu=Xu[:n_a],
-    )
+    ports = Interface(_inputs(reduced), (*direct, rate, level))
+    model = _model(ports, tuple(z.elements), system, X0[:n_a], Xu[:n_a])
     if constant:
         model = _with_constant_state(model)
     from cosim.blocks.averages import AveragedModel  # rarely needed
@@ -132,6 +120,13 @@ def consistent_observer(model: AveragedModel, reduced: ReducedSystem, rate: floa
     from cosim.blocks.averages import Smoothed  # rarely needed
 
     return Smoothed(model, rate, start)
+
+
+def _model(
+    ports: Interface, states: tuple[str, ...], system: StateSpace, X0: Vector, Xu: Matrix
+) -> LinearModel:
+    matrices = (system.A, system.B, system.C, system.D, X0, Xu)
+    return with_dependencies(LinearModel(ports, states, *matrices))
 
 
 def _inputs(reduced: ReducedSystem) -> tuple[Signal, ...]:
@@ -180,4 +175,4 @@ def _with_constant_state(model: LinearModel) -> LinearModel:
     Xu = np.vstack([Xu_others, no_input])
     states = (*model.states, "one")
     outputs = model.interface.outputs
-    return linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)
+    return with_dependencies(LinearModel(Interface(inputs, outputs), states, A, B, C, D, X0, Xu))

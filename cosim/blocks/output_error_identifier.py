@@ -161,7 +161,7 @@ class OutputErrorIdentifier:
             deviations=None if problem.stated is None else problem.noise.deviations,
             grids=tuple(self._grid(on_y, *ends) for ends in boxes),
             reach=tuple(self._reach(number, h) for number in range(len(boxes))),
-            between=self._between(design, held),
+            between=self._between(design, problem.held_inputs(held)),
             predictor=_predictor(design),
         )
 
@@ -185,13 +185,10 @@ class OutputErrorIdentifier:
             forgetting = 1.0 - 1.0 / schedule.window
         grid = start_grid(
             replace(on_y, forgetting=forgetting),
-            lower,
-            upper,
+            replace(box, lower=lower, upper=upper),
             points=points,
             average=max(1, schedule.average // 10),
-            graded=box.graded,
             alike=self.problem.interchangeable(self.lower, self.upper),
-            even=box.even,
             beside=[lower],  # the place of a fit
         )
         return replace(grid, beside=True)
@@ -206,7 +203,7 @@ class OutputErrorIdentifier:
             B=design["B"],
             C=design["C"],
             D=D,
-            held=self.problem.held_inputs(held),
+            held=held,
         )
 
 

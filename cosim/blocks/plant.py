@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, initial_dependencies
+from cosim.core.linear import DescriptorModel, LinearModel, with_dependencies
 from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import AssumptionError
 from cosim.theory.plants.descriptor import DescriptorSystem, ReducedSystem, reduce, state_maps
@@ -61,16 +61,19 @@ def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearMode
     sizes = {state.name: len(state.of_x_a) for state in states}
     D_states = [np.hstack([state.of_u, state.of_delta]) for state in states]
     D_y = np.hstack([reduced.C4, reduced.C5])
-    return linear_model(
-        _signals({"u": n_u, "delta": n_d}, "input"),
-        (Signal("y", n_y, description=_TEXTS["y"]), *_signals(sizes, "state")),
+    inputs = _signals({"u": n_u, "delta": n_d}, "input")
+    outputs = (Signal("y", n_y, description=_TEXTS["y"]), *_signals(sizes, "state"))
+    model = LinearModel(
+        Interface(inputs, outputs),
         states=_state_names(reduced),
         A=reduced.A_a,
         B=np.hstack([reduced.B_1a, reduced.B_2a]),
         C=np.vstack([reduced.C3, *(state.of_x_a for state in states)]),
         D=np.vstack([D_y, *D_states]),
         X0=X0,
+        Xu=np.zeros((n_a, n_u + n_d)),
     )
+    return with_dependencies(model)
 
 
 def _check_constraints(H: Matrix, x0: Vector) -> None:
@@ -153,29 +156,6 @@ def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorMode
     by_z = _contiguous(by_state[:, n_a:])
     by_u = _contiguous(by_input)
     return DescriptorModel(reduced, "x_b", by_x, by_z, by_u)
-
-
-def linear_model(
-    inputs: tuple[Signal, ...],
-    outputs: tuple[Signal, ...],
-    *,
-    states: tuple[str, ...],
-    A: Matrix,
-    B: Matrix,
-    C: Matrix,
-    D: Matrix,
-    X0: Matrix,
-    Xu: Matrix | None = None,
-) -> LinearModel:
-    """Build a linear model; its feedthrough and initial dependencies follow from the matrices."""
-    if Xu is None:
-        Xu = np.zeros(B.shape)
-    ports = Interface(inputs, outputs)
-    feedthrough = feedthrough_of(ports, D)
-    initial = initial_dependencies(ports, C, D, Xu)
-    interface = Interface(inputs, outputs, feedthrough, initial)
-    matrices = [_contiguous(matrix) for matrix in (A, B, C, D, X0, Xu)]
-    return LinearModel(interface, states, *matrices)
 
 
 def _contiguous(values: Matrix) -> Matrix:

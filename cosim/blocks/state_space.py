@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.plant import linear_model
-from cosim.core.linear import LinearModel, feedthrough_of
+from cosim.core.linear import LinearModel, feedthrough_of, with_dependencies
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
@@ -106,16 +105,9 @@ def controller(
     """
     system = system_matrices("controller", A=A, B=B, C=C, D=D, x0=x0)
     u, y, x = system.signals(unit)
-    return linear_model(
-        (u,),
-        (y, x),
-        states=tuple(x.elements),
-        A=system.A,
-        B=system.B,
-        C=system.C,
-        D=system.D,
-        X0=system.x0,
-    )
+    matrices = (system.A, system.B, system.C, system.D, system.x0, np.zeros_like(system.B))
+    model = LinearModel(Interface((u,), (y, x)), tuple(x.elements), *matrices)
+    return with_dependencies(model)
 
 
 class DiscreteStateSpace:

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.blocks.plant import linear_model
-from cosim.core.linear import LinearModel
-from cosim.core.signals import Signal
+from cosim.core.linear import LinearModel, with_dependencies
+from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 
 
@@ -61,9 +60,8 @@ def transfer_function(
     Xu = np.zeros((n, 1))
     if steady:
         Xu[0] = 1.0 / a[0]
-    return linear_model(
-        (Signal("u"),),
-        (Signal("y", 1, unit),),
+    model = LinearModel(
+        Interface((Signal("u"),), (Signal("y", 1, unit),)),
         states=tuple(Signal("x", n).elements),
         A=A,
         B=B,
@@ -72,6 +70,7 @@ def transfer_function(
         X0=np.zeros(n),
         Xu=Xu,
     )
+    return with_dependencies(model)
 
 
 def _check_steady(a: Vector) -> None:

@@ -104,11 +104,12 @@ def export(given: Given) -> None:
     The FMU has both interface types; that of a discrete component is for co-simulation only.
     """
     from cosim.scenario.exporting import export_component
+    from cosim.scenario.running.execution import load
 
-    options = given.only("component out fmi force dae set")
+    options = given.only("component out fmi force dae")
     platforms = [] if given.platform is None else given.platform.split(",")
     options["platforms"] = [name.strip() for name in platforms]
-    for line in export_component(given.scenario, **options):
+    for line in export_component(load(given.scenario).set(given.set), **options):
         print_text(line)
 
 

@@ -163,15 +163,17 @@ def run(given: Given) -> bool:
     from cosim.studies import studying
     from cosim.studies.plan import plan_study
     from cosim.studies.show import ShownParts, print_estimate
-    from cosim.studies.study_file import read_study
+    from cosim.studies.study_file import StudyOptions, read_study
 
     _check_out(given.out)
     with prints_to_stderr():
-        file = read_study(given.source).with_options(metrics=given.metric, **given.only(OF_STUDY))
+        options = StudyOptions(metrics=given.metric, **given.only(OF_STUDY))
+        file = read_study(given.source).with_options(options)
         assertions = read_assertions(given.assert_, file.metrics)
         if assertions is not None:
             with_results = file.subject.with_results
-            file = file.with_options(metrics=assertions.metrics, results=with_results)
+            kept = StudyOptions(metrics=assertions.metrics, results=with_results)
+            file = file.with_options(kept)
     check_verdicts(given.fail_on, file.subject.with_results, "--results")
     place = str(studying.default_place(file)) if given.out is None else given.out
     if given.dry_run:

@@ -235,6 +235,16 @@ def shapes_of(arrays: Mapping[str, Matrix]) -> dict[str, tuple[int, ...]]:
     return {name: array.shape for name, array in arrays.items()}
 
 
+def with_dependencies(model: LinearModel) -> LinearModel:
+    """Return the model with the feedthrough and initial dependencies that its matrices have."""
+    ports = model.interface
+    feedthrough = feedthrough_of(ports, model.D)
+    initial = initial_dependencies(ports, model.C, model.D, model.Xu)
+    interface = replace(ports, feedthrough=feedthrough, initial=initial)
+    matrices = [np.ascontiguousarray(array, np.float64) for array in model.arrays.values()]
+    return LinearModel(interface, model.states, *matrices)
+
+
 def initial_dependencies(
     inputs: Interface, C: Matrix, D: Matrix, Xu: Matrix
 ) -> dict[str, tuple[str, ...]]:

@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
-from cosim.fmi.trial_cache import keep_problems, read_problems
+from cosim.fmi.trial_cache import KeptTrial
 from cosim.processes import child_environment, describe_exit, run_child
 from cosim.temporary import TemporaryFolder
 
@@ -69,7 +69,8 @@ def _try_rollback(
     path: Path, sha256: str, interface_type: InterfaceType, step: float | None
 ) -> tuple[str, ...]:
     """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
-    known_texts = read_problems("rollback", sha256, interface_type)
+    kept = KeptTrial("rollback", sha256, interface_type)
+    known_texts = kept.problems()
     if known_texts is not None:
         return known_texts
     found = try_fmu("rollback", path, interface_type, step=step)
@@ -77,7 +78,7 @@ def _try_rollback(
     texts = tuple(problem.text for problem in problems)
     # A hang or a missing library may belong to this moment and this machine.
     if all(problem.kind in OF_STATE for problem in problems):
-        keep_problems("rollback", sha256, interface_type, texts)
+        kept.keep(texts)
     return texts
 
 

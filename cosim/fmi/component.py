@@ -49,7 +49,6 @@ class Fmu:
     Parameters
     ----------
     archive : Archive
-    interface_type : {"me", "cs"}
     instance : LoadedInstance
     component : Guarded
     resources : ExitStack
@@ -70,19 +69,16 @@ class Fmu:
     def __init__(
         self,
         archive: Archive,
-        interface_type: InterfaceType,
-        *,
         instance: LoadedInstance,
+        *,
         component: Guarded,
         resources: ExitStack,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
         unsaved: str = "",
-        model_exchange: ModelExchange | None = None,
     ) -> None:
         self.component = component
-        self.model_exchange = model_exchange
-        self.interface_type = interface_type
+        self.interface_type = instance.interface_type
         self._archive = archive
         self._instance = instance
         self.input_limits = InputLimits(
@@ -92,6 +88,12 @@ class Fmu:
         self._solving = solving
         self.unsaved = unsaved
         self.notes = notes
+
+    @property
+    def model_exchange(self) -> ModelExchange | None:
+        """What drives it, if it was opened for model exchange."""
+        component = self.component.component
+        return component if isinstance(component, ModelExchange) else None
 
     @property
     def description(self) -> Description:
@@ -252,13 +254,16 @@ def load(
             temporary = TemporaryFolder("fmu")
             resources.callback(temporary.remove)
             folder = temporary.path
-            archive = _unpack(path, archive, folder)
+            if archive is None:
+                archive = read(path, into=folder)
+            elif read_archive(Path(path), (), folder).sha256 != archive.sha256:
+                raise FmuError(f"{path}: was changed while it was opened; try it again")
         else:
             folder = shared.path
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
-        unsaved = _unsaved(archive, description, interface_type, options.step)
+        unsaved = _unsaved(archive, description, interface_type, options)
         if unsaved:
             description = description.without("saves_state", interface_type)
         shares = _notes_on_neighbors(description, interface_type, library)
@@ -276,7 +281,6 @@ def load(
         notes = _notes(archive, instance.description)
         notes += [text for text in (unsaved, instance.refused, *shares) if text]
         component, solving = _component(instance, interface_type, options)
-        model_exchange = component if isinstance(component, ModelExchange) else None
     except BaseException:
         if instance is not None:
             instance.free_instance()
@@ -286,24 +290,13 @@ def load(
     changes = process.restore()
     return Fmu(
         archive,
-        interface_type,
-        instance=instance,
+        instance,
         component=Guarded(component, description.name, archive.sha256, called=messages.address),
         resources=resources,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),
         unsaved=unsaved,
-        model_exchange=model_exchange,
     )
-
-
-def _unpack(path: Path | str, archive: Archive | None, folder: Path) -> Archive:
-    """Unpack an FMU into a folder; return what was read from it before, or now."""
-    if archive is None:
-        return read(path, into=folder)
-    if read_archive(Path(path), (), folder).sha256 != archive.sha256:
-        raise FmuError(f"{path}: was changed while it was opened; try it again")
-    return archive
 
 
 def describe(path: Path | str, options: FmuOptions = DEFAULT_OPTIONS) -> DescribedFmu:
@@ -459,12 +452,12 @@ def _component(
 
 
 def _unsaved(
-    archive: Archive, description: Description, interface_type: InterfaceType, step: float | None
+    archive: Archive, description: Description, interface_type: InterfaceType, options: FmuOptions
 ) -> str:
     """Return why the state of an FMU is not saved that says that it can be; empty: it is."""
     if not description.capabilities[interface_type].saves_state or description.tool == OUR_TOOL:
         return ""
-    problems = find_rollback_problems(archive, interface_type, step)
+    problems = find_rollback_problems(archive, interface_type, options.step)
     if not problems:
         return ""
     return (

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,8 +22,9 @@ TRIAL_VERSION: Final = 2  # to be raised where the trials themselves change
 LARGEST: Final = 2**16  # bytes of one file
 
 
-def read_problems(task: str, sha256: str, interface_type: str) -> tuple[str, ...] | None:
-    """Return the problems that a trial found; None: they are not known.
+@dataclass(frozen=True, slots=True)
+class KeptTrial:
+    """What is kept of a trial.
 
     Parameters
     ----------
@@ -32,39 +34,42 @@ def read_problems(task: str, sha256: str, interface_type: str) -> tuple[str, ...
         Of the FMU.
     interface_type : {"me", "cs"}
     """
-    key = _key(task, sha256, interface_type)
-    file = _file(key)
-    if file is None:
-        return None
-    try:
-        content = json.loads(read_bounded(file, LARGEST))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(content, dict) or content.get("key") != key:
-        return None
-    problems = content.get("problems")
-    if not isinstance(problems, list) or not all(isinstance(text, str) for text in problems):
-        return None
-    return tuple(problems)
 
+    task: str
+    sha256: str
+    interface_type: str
 
-def keep_problems(task: str, sha256: str, interface_type: str, problems: Sequence[str]) -> None:
-    """Keep the problems that a trial found, if there is a folder for them."""
-    key = _key(task, sha256, interface_type)
-    file = _file(key)
-    content = json.dumps({"key": key, "problems": list(problems)}).encode()
-    if file is not None and len(content) <= LARGEST:
-        keep(file, content)
+    def problems(self) -> tuple[str, ...] | None:
+        """Return the problems that it found; None: they are not known."""
+        key = self._key
+        file = _file(key)
+        if file is None:
+            return None
+        try:
+            content = json.loads(read_bounded(file, LARGEST))
+        except (OSError, ValueError, RecursionError):
+            return None
+        if not isinstance(content, dict) or content.get("key") != key:
+            return None
+        problems = content.get("problems")
+        if not isinstance(problems, list) or not all(isinstance(text, str) for text in problems):
+            return None
+        return tuple(problems)
 
+    def keep(self, problems: Sequence[str]) -> None:
+        """Keep the problems that it found, if there is a folder for them."""
+        file = _file(self._key)
+        content = json.dumps({"key": self._key, "problems": list(problems)}).encode()
+        if file is not None and len(content) <= LARGEST:
+            keep(file, content)
 
-def _key(task: str, sha256: str, interface_type: str) -> dict[str, str]:
-    return {
-        "task": task,
-        "sha256": sha256,
-        "interface_type": interface_type,
-        "platform": f"{ARCHITECTURE}-{SYSTEM}",
-        "version": f"{__version__}, trial {TRIAL_VERSION}",
-    }
+    @property
+    def _key(self) -> dict[str, str]:
+        return {
+            **asdict(self),
+            "platform": f"{ARCHITECTURE}-{SYSTEM}",
+            "version": f"{__version__}, trial {TRIAL_VERSION}",
+        }
 
 
 def _file(key: Mapping[str, str]) -> Path | None:

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from ctypes import POINTER, byref, c_double, c_int32, c_int64, c_void_p
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Final, Protocol
 
 import numpy as np
@@ -81,6 +82,7 @@ def _guarded(guard: Guard, t: float) -> Iterator[None]:
         guard.end(t)
 
 
+@dataclass(eq=False)
 class NativeStep:
     """A step function of the C signature of ``cosim.h`` with its state.
 
@@ -94,14 +96,15 @@ class NativeStep:
         Number of outputs that it writes.
     memory : Vector
         Its changing state.
-    keep : sequence of object
-        Arrays that ``state`` points into; they live as long as the step.
+    keep : tuple of object
+        What ``state`` points into, which lives as long as the step: arrays, programs of
+        expressions, the steps inside this one.
     outputs : int
         Address of a function that evaluates the outputs again (``cosim_outputs`` of ``stage.h``);
         0: there is none.
     guard : Guard or None
         Of foreign code.
-    rollback : callable, optional
+    own_rollback : callable, optional
         Returns how compiled code goes back; left out: by a copy of ``memory``.
     memory_is_state : bool
         Whether ``memory`` is all of the state, so that a copy of it is one.
@@ -113,36 +116,27 @@ class NativeStep:
     ----------
     address : int
         Of ``state``.
-    keep : tuple of object
-        What ``state`` points into: arrays, programs of expressions, the steps inside this one.
+    status : int
+        Why the last call stopped before its end; 0: it did not.
     """
 
-    def __init__(
-        self,
-        function: int,
-        state: ctypes.Structure,
-        *,
-        n_y: int,
-        memory: Vector,
-        keep: Sequence[object] = (),
-        outputs: int = 0,
-        guard: Guard | None = None,
-        rollback: Callable[[], RollbackStruct | None] | None = None,
-        memory_is_state: bool = False,
-        left_outputs: tuple[int, int] | None = None,
-    ) -> None:
-        self._rollback = rollback
-        self._memory_is_state = memory_is_state
-        self.left_outputs = left_outputs
-        self.function = function
-        self.guard = guard
-        self.outputs = outputs
-        self.state = state
-        self.n_y = n_y
-        self.memory = memory
-        self.status = 0
-        self.address = ctypes.addressof(state)
-        self.keep = tuple(keep)
+    function: int
+    state: ctypes.Structure
+    _: KW_ONLY
+    n_y: int
+    memory: Vector
+    keep: tuple[object, ...] = ()
+    outputs: int = 0
+    guard: Guard | None = None
+    own_rollback: Callable[[], RollbackStruct | None] | None = None
+    memory_is_state: bool = False
+    left_outputs: tuple[int, int] | None = None
+    address: int = field(init=False)
+    status: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        """Take the address of the state."""
+        self.address = ctypes.addressof(self.state)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance over K communication steps of ``h`` seconds.
@@ -224,9 +218,9 @@ class NativeStep:
 
         None: it cannot.
         """
-        if self._rollback is not None:
-            return self._rollback()
-        if not self._memory_is_state:
+        if self.own_rollback is not None:
+            return self.own_rollback()
+        if not self.memory_is_state:
             return None
         copy = np.zeros(max(1, len(self.memory)))
         self.keep = (*self.keep, copy)

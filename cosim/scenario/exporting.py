@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 from cosim.arguments import check_fmu_to_write
 from cosim.arrays import Mask
@@ -35,7 +35,7 @@ ZERO_ORDER_HOLD_OUTPUTS = (
 
 
 def export_component(
-    scenario: str,
+    scenario: str | Scenario,
     component: str,
     out: Path | None = None,
     *,
@@ -43,7 +43,6 @@ def export_component(
     platforms: Sequence[str] = (),
     force: bool = False,
     dae: bool = False,
-    set: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """Write a component as an FMU; return lines that describe what was written.
 
@@ -61,7 +60,7 @@ def export_component(
     ScenarioError
         If the file is wrong, or what the component rests on cannot be built.
     """
-    loaded = load(scenario).set(set or {})
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     clock_of(loaded)  # whose times are on its grid, whatever the component takes of them
     out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
     check_fmu_to_write(out, force=force)

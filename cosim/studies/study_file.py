@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -123,6 +123,35 @@ class StudyTables(TomlTable):
     metrics: dict[str, str] = Field({})  # expressions over signals, by name
 
 
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """What is said of a study beside its file.
+
+    Parameters
+    ----------
+    vary, metrics, set, swap, map : mapping, optional
+        By key, in addition to those of the file.
+    replay, allow_code, cases, sampling, samples, seed, seeds, timeout, keep, results : optional
+        As in the table [study]; None: as the file says.
+    """
+
+    vary: Mapping[str, Any] | None = None
+    metrics: Mapping[str, str] | None = None
+    set: Mapping[str, Any] | None = None
+    swap: Mapping[str, str | Path] | None = None
+    map: Mapping[str, str | list[str]] | None = None
+    replay: str | Sequence[str] | None = None
+    allow_code: bool | None = None
+    cases: str | Path | None = None
+    sampling: str | None = None
+    samples: int | None = None
+    seed: int | None = None
+    seeds: int | None = None
+    timeout: float | None = None
+    keep: str | Sequence[int] | None = None
+    results: bool | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class StudyFile:
     """A study that was read: its tables, checked.
@@ -188,43 +217,17 @@ class StudyFile:
         """Return the tables as plain values."""
         return deepcopy(dict(self.tables))
 
-    def with_options(
-        self,
-        *,
-        vary: Mapping[str, Any] | None = None,
-        metrics: Mapping[str, str] | None = None,
-        set: Mapping[str, Any] | None = None,
-        swap: Mapping[str, str | Path] | None = None,
-        map: Mapping[str, str | list[str]] | None = None,
-        replay: str | Sequence[str] | None = None,
-        allow_code: bool | None = None,
-        cases: str | Path | None = None,
-        sampling: str | None = None,
-        samples: int | None = None,
-        seed: int | None = None,
-        seeds: int | None = None,
-        timeout: float | None = None,
-        keep: str | Sequence[int] | None = None,
-        results: bool | None = None,
-    ) -> StudyFile:
+    def with_options(self, given: StudyOptions) -> StudyFile:
         """Return the study with options in addition, or instead of what the file says.
-
-        Parameters
-        ----------
-        vary, metrics, set, swap, map : mapping, optional
-            By key, in addition to those of the file.
-        replay, allow_code, cases, sampling, samples, seed, seeds, timeout, keep, results : optional
-            As in the table [study]; None: as the file says.
 
         Raises
         ------
         UsageError
             With everything that is wrong with them.
         """
-        given = {**locals(), "swap": swap_argument(swap)}
-        del given["self"]
+        given = replace(given, swap=swap_argument(given.swap))
         options: dict[str, Any] = {STUDY: {}, VARY: {}, METRICS: {}}
-        for name, value in given.items():
+        for name, value in vars(given).items():
             if name in _BY_KEY:
                 entries = mapping_argument(name, value).items()
                 value = {key: _plain(option(name, key), item) for key, item in entries} or None

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
-from inspect import signature
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -28,7 +27,7 @@ from cosim.studies.kept_logs import (
 from cosim.studies.plan import StudyPlan, plan_study
 from cosim.studies.statistics import grouped, warning_lines
 from cosim.studies.study import Study, open_study
-from cosim.studies.study_file import StudyFile, read_study
+from cosim.studies.study_file import StudyFile, StudyOptions, read_study
 from cosim.studies.workers import LocalExecutor
 from cosim.temporary import TemporaryFolder
 
@@ -83,7 +82,7 @@ def study(
     vary, metrics, set, swap, map, replay, allow_code, cases, sampling, samples, seed, seeds, \
 timeout, keep, results : optional
         In addition to what the file says; see
-        :meth:`cosim.studies.study_file.StudyFile.with_options`.
+        :class:`cosim.studies.study_file.StudyOptions`.
     stop : float, optional
         End of all members [s], as ``set={"scenario.stop": ...}``.
     workers : int, optional
@@ -118,8 +117,8 @@ timeout, keep, results : optional
     with ExitStack() as resources:
         given["set"] = resources.enter_context(setting_arguments(set, stop=stop))
         file = source if isinstance(source, StudyFile) else read_study(source)
-        options = signature(file.with_options).parameters
-        file = file.with_options(**{name: given[name] for name in options})
+        options = {each.name: given[each.name] for each in fields(StudyOptions)}
+        file = file.with_options(StudyOptions(**options))
         place = default_place(file) if out is None else out
         plan = plan_study(file)
         for text in plan.notices:

@@ -60,6 +60,7 @@ from cosim.studies.study import Study
 from cosim.studies.study_file import (
     STUDY,
     StudyFile,
+    StudyOptions,
     absolute,
     load_scenario,
     read_study,
@@ -185,7 +186,7 @@ def tune(
     with _objective_named(search):
         parse_metrics(metrics)
     with setting_arguments(set, stop=stop) as changes:
-        study = _base(str(path_argument("scenario", scenario))).with_options(
+        options = StudyOptions(
             metrics=metrics,
             set=changes,
             swap=swap,
@@ -194,6 +195,7 @@ def tune(
             allow_code=truth_argument("allow_code", allow_code) or None,
             timeout=timeout,
         )
+        study = _base(str(path_argument("scenario", scenario))).with_options(options)
         plan = plan_tuning(study, search)
     notice = notice or (lambda text: warn([text.removeprefix("warning: ")]))
     for text in plan.study.warnings:

@@ -12,7 +12,6 @@ from cosim.lazy import lazy_names
 if TYPE_CHECKING:
     from cosim.theory.assessment.assessing import assess
     from cosim.theory.assessment.fitted_model import FittedModel
-    from cosim.theory.assessment.problem import OutputErrorProblem
     from cosim.theory.assessment.smoothing import smoothed_signals
     from cosim.theory.assessment.validation import validate
     from cosim.theory.assessment.verdicts import Assessment
@@ -36,7 +35,11 @@ if TYPE_CHECKING:
         recover,
         trapezoid_weights,
     )
-    from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
+    from cosim.theory.estimators.output_error import (
+        OutputErrorFit,
+        OutputErrorProblem,
+        fit_output_error,
+    )
     from cosim.theory.observers.observer import (
         IdentificationStartTime,
         ObserverDesign,
@@ -84,7 +87,7 @@ _HOMES = {
     "mu": "cosim.theory.disturbances.regression",
     "ObserverDesign": "cosim.theory.observers.observer",
     "OutputErrorFit": "cosim.theory.estimators.output_error",
-    "OutputErrorProblem": "cosim.theory.assessment.problem",
+    "OutputErrorProblem": "cosim.theory.estimators.output_error",
     "pencil_index": "cosim.theory.plants.descriptor",
     "plan": "cosim.theory.estimators.least_squares",
     "realize": "cosim.theory.observers.observer",

@@ -472,17 +472,17 @@ def sample_plant(
     check_sizes(plant, generators, data)
     if len(data.t) < 2:
         raise AssumptionError(f"expected a record, got a single sample at {data.t[0]:g} s")
-    step, interval, predictor = sample_intervals(plant.A, plant.C, data, noise.covariance)
+    step, interval, predictor = sample_intervals(plant, data, noise.covariance)
     constants, known = discretize(
         plant,
         generators,
         step=step,
         predictor=predictor,
         noise=noise,
-        every=data.distances,
-        offset=offset,
-        forgetting=forgetting,
         held=data.held,
+    )
+    constants = replace(
+        constants, every=tuple(data.distances.tolist()), offset=offset, forgetting=forgetting
     )
     return SampledPlant(OutputErrorModel(constants), known, interval)
 
@@ -494,21 +494,22 @@ def discretize(
     step: Vector,
     noise: NoiseModel,
     predictor: Predictor | None = None,
-    every: Vector | None = None,
-    offset: bool = False,
-    forgetting: float = 1.0,
     held: NDArray[np.bool_] | None = None,
 ) -> tuple[OutputErrorConstants, KnownInput]:
-    """Discretize a plant for intervals of given lengths; the rest as in :func:`sample_plant`.
+    """Discretize a plant for intervals of given lengths.
 
     Parameters
     ----------
+    plant : DisturbedPlant
+    generators : Generators
+        Of the components of its disturbance.
     step : Vector, shape (m,)
         Lengths of the intervals [s].
+    noise : NoiseModel
     predictor : Predictor, optional
         Of the outputs; by default they are simulated.
-    every : shape (n_y,), optional
-        Time from one value of an output to the next that the model of its noise is for [s].
+    held : shape (n_u,), optional
+        Inputs that keep their value over an interval; by default none.
     """
     n, n_u = plant.B.shape
     n_y, components = plant.Dd.shape
@@ -540,9 +541,6 @@ def discretize(
         D=plant.Dd.T,
         W=noise.whitening,
         a=noise.a,
-        every=None if every is None else tuple(every.tolist()),
-        offset=offset,
-        forgetting=forgetting,
     )
     predicts = np.asarray(K.any(axis=(1, 2)), np.bool_)
     return constants, KnownInput(Bu0, end[:, :, :n_u], plant.D, predicts)
@@ -579,7 +577,7 @@ def check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) ->
 
 
 def sample_intervals(
-    A: Matrix, C: Matrix, data: DataSet, covariance: Matrix
+    plant: DisturbedPlant, data: DataSet, covariance: Matrix
 ) -> tuple[Vector, NDArray[np.integer] | None, Predictor | None]:
     """Return the lengths of intervals, which of them ends at each sample, and the predictor.
 
@@ -587,8 +585,7 @@ def sample_intervals(
 
     Parameters
     ----------
-    A : Matrix, shape (n, n)
-    C : Matrix, shape (n_y, n)
+    plant : DisturbedPlant
     data : DataSet
     covariance : Matrix, shape (n_y, n_y)
         Of the noise of the outputs.
@@ -607,6 +604,7 @@ def sample_intervals(
     AssumptionError
         If an unstable mode is not seen by the outputs.
     """
+    A, C = plant.A, plant.C
     steps, index = distinct_steps(data.t)
     is_regular = len(steps) == 1
     if not needs_predictor(A, float(data.t[-1] - data.t[0])):

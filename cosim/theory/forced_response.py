@@ -57,7 +57,7 @@ class ForcedOutputs:
 def forced_outputs(plant: DisturbedPlant, data: DataSet) -> ForcedOutputs:
     """Discretize a plant for signals at its states."""
     covariance = np.eye(len(plant.C))
-    step, interval, predictor = sample_intervals(plant.A, plant.C, data, covariance)
+    step, interval, predictor = sample_intervals(plant, data, covariance)
     model, known = _discretized(plant.A, plant.C, step, predictor)
     return ForcedOutputs(model, known, interval)
 

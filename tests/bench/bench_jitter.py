@@ -14,9 +14,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.plants.descriptor import reduce
 from tests.scenario.kinds.test_field_data import TRUTH, academic, alpha, outputs_at
 from tests.theory.academic import THETA

@@ -18,7 +18,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
-from cosim.core.stepping.repeating import repeat
+from cosim.core.stepping.repeating import RecordedChanges, repeat
 from cosim.core.stepping.row_filler import POINTS
 from cosim.errors import (
     ClockError,
@@ -536,7 +536,7 @@ def test_events_are_what_overrides_at_one_point_come_to(changes, expected):
     assert own == expected
     first = SignalEvent(2 * 10**8, "override", "y.u", (5.0, 6.0))
     again = Kept()
-    repeat(two_inputs(), clock(8), again, events=[first, *memory.events])
+    repeat(two_inputs(), clock(8), again, changes=RecordedChanges([first, *memory.events]))
     assert again.events == [first, *memory.events]
     for name in again.signals:
         assert again[name].tobytes() == memory[name].tobytes()
@@ -546,7 +546,7 @@ def test_events_are_repeated_in_the_order_of_time():
     """Each at its communication point; others are refused."""
     events = [SignalEvent(3 * 10**8, "override", "x.u", (2.0,))]
     memory = Memory()
-    repeat(driven_lag(), clock(), memory, events=events)
+    repeat(driven_lag(), clock(), memory, changes=RecordedChanges(events))
     simulation = Simulation(driven_lag(), clock())
     simulation.step(3)
     simulation["x.u"] = 2.0
@@ -554,17 +554,17 @@ def test_events_are_repeated_in_the_order_of_time():
     assert memory.events() == events
     earlier = [*events, SignalEvent(2 * 10**8, "release", "x.u", (0.0,))]
     with pytest.raises(LogError, match=r"event at t = 0\.2 s.*after a later one"):
-        repeat(driven_lag(), clock(), Memory(), events=earlier)
+        repeat(driven_lag(), clock(), Memory(), changes=RecordedChanges(earlier))
     between = [SignalEvent(10**8 + 1, "override", "x.u", (2.0,))]
     with pytest.raises(LogError, match=r"t = 0.100000001 s is not at a communication point"):
-        repeat(driven_lag(), clock(), Memory(), events=between)
+        repeat(driven_lag(), clock(), Memory(), changes=RecordedChanges(between))
 
 
 def test_a_recorded_row_keeps_the_left_limits_of_a_jump():
     """Also in the memory of the recorder, where the next step starts from the right ones."""
     memory = Memory()
     events = [SignalEvent(3 * 10**8, "override", "first.u", (2.0,))]
-    repeat(chain(), clock(), memory, events=events)
+    repeat(chain(), clock(), memory, changes=RecordedChanges(events))
     undisturbed = recorded(chain())
     for name in memory:
         assert memory[name][:4].tobytes() == undisturbed[name][:4].tobytes(), name
@@ -582,7 +582,7 @@ def test_jumps_of_a_recorded_component_are_taken_from_its_events(is_recorded):
     ]
     memory = Memory()
     recorded = ["first"] if is_recorded else []
-    repeat(chain(), clock(), memory, events=events, recorded=recorded)
+    repeat(chain(), clock(), memory, changes=RecordedChanges(events, copied=recorded))
     values = {event.signal: event.values for event in memory.events()}
     assert values["second.y"] == ((15.0,) if is_recorded else (12.0,))
 

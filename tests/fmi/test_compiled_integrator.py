@@ -45,7 +45,7 @@ def compiled():
         component.initialize(0.0, np.zeros(2))
         component.outputs(0.0, np.zeros(2))
         assert component.native() is not None
-        yield component._component._compiled
+        yield component.component._compiled
 
 
 def arrays_of(compiled):

@@ -12,13 +12,13 @@ from cosim.fmi import cache, child_process, trial_cache
 from cosim.fmi.cache import cache_folder, cached_files
 from cosim.fmi.child_process import TrialProblem, find_rollback_problems
 from cosim.fmi.reading.model_description import read
-from cosim.fmi.trial_cache import keep_problems, read_problems
+from cosim.fmi.trial_cache import KeptTrial
 from tests.fmi.compiled import with_description
 from tests.fmi.rogues import XML, compile_rogue
 
 pytestmark = pytest.mark.usefixtures("trials_in_children")
 
-KEY = ("rollback", "0" * 64, "cs")
+KEPT = KeptTrial("rollback", "0" * 64, "cs")
 
 
 @pytest.fixture(autouse=True)
@@ -106,38 +106,38 @@ def test_a_damaged_file_is_none(folder, subtests):
         ]
     ):
         with subtests.test(number=number):
-            keep_problems(*KEY, ["goes back wrongly"])
-            assert read_problems(*KEY) == ("goes back wrongly",)
+            KEPT.keep(["goes back wrongly"])
+            assert KEPT.problems() == ("goes back wrongly",)
             ((file, _),) = cached_files()
             file.write_bytes(damage(file.read_bytes()))
-            assert read_problems(*KEY) is None
-            keep_problems(*KEY, [])
-            assert read_problems(*KEY) == ()
+            assert KEPT.problems() is None
+            KEPT.keep([])
+            assert KEPT.problems() == ()
 
 
 def test_the_version_of_the_trial_and_the_platform_count(folder, monkeypatch):
-    keep_problems(*KEY, [])
+    KEPT.keep([])
     for name, value in (("TRIAL_VERSION", 99), ("SYSTEM", "other"), ("__version__", "99")):
         with monkeypatch.context() as patch:
             patch.setattr(trial_cache, name, value)
-            assert read_problems(*KEY) is None
-    assert read_problems(*KEY) == ()
+            assert KEPT.problems() is None
+    assert KEPT.problems() == ()
 
 
 def test_a_folder_that_cannot_be_written_is_no_cache(tmp_path, monkeypatch, folder):
     """Here a file stands in its place, which no user can write into."""
     folder.write_bytes(b"")
-    keep_problems(*KEY, [])
-    assert read_problems(*KEY) is None
+    KEPT.keep([])
+    assert KEPT.problems() is None
     assert list(cached_files()) == []
     assert cache.clear() == 0
 
 
 def test_an_empty_variable_is_no_cache(monkeypatch):
     monkeypatch.setenv(cache.VARIABLE, "")
-    keep_problems(*KEY, [])
+    KEPT.keep([])
     assert cache_folder() is None
-    assert read_problems(*KEY) is None
+    assert KEPT.problems() is None
 
 
 def test_a_write_that_fails_leaves_nothing(folder, monkeypatch):
@@ -147,7 +147,7 @@ def test_a_write_that_fails_leaves_nothing(folder, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    keep_problems(*KEY, [])
+    KEPT.keep([])
     assert list(cached_files()) == []
 
 
@@ -155,8 +155,8 @@ def test_many_writers_and_readers_at_once(folder):
     """Every reader finds nothing or all of it."""
 
     def write_and_read(number):
-        keep_problems(*KEY, ["goes back wrongly" * 100] * 10)
-        return read_problems(*KEY)
+        KEPT.keep(["goes back wrongly" * 100] * 10)
+        return KEPT.problems()
 
     with ThreadPoolExecutor(8) as pool:
         results = set(pool.map(write_and_read, range(200)))
@@ -165,7 +165,7 @@ def test_many_writers_and_readers_at_once(folder):
 
 
 def test_clear_removes_what_is_kept_and_nothing_else(folder):
-    keep_problems(*KEY, [])
+    KEPT.keep([])
     foreign = [folder / "trials" / name for name in ("notes.txt", "subject-01.json", "a.part")]
     for file in foreign:
         file.write_text("mine")
@@ -173,7 +173,7 @@ def test_clear_removes_what_is_kept_and_nothing_else(folder):
     assert len(list(cached_files())) == 2
     assert cache.clear() == 2
     assert all(file.read_text() == "mine" for file in foreign)
-    assert read_problems(*KEY) is None
+    assert KEPT.problems() is None
 
 
 def test_the_folder_of_each_system(monkeypatch, subtests):
@@ -197,7 +197,7 @@ def test_the_folder_of_each_system(monkeypatch, subtests):
 
 
 def test_the_command(call, folder):
-    keep_problems(*KEY, [])
+    KEPT.keep([])
     code, out, _ = call("cache")
     assert code == 0
     assert out.startswith(f"{folder}: 1 trial results, 0 compiled files, ")

@@ -39,7 +39,7 @@ class Traced:
 
 def traced(fmu, driver):
     """Note the calls of what drives an FMU; ``driver`` is its attribute."""
-    owner = getattr(fmu.component._component, driver)
+    owner = getattr(fmu.component.component, driver)
     owner._instance = Traced(owner._instance)
     return owner._instance.calls
 

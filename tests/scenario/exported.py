@@ -129,7 +129,7 @@ def export(key: str, name: str, fmi: str, folder: Path) -> Path:
     scenario, changes = scenario_of(key)
     path = folder / f"{key}-{name}-{fmi}.fmu"
     if not path.exists():
-        export_component(scenario, name, path, fmi=fmi, set=changes)
+        export_component(load(scenario).set(changes), name, path, fmi=fmi)
     return path
 
 

@@ -469,5 +469,5 @@ def test_an_identifier_whose_signals_have_units_is_exported(tmp_path):
     table = "[components.observer]\n"
     scenario.write_text(text.replace(table, f'{table}unit = {{ y = "V" }}\n', 1))
     changes = {"scenario.stop": 1.0}
-    export_component(str(scenario), "identifier", tmp_path / "identifier.fmu", set=changes)
+    export_component(cosim.load(scenario).set(changes), "identifier", tmp_path / "identifier.fmu")
     assert read(tmp_path / "identifier.fmu").description["y"].unit == "V"

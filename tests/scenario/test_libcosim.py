@@ -40,7 +40,7 @@ def fmus(tmp_path_factory):
     folder = tmp_path_factory.mktemp("libcosim")
     paths = {name: folder / f"{name}.fmu" for name in ("plant", "observer")}
     for name, path in paths.items():
-        export_component("academic", name, path, set=CHANGES)
+        export_component(load("academic").set(CHANGES), name, path)
     return paths
 
 

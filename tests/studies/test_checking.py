@@ -12,7 +12,7 @@ from cosim.studies.checking import check_design, is_own_code
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design
 from cosim.studies.members import MemberSources, OpenedSubject
-from cosim.studies.study_file import load_scenario, read_study
+from cosim.studies.study_file import StudyOptions, load_scenario, read_study
 from cosim.studies.workers import LocalExecutor
 from tests.studies.deeds import SCENARIO as CONSTANT
 
@@ -23,7 +23,9 @@ OTHER = {"u.rate": {"uniform": [1.0, 2.0]}}
 
 
 def check(study=EMPTY, scenario=SCENARIO, **options):
-    return check_design(plan_design(study.with_options(**options), scenario), scenario)
+    return check_design(
+        plan_design(study.with_options(StudyOptions(**options)), scenario), scenario
+    )
 
 
 @pytest.fixture
@@ -77,7 +79,7 @@ def test_members_with_refused_draws_will_fail(small):
     key = "a.time_constant"
     for samples in (20, 200):
         vary = {"u.value": {"normal": [1.0, 0.1]}, key: {"normal": [10.0, 10.0]}}
-        design = plan_design(study.with_options(vary=vary, samples=samples), scenario)
+        design = plan_design(study.with_options(StudyOptions(vary=vary, samples=samples)), scenario)
         checked = check_design(design, scenario)
         assert checked.trial == StudyMember(0)
         [notice] = checked.notices

@@ -12,7 +12,7 @@ import cosim
 from cosim.errors import UsageError, shell_language
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design import plan_design, unit_points
-from cosim.studies.study_file import read_study
+from cosim.studies.study_file import StudyOptions, read_study
 
 EMPTY = read_study("academic-noisy")
 SCENARIO = cosim.load("academic-noisy")
@@ -23,7 +23,7 @@ GRID = ("observer.filter_rate", "u.rate")
 
 
 def planned(**options):
-    return plan_design(EMPTY.with_options(**options), SCENARIO)
+    return plan_design(EMPTY.with_options(StudyOptions(**options)), SCENARIO)
 
 
 def files(folder, *names):
@@ -58,15 +58,17 @@ def test_every_source_of_noise_gets_a_seed_of_its_own(tmp_path):
     other = '[components.other]\nkind = "noise"\ndeviation = 1.0\nseed = 3\n'
     at = "at = 1.0, signal = 'plant.u'"
     path.write_text(actions.format(at) + SCENARIO.document.text + other)
-    study, scenario = read_study(path).with_options(seeds=4), cosim.load(path)
+    study, scenario = read_study(path).with_options(StudyOptions(seeds=4)), cosim.load(path)
     design = plan_design(study, scenario)
     assert [*design.columns] == ["sensor.seed", "other.seed", "actions.0.seed", "actions.1.seed"]
     seeds = {seed for name in design.columns for seed in design.column(name).tolist()}
     assert len(seeds) == 16
     assert 0 <= min(seeds) <= max(seeds) < 2**53
-    swapped = study.with_options(vary={"swap.other": files(tmp_path, "a.csv")})
+    swapped = study.with_options(StudyOptions(vary={"swap.other": files(tmp_path, "a.csv")}))
     assert "other.seed" not in plan_design(swapped, scenario).columns
-    replays = plan_design(study.with_options(replay=files(tmp_path, "a.mcap")), scenario)
+    replays = plan_design(
+        study.with_options(StudyOptions(replay=files(tmp_path, "a.mcap"))), scenario
+    )
     assert [*replays.columns] == ["recording", "sensor.seed", "other.seed"]
 
 
@@ -115,10 +117,13 @@ def test_draws_are_of_their_tolerance_or_choice(tmp_path):
     own = {"delta.terms[1].theta": -0.3, f"{X_A0}[1]": 8.0, "models.academic.A[1][1]": -2.0}
     own |= {"scenario.stop": 40.0, "jump.after": 1.0}
     study = read_study(path).with_options(
-        vary={key: {"tolerance": 0.1} for key in own} | {"identifier.method": {"choice": ["a", 1]}},
-        set={X_A0: [0.0, 8.0]},
-        samples=200,
-        sampling="latin-hypercube",
+        StudyOptions(
+            vary={key: {"tolerance": 0.1} for key in own}
+            | {"identifier.method": {"choice": ["a", 1]}},
+            set={X_A0: [0.0, 8.0]},
+            samples=200,
+            sampling="latin-hypercube",
+        )
     )
     design = plan_design(study, cosim.load(path))
     for name, value in own.items():

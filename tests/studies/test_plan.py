@@ -16,7 +16,7 @@ from cosim.scenario.document.swaps import port_names
 from cosim.studies.checking import check_design
 from cosim.studies.contracts import StudyMember
 from cosim.studies.plan import RecordedStudy, plan_study, run_command
-from cosim.studies.study_file import read_study
+from cosim.studies.study_file import StudyOptions, read_study
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 
@@ -37,9 +37,11 @@ VALUES = st.recursive(
 def test_the_edits_of_a_command_are_those_of_the_member(changes):
     """Read by the shell's rules and the readers of the command line; floats to the bit."""
     study = EMPTY.with_options(
-        set={"scenario.stop": 0.1 + 0.2},
-        swap={"u": "it's u.fmu#cs"},
-        map={"u.y": "out 1", "plant.x": ["s1", "s2"]},
+        StudyOptions(
+            set={"scenario.stop": 0.1 + 0.2},
+            swap={"u": "it's u.fmu#cs"},
+            map={"u.y": "out 1", "plant.x": ["s1", "s2"]},
+        )
     )
     words = shlex.split(run_command(StudyMember(3, changes, {"plant": "/x y/$a.fmu"}), study))
     assert words[:3] == ["cosim", "run", "academic-noisy"]
@@ -59,7 +61,9 @@ def test_the_member_of_a_recording_is_a_replay(call, tmp_path):
     (tmp_path / "loop.toml").write_text(LOOP)
     log = field_log(tmp_path)
     key = "model.time_constant"
-    study = read_study("loop.toml").with_options(replay=str(log), map=BOTH, vary={key: [0.25]})
+    study = read_study("loop.toml").with_options(
+        StudyOptions(replay=str(log), map=BOTH, vary={key: [0.25]})
+    )
     line = run_command(plan_study(study).design.member(0), study)
     assert line.startswith(f"cosim replay {log} --scenario {tmp_path}")
     assert call(*shlex.split(line)[1:], "--quiet", "--out", "own.mcap")[0] == 0
@@ -100,7 +104,9 @@ def test_a_file_that_changes_while_a_study_is_planned_is_named(scenario, monkeyp
         write_table(table, 2.0)
         return check_design(*given)
 
-    study = read_study(scenario).with_options(metrics=METRICS, vary={"s.rate": [1.0, 2.0]})
+    study = read_study(scenario).with_options(
+        StudyOptions(metrics=METRICS, vary={"s.rate": [1.0, 2.0]})
+    )
     monkeypatch.setattr("cosim.studies.plan.check_design", checked)
     with pytest.raises(RunError, match=r"u\.csv has changed"):
         plan_study(study)
@@ -120,7 +126,7 @@ def test_every_varied_file_belongs_to_the_study(scenario, tmp_path, monkeypatch)
         write_table(Path(table), 1.0)
 
     def digests(**options):
-        study = read_study(scenario).with_options(metrics=METRICS, **options)
+        study = read_study(scenario).with_options(StudyOptions(metrics=METRICS, **options))
         return plan_study(study).identity({}).digests
 
     before = digests(vary={"u.file": tables})
@@ -135,7 +141,9 @@ def test_every_varied_file_belongs_to_the_study(scenario, tmp_path, monkeypatch)
 def test_empty_cells_are_told(scenario, tmp_path):
     """A row of commas may be a mistake."""
     (tmp_path / "c.csv").write_text("s.amplitude,s.rate\n1,2\n,\n,3\n")
-    study = read_study(scenario).with_options(metrics=METRICS, cases=tmp_path / "c.csv")
+    study = read_study(scenario).with_options(
+        StudyOptions(metrics=METRICS, cases=tmp_path / "c.csv")
+    )
     [notice] = plan_study(study).notices
     assert re.search(r"c.csv': 3 empty cells, .* own value; all empty is row 2\Z", notice)
 
@@ -144,7 +152,7 @@ def test_the_modules_of_users_belong_to_the_study(tmp_path):
     """By their classes, wherever they are; of the scenario what it says, not its comments."""
     (tmp_path / "x.toml").write_text(THERMOSTAT)
     (tmp_path / "relay.py").write_text(RELAY)
-    study = read_study(tmp_path / "x.toml").with_options(metrics={"y": "max(room.y)"})
+    study = read_study(tmp_path / "x.toml").with_options(StudyOptions(metrics={"y": "max(room.y)"}))
     before = plan_study(study)
     assert str(tmp_path / "relay.py") in before.files  # those in this folder can be sent
     (tmp_path / "relay.py").write_text(RELAY + "\n")

@@ -15,7 +15,7 @@ from cosim.studies.design import plan_design
 from cosim.studies.layout import StudyLayout, drawn_members
 from cosim.studies.sensitivity import sobol_indices
 from cosim.studies.statistics import NO_INTERVAL, mean_interval, passed_share, study_statistics
-from cosim.studies.study_file import read_study
+from cosim.studies.study_file import StudyOptions, read_study
 from tests.studies.made import columns_of, rows_of_matrices, saltelli
 
 RANDOM = StudyLayout("random", samples=1000)
@@ -32,7 +32,7 @@ def correlations_of(values, parameters, layout=RANDOM):
 
 
 def planned(**options):
-    study = read_study("academic-noisy").with_options(**options)
+    study = read_study("academic-noisy").with_options(StudyOptions(**options))
     return plan_design(study, cosim.load("academic-noisy"))
 
 

@@ -12,7 +12,7 @@ from cosim.errors import UsageError, shell_language
 from cosim.scenario.document.document import find
 from cosim.studies.contracts import StudySubject
 from cosim.studies.design import find_recordings
-from cosim.studies.study_file import KeptLogs, read_study
+from cosim.studies.study_file import KeptLogs, StudyOptions, read_study
 from cosim.studies.variations import GridVariation, SampledVariation
 
 STUDY = """\
@@ -62,7 +62,7 @@ def test_a_file_says_all_of_a_study(write, tmp_path):
     metrics = {"error": "rms(observer.delta - delta.y)"}
     subject = StudySubject("academic", SET, swap, {"plant.y": "out"}, metrics, with_results=True)
     assert study.subject == subject
-    again = study.with_options()
+    again = study.with_options(StudyOptions())
     assert again.to_dict() == json.loads(json.dumps(study.to_dict()))
     assert (again.settings, again.variations) == (study.settings, study.variations)
 
@@ -89,7 +89,7 @@ def test_a_log_is_the_study_of_its_replay(write, tmp_path, monkeypatch):
     for name in ("a.mcap", write('[study]\nscenario = "a.mcap"\n')):
         study = read_study(name)
         assert (study.scenario, find_recordings(study.settings.replay)) == (path, (path,))
-    replaced = study.with_options(replay="field-*.mcap")
+    replaced = study.with_options(StudyOptions(replay="field-*.mcap"))
     assert replaced.settings.replay == str(tmp_path / "field-*.mcap")
 
 
@@ -108,7 +108,9 @@ def test_paths_begin_at_the_file_and_those_of_options_at_the_folder(write, tmp_p
     names = ["../mine.toml", "c.csv", "field-*.mcap", "a.fmu", "../b.fmu#cs", "c.fmu"]
     assert paths == [os.path.normpath(tmp_path / name) for name in names]
     assert [item.key for item in study.variations] == ["swap.plant", "swap.sensor"]
-    changed = study.with_options(vary={"plant": [["x.fmu"]]}, cases="d.csv", swap={"u": "u.fmu"})
+    changed = study.with_options(
+        StudyOptions(vary={"plant": [["x.fmu"]]}, cases="d.csv", swap={"u": "u.fmu"})
+    )
     x, d, u = (str(elsewhere / name) for name in ("x.fmu", "d.csv", "u.fmu"))
     assert changed.variations == (GridVariation("swap.plant", (x,)), study.variations[1])
     assert (changed.settings.cases, changed.settings.swap) == (d, {"u": u})
@@ -117,13 +119,15 @@ def test_paths_begin_at_the_file_and_those_of_options_at_the_folder(write, tmp_p
 def test_options_extend_and_replace(write):
     """What is varied anew comes behind what the file varies; a wrong one is named as given."""
     study = read_study(write(STUDY)).with_options(
-        vary={"components.u.rate": np.array([1.0, 2.0]), "identifier.P0": {"values": [1.0]}},
-        metrics={"last": "last(plant.y)"},
-        set={"u.amplitude": np.float64(2.0)},
-        map={"plant.x": ["a", "b"]},
-        samples=10,
-        keep=[3, 1, 1],
-        results=False,
+        StudyOptions(
+            vary={"components.u.rate": np.array([1.0, 2.0]), "identifier.P0": {"values": [1.0]}},
+            metrics={"last": "last(plant.y)"},
+            set={"u.amplitude": np.float64(2.0)},
+            map={"plant.x": ["a", "b"]},
+            samples=10,
+            keep=[3, 1, 1],
+            results=False,
+        )
     )
     assert [item.key for item in study.variations] == [*KEYS, "u.rate"]
     assert [item.values for item in study.grid[1:]] == [(1.0,), (1.0, 2.0)]
@@ -139,7 +143,7 @@ def test_options_extend_and_replace(write):
         ({"rate": [1]}, "rate: 0: .*got 1"),
     ):
         with shell_language(), pytest.raises(UsageError, match=f"--vary {message}"):
-            study.with_options(vary=vary)
+            study.with_options(StudyOptions(vary=vary))
 
 
 WRONG = {  # behind "#: ", what the report says of a line

@@ -16,7 +16,7 @@ from cosim.report.comparing import results_of
 from cosim.report.summary import summarize
 from cosim.studies.design import plan_design
 from cosim.studies.plan import RecordedStudy, plan_study
-from cosim.studies.study_file import read_study
+from cosim.studies.study_file import StudyOptions, read_study
 from cosim.studies.studying import estimate_study
 from tests.studies.deeds import wait_until
 
@@ -143,10 +143,12 @@ def test_failures_are_rows_and_counted(scenario, tmp_path):
 def test_members_with_refused_draws_fail_and_no_others(tmp_path):
     """They are announced; a study that has only such ones is refused."""
     study = read_study("academic-noisy").with_options(
-        vary={"sensor.noise": {"normal": [0.0, 1.0]}},
-        samples=5,
-        metrics={"y": "last(plant.y)"},
-        set={"scenario.stop": 0.01},
+        StudyOptions(
+            vary={"sensor.noise": {"normal": [0.0, 1.0]}},
+            samples=5,
+            metrics={"y": "last(plant.y)"},
+            set={"scenario.stop": 0.01},
+        )
     )
     drawn = plan_design(study, cosim.load("academic-noisy")).column("sensor.noise")
     assert drawn.min() < 0.0 < drawn.max()
@@ -159,7 +161,7 @@ def test_members_with_refused_draws_fail_and_no_others(tmp_path):
     notices = []
     cosim.study(study, out=tmp_path / "x", workers=1, notice=notices.append)
     assert re.search(said, notices[0])
-    hopeless = study.with_options(vary={"sensor.noise": {"uniform": [-2.0, -1.0]}})
+    hopeless = study.with_options(StudyOptions(vary={"sensor.noise": {"uniform": [-2.0, -1.0]}}))
     with pytest.raises(UsageError, match=r"member 0: .*noise: .*-\d"):
         cosim.study(hopeless, out=tmp_path / "y")
 
@@ -259,11 +261,13 @@ def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
 def test_a_study_takes_what_was_said(scenario, tmp_path):
     """Logs as large as one that was timed; texts their length, numbers 8 bytes."""
     study = read_study(scenario).with_options(
-        vary={"s.amplitude": {"linear": [1.0, 2.0], "points": 7}},
-        metrics={"y": "max(s.y)"},
-        set={"v.y": "t", "scenario.step": 0.001},
-        keep="all",
-        results=True,
+        StudyOptions(
+            vary={"s.amplitude": {"linear": [1.0, 2.0], "points": 7}},
+            metrics={"y": "max(s.y)"},
+            set={"v.y": "t", "scenario.step": 0.001},
+            keep="all",
+            results=True,
+        )
     )
     estimate = estimate_study(plan_study(study), 2)
     assert (estimate.members, estimate.workers) == (7, 2)
@@ -280,7 +284,7 @@ def test_a_study_takes_what_was_said(scenario, tmp_path):
 def test_members_that_fail_are_no_measure(scenario):
     """They are named with their reasons."""
     study = read_study(scenario).with_options(
-        vary={"s.rate": [1.0, 2.0]}, metrics={"y": "last(v.y)"}
+        StudyOptions(vary={"s.rate": [1.0, 2.0]}, metrics={"y": "last(v.y)"})
     )
     with pytest.raises(UsageError, match=r"none of the first 2 members .*member 1: .*v\.y"):
         estimate_study(plan_study(study), 1)

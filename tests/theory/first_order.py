@@ -5,9 +5,9 @@ from scipy.signal import lfilter
 
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import OutputErrorProblem
 
 H = 0.02
 DECAY = np.exp(-H)

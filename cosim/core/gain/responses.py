@@ -77,7 +77,7 @@ def linearized_by_responses(
     RunError
         If the component fails.
     """
-    trial = _Trial(component, t, h, u)
+    trial = _Trial(component, t, h, u, held)
     columns = trial.changing()
     pulses = []
     for column in columns:
@@ -96,17 +96,20 @@ def linearized_by_responses(
     A, B, C, D = realized
     follows = trial.follows(D)
     linearized = Linearized(A, B, C, D, input_use=use, corrected=follows, latest=latest)
-    return linearized if trial.confirms(linearized, held) else None
+    return linearized if trial.confirms(linearized) else None
 
 
 class _Trial(Generic[State]):
     """Steps of a component from one state, with inputs that differ from those there by little."""
 
-    def __init__(self, component: Returning[State], t: float, h: float, u: Vector) -> None:
+    def __init__(
+        self, component: Returning[State], t: float, h: float, u: Vector, held: Mask
+    ) -> None:
         self._component = component
         self._t = t
         self._h = h
         self._u = u
+        self._held = held
         self._n_y = component.interface.n_y
         self._state = component.save()
         self.sizes = RELATIVE * np.maximum(1.0, np.abs(u))
@@ -149,12 +152,12 @@ class _Trial(Generic[State]):
             seen |= above != below
         return seen | ~D.any(axis=1)
 
-    def confirms(self, linearized: Linearized, held: Mask) -> bool:
+    def confirms(self, linearized: Linearized) -> bool:
         """Return whether a linearization predicts the outputs for inputs without any pattern."""
         rng = np.random.default_rng(0)
         change = self.sizes * rng.uniform(-1.0, 1.0, (STEPS, 2, len(self._u)))
         expected = self.response(change)
-        step = member_step(linearized, self._h, held, "only")
+        step = member_step(linearized, self._h, self._held, "only")
         state = np.zeros((step.n_s, 1))
         predicted = np.empty_like(expected)
         for k, (u0, u1) in enumerate(change):

@@ -143,7 +143,9 @@ def find_signal(
     except GraphError as error:
         raise UnknownSignalError(f"{source}: {error}") from error
     if match is None:
-        _check_declared(channels, port, source)
+        partial = partial_of(channels)
+        if partial is not None and port.find(partial.declared[port.component].by_name) is not None:
+            raise UnknownSignalError(f"{source} has no '{port}': {partial.reason(channels)}")
         suggestion = nearest(port.signal, [known.name for known in channel.signals])
         raise UnknownSignalError(
             f"{source} has no '{port}': {port.component!r} has no signal {port.signal!r}; "
@@ -175,30 +177,11 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
     if component not in channels:
         partial = partial_of(channels)
         if partial is not None and component in partial.declared:
-            raise _not_recorded(f"no signal of {component!r}", channels, partial, source)
+            reason = partial.reason(channels)
+            raise UnknownSignalError(f"{source} has no signal of {component!r}: {reason}")
         suggestion = nearest(component, channels)
         raise UnknownSignalError(f"{source} has no component {component!r}; {suggestion}")
     return channels[component]
-
-
-def _check_declared(channels: Mapping[str, Channel], port: Port, source: str) -> None:
-    """Check that a signal that was not recorded was none of the run.
-
-    Raises
-    ------
-    UnknownSignalError
-        If it was, which a partial log knows; says what was recorded.
-    """
-    partial = partial_of(channels)
-    if partial is not None and port.find(partial.declared[port.component].by_name) is not None:
-        raise _not_recorded(f"no '{port}'", channels, partial, source)
-
-
-def _not_recorded(
-    what: str, channels: Mapping[str, Channel], partial: PartialRecord, source: str
-) -> UnknownSignalError:
-    """Return the error of what a run had, and did not record."""
-    return UnknownSignalError(f"{source} has {what}: {partial.reason(channels)}")
 
 
 def _component_of(signal: str | Port) -> str:

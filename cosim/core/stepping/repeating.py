@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 
 import numpy as np
@@ -67,17 +68,34 @@ def run_with_actions(
             raise
 
 
+@dataclass(frozen=True, eq=False)
+class RecordedChanges:
+    """What happened to a run, to be applied to another one.
+
+    Parameters
+    ----------
+    events : sequence of SignalEvent
+        In order of time; those behind the stop are left out.
+    copied : collection of str
+        Components that return what was recorded: what followed in them is taken from the events.
+    settings : mapping of (int, str) to Action
+        What sets the parameters of the other components, by time [ns] and component.
+    """
+
+    events: Sequence[SignalEvent]
+    copied: Collection[str] = ()
+    settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
+
+
 def repeat(
     graph: Graph,
     clock: Clock,
     recorder: Recorder,
     plan: Plan | None = None,
     *,
-    events: Sequence[SignalEvent],
-    recorded: Collection[str] = (),
+    changes: RecordedChanges,
     designs: Mapping[str, Design] | None = None,
     until: str | None = None,
-    settings: Mapping[tuple[int, str], Action] | None = None,
 ) -> None:
     """Run a graph from the start of a clock to its stop, and apply recorded events on the way.
 
@@ -85,12 +103,7 @@ def repeat(
     ----------
     graph, clock, recorder, plan, designs, until
         As of :func:`cosim.core.run`.
-    events : sequence of SignalEvent
-        In order of time; those behind the stop are left out.
-    recorded : collection of str
-        Components that return what was recorded: what followed in them is taken from the events.
-    settings : mapping of (int, str) to Action, optional
-        What sets the parameters of the other components, by time [ns] and component.
+    changes : RecordedChanges
 
     Raises
     ------
@@ -105,7 +118,7 @@ def repeat(
                 plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
             simulation = Simulation(graph, clock, plan, recorder=recorder, until=until)
-            for time_ns, jumps in groupby(events, key=lambda event: event.time_ns):
+            for time_ns, jumps in groupby(changes.events, key=lambda event: event.time_ns):
                 index = _point(clock, time_ns)
                 if index > clock.steps:
                     break
@@ -115,7 +128,7 @@ def repeat(
                         f"the event at t = {t} s comes after a later one; sort the events by time"
                     )
                 simulation.pass_to(index)
-                _apply(simulation, list(jumps), graph, recorded, settings or {})
+                _apply(simulation, list(jumps), graph, changes)
             simulation.pass_to(clock.steps)
     except Stopped as stop:
         if stop.failed:
@@ -134,12 +147,11 @@ def _apply(
     simulation: Simulation,
     jumps: Sequence[SignalEvent],
     graph: Graph,
-    recorded: Collection[str],
-    settings: Mapping[tuple[int, str], Action],
+    changes: RecordedChanges,
 ) -> None:
     """Set parameters, override inputs, inject faults, release, and let the rest follow."""
     values: dict[tuple[int, str], dict[str, tuple[float, ...]]] = {}  # that were set
-    given = _followed(graph, jumps, recorded)
+    given = _followed(graph, jumps, changes.copied)
     try:
         for jump in jumps:
             port = Port.parse(jump.signal)
@@ -152,10 +164,10 @@ def _apply(
                 simulation.take_outputs(port.component, {port.name: ()}, outputs, cause="swap")
         for key, set_values in values.items():
             _, name = key
-            if name in recorded:
+            if name in changes.copied:
                 simulation.take_outputs(name, set_values, given.get(name, ()))
             else:
-                settings[key].perform(simulation)
+                changes.settings[key].perform(simulation)
         for jump in jumps:
             _change_input(simulation, jump)
     except UsageError as error:
@@ -176,13 +188,13 @@ def _change_input(simulation: Simulation, jump: SignalEvent) -> None:
 
 
 def _followed(
-    graph: Graph, jumps: Sequence[SignalEvent], recorded: Collection[str]
+    graph: Graph, jumps: Sequence[SignalEvent], copied: Collection[str]
 ) -> dict[str, list[tuple[slice, Vector]]]:
     """Return the outputs of recorded components that followed; an input follows its source here."""
     followed: dict[str, list[tuple[slice, Vector]]] = {}
     for jump in jumps:
         port = Port.parse(jump.signal)
-        if jump.cause != "follow" or port.component not in recorded:
+        if jump.cause != "follow" or port.component not in copied:
             continue
         outputs = followed.setdefault(port.component, [])
         if port.name in graph.layout[port.component].interface.input_names:

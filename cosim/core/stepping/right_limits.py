@@ -48,6 +48,73 @@ class _Group(NamedTuple):
     inputs: NDArray[np.intp]
 
 
+class _Limit(NamedTuple):
+    """A row that becomes the right limit at ``t`` [s], with the outputs that are known of it."""
+
+    t: float
+    row: Vector
+    given: GivenOutputs
+
+    def perform_all(self, group: _Group) -> None:
+        """Perform the updates of a group."""
+        if group.is_cycle:
+            self._solve(group)
+            return
+        for update in group.updates:
+            self._perform(update)
+
+    def _solve(self, group: _Group) -> None:
+        """Solve for the inputs of a cycle: what each is, and what drives it then.
+
+        Raises
+        ------
+        RunError
+            If no solution is found.
+        """
+        columns = group.inputs
+        row = self.row
+
+        def sweep(v: Vector) -> Vector:
+            row[columns] = v
+            for update in reversed(group.updates):  # outputs, then the inputs that they drive
+                self._perform(update)
+            return row[columns].copy()
+
+        ports = ", ".join(map(str, group.ports))
+        v = row[columns].copy()
+        solution = iterate(sweep, v, len(group.ports) + 1)
+        if solution is None:
+            try:
+                candidate = newton(sweep, v, lambda: float(np.abs(row[columns]).max()))
+            except SingularError as error:
+                reason = "they have no solution, or more than one: 1 - dw/dv is singular"
+                raise _unsolved(ports, self.t, reason) from error
+            if not candidate.excess <= 1.0:
+                reason = f"Newton's method ended with a residual of {candidate.residual:.3g}"
+                raise _unsolved(ports, self.t, reason)
+            solution = candidate.v
+        sweep(solution)
+
+    def _perform(self, update: _Update) -> None:
+        row = self.row
+        member = update.member
+        if update.outputs is None:
+            member.gather(row[np.newaxis], END)
+            return
+        known = self.given.get(member.name)
+        if known is not None:
+            for columns, values in known:
+                row[columns] = values
+            return
+        try:
+            y = member.component.outputs(self.t, read_only(row)[member.inputs])
+        except RunError as error:
+            raise Stopped(np.empty((0, 0)), str(error)).at(member.name, self.t) from error
+        first = member.outputs.start
+        for columns in update.outputs:
+            row[columns] = y[columns.start - first : columns.stop - first]
+
+
 class RightLimits:
     """Evaluates what follows the inputs that jump.
 
@@ -102,8 +169,9 @@ class RightLimits:
             return
         # What is not finite is named by the check; numpy's warnings would say it without a name.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            limit = _Limit(t, row, given)
             for group in groups:
-                _perform_all(group, t, row, given)
+                limit.perform_all(group)
         members = [self._members[name] for name in self._names(groups)]
         bad = first_non_finite(members, row[np.newaxis])
         if bad is not None:
@@ -174,68 +242,8 @@ class RightLimits:
         return tuple(updates)
 
 
-def _perform_all(group: _Group, t: float, row: Vector, given: GivenOutputs) -> None:
-    """Perform the updates of a group."""
-    if group.is_cycle:
-        _solve(group, t, row, given)
-        return
-    for update in group.updates:
-        _perform(update, t, row, given)
-
-
-def _solve(group: _Group, t: float, row: Vector, given: GivenOutputs) -> None:
-    """Solve for the inputs of a cycle: what each is, and what drives it then.
-
-    Raises
-    ------
-    RunError
-        If no solution is found.
-    """
-    columns = group.inputs
-
-    def sweep(v: Vector) -> Vector:
-        row[columns] = v
-        for update in reversed(group.updates):  # outputs, then the inputs that they drive
-            _perform(update, t, row, given)
-        return row[columns].copy()
-
-    ports = ", ".join(map(str, group.ports))
-    v = row[columns].copy()
-    solution = iterate(sweep, v, len(group.ports) + 1)
-    if solution is None:
-        try:
-            candidate = newton(sweep, v, lambda: float(np.abs(row[columns]).max()))
-        except SingularError as error:
-            reason = "they have no solution, or more than one: 1 - dw/dv is singular"
-            raise _unsolved(ports, t, reason) from error
-        if not candidate.excess <= 1.0:
-            reason = f"Newton's method ended with a residual of {candidate.residual:.3g}"
-            raise _unsolved(ports, t, reason)
-        solution = candidate.v
-    sweep(solution)
-
-
 def _unsolved(ports: str, t: float, reason: str) -> RunError:
     return RunError(
         f"after a jump at t = {t} s, {ports} form an algebraic loop that was not solved: "
         f"{reason}; break the loop with a component that has a state, such as a lag or a delay"
     )
-
-
-def _perform(update: _Update, t: float, row: Vector, given: GivenOutputs) -> None:
-    member = update.member
-    if update.outputs is None:
-        member.gather(row[np.newaxis], END)
-        return
-    known = given.get(member.name)
-    if known is not None:
-        for columns, values in known:
-            row[columns] = values
-        return
-    try:
-        y = member.component.outputs(t, read_only(row)[member.inputs])
-    except RunError as error:
-        raise Stopped(np.empty((0, 0)), str(error)).at(member.name, t) from error
-    first = member.outputs.start
-    for columns in update.outputs:
-        row[columns] = y[columns.start - first : columns.stop - first]

@@ -84,7 +84,7 @@ class LoadedInstance:
         self.description = description
         self.messages = messages
         self.refused = ""
-        self._interface_type = interface_type
+        self.interface_type = interface_type
         specification = InstanceSpecification(
             description, interface_type, name, folder, self.messages
         )
@@ -190,7 +190,7 @@ class LoadedInstance:
         Many an FMU forgets too little in its own reset, or crashes later. It is called where there
         are copied states, which a new instance would not take, or may be no second instance.
         """
-        single = self.description.capabilities[self._interface_type].once_per_process
+        single = self.description.capabilities[self.interface_type].once_per_process
         if self._states or single or self._calls.version == 1:  # it does the same for FMI 1
             self._running = False
             self._calls.reset()

@@ -11,6 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
@@ -103,8 +104,11 @@ def check_structure(
     # Aliases of FMI 3 stand behind all elements, and have none of their own.
     for variable, element in zip(description.variables, elements, strict=False):
         typed = typed_element(element, major(root))
-        for level, text in _check_variable(variable, element, typed, definitions):
-            findings.append(Finding(level, _where(variable.name), text))
+        problems = chain(
+            _check_variable(variable, element, typed),
+            _check_definitions(variable, typed, definitions),
+        )
+        findings += [Finding(level, _where(variable.name), text) for level, text in problems]
     findings += _check_model_structure(root, description)
     findings += _check_residual_form(description)
     findings += _check_names(root, description)
@@ -119,16 +123,13 @@ def _where(name: str | None) -> str:
 # --- variables ---
 
 
-def _check_variable(
-    variable: Variable, element: Element, typed: Element, definitions: Definitions
-) -> VariableProblems:
+def _check_variable(variable: Variable, element: Element, typed: Element) -> VariableProblems:
     """Check one variable; ``typed`` has the attributes of its type."""
     yield from _check_causality(variable, element, typed)
     yield from _check_start_presence(variable, typed)
     if variable.start is not None:
         yield from _check_start_values(variable, variable.start)
     yield from _check_range(variable)
-    yield from _check_definitions(variable, typed, definitions)
 
 
 def _check_causality(variable: Variable, element: Element, typed: Element) -> VariableProblems:

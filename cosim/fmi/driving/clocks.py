@@ -36,7 +36,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError, RunError
 from cosim.fmi.driving.diagnostics import Diagnostics
-from cosim.fmi.driving.events import ITERATIONS, close, endless_iteration, iterate_event
+from cosim.fmi.driving.events import ITERATIONS, close, endless_iteration
 from cosim.fmi.instance import (
     ClockCalls,
     ClockInterval,
@@ -78,6 +78,28 @@ class TickSchedule(NamedTuple):
     def time(self) -> float:
         """The next tick [s]."""
         return float(self.next / NANOSECONDS)
+
+
+class Event(NamedTuple):
+    """When an event happens, with which inputs, and which clocks may tick in it.
+
+    Parameters
+    ----------
+    t : float
+        [s]
+    u : Vector, shape (n_u,)
+        Inputs; those that belong to a clock are set where it ticks.
+    ticks : bool
+        Whether time-based clocks tick: at the end of a communication step they wait for the inputs
+        there.
+    triggers : bool
+        Whether input clocks tick: at communication points.
+    """
+
+    t: float
+    u: Vector
+    ticks: bool = True
+    triggers: bool = True
 
 
 class ClockState(NamedTuple):
@@ -320,39 +342,36 @@ class EventClocks:
 
     # --- events ---
 
-    def iterate(
-        self, t: float, u: Vector, *, ticks: bool = True, triggers: bool = True
-    ) -> DiscreteStates:
-        """Iterate an event in event mode, with the clocks that tick in it.
+    def iterate(self, event: Event) -> DiscreteStates:
+        """Iterate the discrete states in event mode, with the clocks that tick in it.
 
-        Parameters
-        ----------
-        t : float
-            [s]
-        u : Vector, shape (n_u,)
-            Inputs; those that belong to a clock are set from here.
-        ticks : bool
-            Whether time-based clocks tick: at the end of a communication step they wait for the
-            inputs there.
-        triggers : bool
-            Whether input clocks tick: at communication points.
+        FMI 2.0.4 section 3.2.2 (fmi2NewDiscreteStates), FMI 3.0 section 2.3.5
+        (fmi3UpdateDiscreteStates).
+
+        Returns
+        -------
+        DiscreteStates
+            Of the last iteration; the changes are those of all iterations together.
 
         Raises
         ------
         RunError
             If the event iteration does not converge, or an interval is none.
         """
-        if self._calls is None:
-            return iterate_event(self._instance, t)
+        t = event.t
+        is_clocked = self._calls is not None
         values_changed = False
         nominals_changed = False
-        triggered = self._take_triggers(t, u) if triggers else []
+        triggered = self._take_triggers(t, event.u) if is_clocked and event.triggers else []
+        due: dict[str, Fraction] = {}
         for _ in range(ITERATIONS):
-            due = self._take_due(t) if ticks else {}
-            clocks = [clock for clock in self._time_based if clock.name in due]
-            self._activate(t, u, [*clocks, *triggered])
-            triggered = []
+            if is_clocked:
+                due = self._take_due(t) if event.ticks else {}
+                clocks = [clock for clock in self._time_based if clock.name in due]
+                self._activate(event, [*clocks, *triggered])
+                triggered = []
             states = self._instance.update_discrete_states()
+            # Each call reports its own changes only: those of an earlier one would be lost.
             values_changed = values_changed or states.values_changed
             nominals_changed = nominals_changed or states.nominals_changed
             states = states._replace(
@@ -360,8 +379,9 @@ class EventClocks:
             )
             if states.terminate:
                 return states
-            self._ask_next_ticks(t, due)
-            if not states.need_update and not (ticks and self.ticks_by(t)):
+            if is_clocked:
+                self._ask_next_ticks(t, due)
+            if not states.need_update and not (event.ticks and self.ticks_by(t)):
                 return states
         raise endless_iteration(self._name, t)
 
@@ -372,17 +392,17 @@ class EventClocks:
         self.state = self.state._replace(handled_at=t, handled=before | names)
         return clocks
 
-    def _activate(self, t: float, u: Vector, clocks: Sequence[Variable]) -> None:
+    def _activate(self, event: Event, clocks: Sequence[Variable]) -> None:
         """Activate clocks, and exchange what belongs to those that are active then."""
         assert self._calls is not None
         active = [clock.name for clock in clocks]
         if active:
             self._calls.activate(clocks)
-            self._set_inputs(u, active)
+            self._set_inputs(event.u, active)
         if self._asked:
             answers = zip(self._asked, self._calls.active(self._asked), strict=True)
             outgoing = [clock.name for clock, is_active in answers if is_active]
-            self._set_inputs(u, outgoing)
+            self._set_inputs(event.u, outgoing)
             active += outgoing
         if not active:
             return
@@ -394,7 +414,7 @@ class EventClocks:
             if name in self._shown:
                 outputs[self._shown[name]] = 1.0
                 counts[name] = counts.get(name, 0) + 1
-                self._report_repetition(t, name, counts[name])
+                self._report_repetition(event.t, name, counts[name])
         self.state = self.state._replace(outputs=outputs, ticks=counts)
 
     def _set_inputs(self, u: Vector, active: Iterable[str]) -> None:

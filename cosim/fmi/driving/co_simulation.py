@@ -19,7 +19,7 @@ from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
-from cosim.fmi.driving.clocks import EventClocks
+from cosim.fmi.driving.clocks import Event, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
@@ -223,7 +223,7 @@ class CoSimulation:
                     # An event at the end of the block is left to the next advance: a loop may still
                     # correct the inputs that it happens with.
                     if k < steps - 1:
-                        stepper.handle_point_event(t1, u1)
+                        stepper.handle_point_event(Event(t1, u1))
                     y[k] = self._outputs_at(t1, u1)
                 if stepper.ended:
                     raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
@@ -267,28 +267,25 @@ class CoSimulation:
         """Return the outputs at ``t``, the time reached, for inputs ``u``.
 
         Where an event is due for them, they are those after it; then the FMU goes back, if it can.
+        Without one they are y + D (u - u_end).
         """
         stepper = self._stepper
-        if not (self._capabilities.saves_state and stepper.has_point_event(t, u)):
-            return self._outputs_after_event(t, u)
-        # The copy holds the mode too: with it the FMU is back in step mode.
-        self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
-        before = stepper.save()
-        y = self._outputs_after_event(t, u).copy()
+        event = Event(t, u)
+        before: StepperState | None = None
+        if self._capabilities.saves_state and stepper.has_point_event(event):
+            # The copy holds the mode too: with it the FMU is back in step mode.
+            self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
+            before = stepper.save()
+        y = stepper.outputs
+        if not stepper.handle_point_event(event):
+            y = stepper.corrected(y, u)
+        if before is None:
+            return y
+        y = y.copy()
         if not stepper.ended:
             self._instance.set_fmu_state(self._fmu_state)
             stepper.restore(before)
         return y
-
-    def _outputs_after_event(self, t: float, u: Vector) -> Vector:
-        """Return the outputs for inputs ``u``, after an event where one is due for them.
-
-        Without one they are y + D (u - u_end).
-        """
-        stepper = self._stepper
-        if stepper.handle_point_event(t, u):
-            return stepper.outputs
-        return stepper.corrected(stepper.outputs, u)
 
     def tune(self, t: float, parameters: TunedParameters) -> None:
         """Set tunable parameters at ``t``, the time reached.

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.instance import CoSimulationInstance, DiscreteStates, ModelExchangeInstance
 from cosim.native.fmi.model_exchange import (
     INPUT_EVENT,
     NOT_LISTED,
@@ -121,36 +120,6 @@ def _root(za: float, zb: float) -> float:
     if not math.isfinite(za - zb):
         return 0.5
     return min(max(za / (za - zb), 0.0), 1.0)
-
-
-def iterate_event(
-    instance: ModelExchangeInstance | CoSimulationInstance, t: float
-) -> DiscreteStates:
-    """Iterate the discrete states in event mode, until the FMU needs no further update.
-
-    FMI 2.0.4 section 3.2.2 (fmi2NewDiscreteStates), FMI 3.0 section 2.3.5
-    (fmi3UpdateDiscreteStates).
-
-    Returns
-    -------
-    DiscreteStates
-        Of the last iteration; the changes are those of all iterations together.
-
-    Raises
-    ------
-    RunError
-        If the event iteration does not converge.
-    """
-    values_changed = False
-    nominals_changed = False
-    for _ in range(ITERATIONS):
-        states = instance.update_discrete_states()
-        # Each call reports its own changes only: those of an earlier one would be lost.
-        values_changed = values_changed or states.values_changed
-        nominals_changed = nominals_changed or states.nominals_changed
-        if states.terminate or not states.need_update:
-            return states._replace(values_changed=values_changed, nominals_changed=nominals_changed)
-    raise endless_iteration(instance.description.name, t)
 
 
 def endless_iteration(name: str, t: float) -> RunError:

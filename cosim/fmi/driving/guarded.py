@@ -140,7 +140,7 @@ class Guarded:
     def __init__(
         self, component: FmuComponent, name: str, binary: str, *, called: int | None = None
     ) -> None:
-        self._component = component
+        self.component = component
         self._name = name
         self._binary = binary
         self._called = called
@@ -151,44 +151,44 @@ class Guarded:
     @property
     def interface(self) -> Interface:
         """Inputs, outputs and feedthrough."""
-        return self._component.interface
+        return self.component.interface
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
-        return self._component.notes
+        return self.component.notes
 
     def take_wiring(self, wiring: InputWiring) -> None:
         """Pass on."""
-        take_wiring(self._component, wiring)
+        take_wiring(self.component, wiring)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""
-        return self._component.prepare(h, held, recorded)
+        return self.component.prepare(h, held, recorded)
 
     def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
         """Prepare the component."""
-        return self._call(None, lambda: self._component.prepare_substeps(lengths, recorded))
+        return self._call(None, lambda: self.component.prepare_substeps(lengths, recorded))
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Pass on."""
-        return self._call(t, lambda: self._component.initialize(t, u))
+        return self._call(t, lambda: self.component.initialize(t, u))
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Pass on."""
-        return self._call(t, lambda: self._component.outputs(t, u))
+        return self._call(t, lambda: self.component.outputs(t, u))
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Pass on."""
-        return self._call(float(t[0]), lambda: self._component.advance(t, h, u))
+        return self._call(float(t[0]), lambda: self.component.advance(t, h, u))
 
     def left_limits(self, t: Vector) -> Mapping[int, Vector]:
         """Pass on: the FMU is not called."""
-        return left_limits(self._component, t)
+        return left_limits(self.component, t)
 
     def native(self) -> NativeStep | None:
         """Return the compiled step of the component, with the floating-point unit put back."""
-        step = self._component.native()
+        step = self.component.native()
         if step is None:
             return None
         guarded, self._compiled = guarded_step(step, self._called)
@@ -198,26 +198,26 @@ class Guarded:
 
     def linearized(self, t: float, u: Vector) -> Linearized | None:
         """Pass on."""
-        return self._call(t, lambda: self._component.linearized(t, u))
+        return self._call(t, lambda: self.component.linearized(t, u))
 
     def first_event(self) -> float:
         """Pass on."""
-        return first_event(self._component)
+        return first_event(self.component)
 
     def save(self) -> tuple[Any, int]:
         """Copy the state of the component, with what is known of it."""
-        state = self._call(None, self._component.save)
+        state = self._call(None, self.component.save)
         return state, self._diagnostics.save()
 
     def restore(self, state: tuple[Any, int]) -> None:
         """Go back to a saved state."""
         of_component, of_diagnostics = state
-        self._call(None, lambda: self._component.restore(of_component))
+        self._call(None, lambda: self.component.restore(of_component))
         self._diagnostics.restore(of_diagnostics)
 
     def tune(self, t: float, parameters: TunedParameters) -> None:
         """Pass on."""
-        self._call(t, lambda: self._component.tune(t, parameters))
+        self._call(t, lambda: self.component.tune(t, parameters))
 
     @contextmanager
     def outside(self, t: float | None) -> Iterator[None]:
@@ -231,12 +231,12 @@ class Guarded:
     def drain(self) -> list[Message]:
         """Return the events and warnings since the last call."""
         self._report_compiled()
-        return self._component.drain() + self._diagnostics.drain()
+        return self.component.drain() + self._diagnostics.drain()
 
     def discard(self) -> None:
         """Forget all events and warnings, so that each may come again."""
         self._report_compiled()
-        self._component.discard()
+        self.component.discard()
         self._diagnostics.discard()
 
     def _call(self, t: float | None, call: Callable[[], Result]) -> Result:

@@ -45,7 +45,7 @@ from cosim.core.clock import REPETITIONS, Standstill
 from cosim.core.linearization import Linearized
 from cosim.errors import RunError, listing
 from cosim.fmi.description import usable_nominal
-from cosim.fmi.driving.clocks import ClockState, EventClocks
+from cosim.fmi.driving.clocks import ClockState, Event, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import (
     BITS,
@@ -250,7 +250,7 @@ class Integrator:
         No call of enter_event_mode: exit_initialization_mode leads to event mode (FMI 2.0.4 section
         3.2.3, FMI 3.0 section 2.3.3).
         """
-        self._iterate_event(self.state.inputs, at_point=True)
+        self._iterate_event(at_point=True)
         self._restart_solver()
 
     def save(self) -> IntegratorSnapshot:
@@ -613,13 +613,13 @@ class Integrator:
         self.state.inputs = u
         if self._form is not None:
             self._form.solve(self.state.t, self.state.x)
-        self._iterate_event(u, at_point=at_point)
+        self._iterate_event(at_point=at_point)
 
-    def _iterate_event(self, u: Vector, *, at_point: bool) -> None:
+    def _iterate_event(self, *, at_point: bool) -> None:
         """Iterate the event; unless the run is to end, leave event mode and read what changed."""
         instance = self._instance
         state = self.state
-        discrete = self._clocks.iterate(state.t, u, triggers=at_point)
+        discrete = self._clocks.iterate(Event(state.t, state.inputs, triggers=at_point))
         state.due = ()
         self.inputs_time = math.nan
         state.ended |= discrete.terminate

@@ -49,7 +49,7 @@ from cosim.arrays import Mask, Vector
 from cosim.core.clock import REPETITIONS, Standstill
 from cosim.errors import RunError
 from cosim.fmi.description import Description
-from cosim.fmi.driving.clocks import ClockState, EventClocks
+from cosim.fmi.driving.clocks import ClockState, Event, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
@@ -218,7 +218,7 @@ class Stepper:
             memory=np.zeros(0),
             keep=(self, addresses, self._feedthrough),
             outputs=address("cosim_co_simulation_outputs"),
-            rollback=self._rollback if self._capabilities.saves_state else None,
+            own_rollback=self._rollback if self._capabilities.saves_state else None,
             left_outputs=self._left_outputs(),
         )
 
@@ -332,7 +332,7 @@ class Stepper:
         else to step mode, and may change outputs.
         """
         if self._capabilities.event_mode:
-            self._iterate_event(t, self.inputs, ticks=True, triggers=True)
+            self._iterate_event(Event(t, self.inputs))
         self.outputs[:] = self._clocks.outputs()
         self._struct.initialized = True
 
@@ -405,7 +405,7 @@ class Stepper:
             if begun == STEPPED:
                 end = self._instance.end_of_step(t, h, self._struct.do_step.status)
             else:
-                self.handle_point_event(t, u0)
+                self.handle_point_event(Event(t, u0))
             self._clocks.begin_step()
             if self._advance(self._ramp(t, h, u0, u1), 0.0, 1.0, 0, end) < 1.0:
                 return False
@@ -466,7 +466,8 @@ class Stepper:
                 self.left = self.corrected(self._clocks.outputs(), ramp.u1)
             if is_event_due:
                 # What ticks at the end of the communication step waits for the inputs there.
-                self._handle_event(ramp.time(s), ramp.at(s), ticks=s < 1.0)
+                event = Event(ramp.time(s), ramp.at(s), ticks=s < 1.0, triggers=False)
+                self._handle_event(event)
             if s >= s1:
                 return s
             end = None
@@ -605,20 +606,20 @@ class Stepper:
         """Return outputs of the FMU as it is now, corrected to inputs ``u`` where D is known."""
         return y if self._feedthrough is None else self._feedthrough.add(y, u - self.inputs)
 
-    def has_point_event(self, t: float, u: Vector) -> bool:
-        """Return whether an event is due at a communication point ``t`` [s] with inputs ``u``.
+    def has_point_event(self, event: Event) -> bool:
+        """Return whether an event is due at a communication point.
 
         It is where a discrete input that is set in events is not as before, or a clock ticks.
         """
         if self.ended or not self._capabilities.event_mode:
             return False
-        event_inputs = self._event_inputs.take(u)
+        event_inputs = self._event_inputs.take(event.u)
         # By their bits: NaN as before is no change.
         if event_inputs.tobytes() != self._event_values.tobytes():
             return True
-        return self._clocks.is_due(t, u)
+        return self._clocks.is_due(event.t, event.u)
 
-    def handle_point_event(self, t: float, u: Vector) -> bool:
+    def handle_point_event(self, event: Event) -> bool:
         """Set all inputs in an event, if one is due for them, and read the outputs.
 
         Returns
@@ -626,9 +627,9 @@ class Stepper:
         bool
             Whether there was an event.
         """
-        if not self.has_point_event(t, u):
+        if not self.has_point_event(event):
             return False
-        self._handle_event(t, u, ticks=True, at_point=True)
+        self._handle_event(event)
         self.outputs[:] = self._clocks.outputs()
         return True
 
@@ -644,24 +645,24 @@ class Stepper:
             return
         self._instance.enter_event_mode()
         self._instance.set_float64(parameters.references, parameters.values)
-        self._iterate_event(t, self.inputs, ticks=False, triggers=False)
+        self._iterate_event(Event(t, self.inputs, ticks=False, triggers=False))
         if not self.ended:
             self.outputs[:] = self._clocks.outputs()
 
-    def _handle_event(self, t: float, u: Vector, *, ticks: bool, at_point: bool = False) -> None:
+    def _handle_event(self, event: Event) -> None:
         # Event mode first: it is where inputs may be set and outputs read without a step between,
         # and a discrete change of an input needs it (FMI 3.0 section 4.2.1).
         self._instance.enter_event_mode()
-        if at_point:
+        if event.triggers:
             inputs = self._unclocked_inputs
-            self._instance.set_float64(inputs, inputs.take(u))
-            self._event_values[:] = self._event_inputs.take(u)
-            self.inputs[:] = u
-        self._iterate_event(t, u, ticks=ticks, triggers=at_point)
+            self._instance.set_float64(inputs, inputs.take(event.u))
+            self._event_values[:] = self._event_inputs.take(event.u)
+            self.inputs[:] = event.u
+        self._iterate_event(event)
 
-    def _iterate_event(self, t: float, u: Vector, *, ticks: bool, triggers: bool) -> None:
+    def _iterate_event(self, event: Event) -> None:
         """Iterate the event; unless the run is to end, leave event mode."""
-        discrete = self._clocks.iterate(t, u, ticks=ticks, triggers=triggers)
+        discrete = self._clocks.iterate(event)
         next_event = discrete.next_event_time
         self._struct.next_event = math.inf if next_event is None else next_event
         self._struct.ended = discrete.terminate

@@ -93,20 +93,19 @@ class ExportSpecification:
 def specify(model: Exportable | DescriptorModel, name: str) -> ExportSpecification:
     """Specify the FMU of a model; ``name`` is that of the FMU's model."""
     if isinstance(model, DescriptorModel):
-        return _specify_descriptor(model, name)
+        return _with_residual_form(specify(model.reduced, name), model)
     if isinstance(model, LinearModel):
-        return _specify_linear(model, name)
-    return _specify_discrete(model, name)
+        return _specify_linear(model, describe(model, name, model))
+    return _specify_discrete(model, describe(model, name, None))
 
 
 # --- linear models ---
 
 
-def _specify_linear(model: LinearModel, name: str) -> ExportSpecification:
+def _specify_linear(model: LinearModel, description: Description) -> ExportSpecification:
     n = len(model.states)
     m = model.interface.n_u
     p = model.interface.n_y
-    description = describe(model, name, model)
     capabilities: dict[InterfaceType, Capabilities] = {
         "me": COMMON,
         "cs": replace(CO_SIMULATION, variable_step=True),
@@ -182,9 +181,10 @@ def _matrices(arrays: Mapping[str, Matrix]) -> str:
 # --- linear models that keep their algebraic equations ---
 
 
-def _specify_descriptor(model: DescriptorModel, name: str) -> ExportSpecification:
-    """Specify the reduced model with the residual beside it, whose references are the last."""
-    reduced = _specify_linear(model.reduced, name)
+def _with_residual_form(
+    reduced: ExportSpecification, model: DescriptorModel
+) -> ExportSpecification:
+    """Return the reduced model with the residual beside it, whose references are the last."""
     n, m, p = reduced.size
     columns = model.reduced.interface.output_columns()[model.algebraic]
     n_z = columns.stop - columns.start
@@ -255,7 +255,7 @@ def _descriptor_equations(model: DescriptorModel) -> str:
 # --- discrete models ---
 
 
-def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
+def _specify_discrete(model: DiscreteModel, description: Description) -> ExportSpecification:
     m = model.interface.n_u
     p = model.interface.n_y
     step = step_seconds(model.step_ns) if model.step_ns else None
@@ -267,7 +267,7 @@ def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
         adjoint_derivatives=model.kernel.affine,
     )
     description = replace(
-        describe(model, name, None),
+        description,
         capabilities={"cs": able},
         initial_dependencies=_discrete_initial_dependencies(model),
         default_step=step,

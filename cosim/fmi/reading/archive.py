@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from cosim.digests import sha256_of_open
 from cosim.errors import FmuError, listing
@@ -84,16 +84,135 @@ def read_archive(path: Path, wanted: Sequence[str], into: Path | None = None) ->
         If it is no zip archive, or one that must not or cannot be unpacked.
     """
     with _open(path) as (archive, sha256):
-        entries, warnings = _check_entries(path, archive)
+        opened = _Zip(path, archive)
+        entries, warnings = opened.check_entries()
         contents = {}
         for member in wanted:
             if member in entries:
                 content = io.BytesIO()
-                _copy(path, archive, entries[member], content.write, XML_LARGEST)
+                opened.copy(entries[member], content.write, XML_LARGEST)
                 contents[member] = content.getvalue()
         if into is not None:
-            _unpack(path, archive, entries, into)
+            opened.unpack(entries, into)
         return ArchiveContents(sha256, frozenset(entries), contents, tuple(warnings))
+
+
+class _Zip(NamedTuple):
+    """An open archive, and the path of its file, for messages."""
+
+    path: Path
+    archive: zipfile.ZipFile
+
+    def check_entries(self) -> tuple[Mapping[str, zipfile.ZipInfo], list[str]]:
+        """Return the files by name, if the archive may be unpacked, and warnings."""
+        entries = self.archive.infolist()
+        _check_extent(self.path, entries)
+        for entry in entries:
+            # The original name: zipfile alters ``filename``, so that some problems no longer show.
+            name = entry.orig_filename
+            problem = _name_problem(name) or _type_problem(entry)
+            if problem:
+                raise FmuError(f"{self.path}: the archive has {problem}: {name!r}")
+        with_backslash = [entry.orig_filename for entry in entries if "\\" in entry.orig_filename]
+        warnings = []
+        if with_backslash:
+            text = "names with backslashes, where FMI needs '/'"
+            warnings.append(f"the archive has {text}: {listing(with_backslash)}")
+        listed: dict[str, list[zipfile.ZipInfo]] = {}
+        for entry in entries:
+            listed.setdefault(_member(entry.orig_filename), []).append(entry)
+        listed.pop("", None)  # the folder that all is in
+        warnings += _check_portability(self.path, list(listed))
+        self._check_overlap(entries)
+        warnings += self._check_duplicates(listed)
+        return {name: same[0] for name, same in listed.items() if not name.endswith("/")}, warnings
+
+    def _check_overlap(self, entries: list[zipfile.ZipInfo]) -> None:
+        """Refuse entries that share packed bytes: header, name and content stand one by one."""
+        end = 0
+        distinct = {(entry.header_offset, entry.orig_filename): entry for entry in entries}
+        for entry in sorted(distinct.values(), key=lambda entry: entry.header_offset):
+            if entry.header_offset < end:
+                raise FmuError(
+                    f"{self.path}: the archive has overlapping entries: "
+                    f"{entry.orig_filename!r} begins inside another"
+                )
+            encoding = "utf-8" if entry.flag_bits & UTF8_NAME else "cp437"
+            name_length = len(entry.orig_filename.encode(encoding))
+            end = entry.header_offset + ENTRY_HEADER + name_length + entry.compress_size
+        if end > self.archive.start_dir:
+            raise FmuError(
+                f"{self.path}: the archive has an entry that reaches beyond the others: "
+                "the file is truncated or altered"
+            )
+
+    def _check_duplicates(self, listed: Mapping[str, Sequence[zipfile.ZipInfo]]) -> list[str]:
+        """Refuse a file that is there twice and not the same; return warnings about others.
+
+        Its bytes are compared: what the entries declare is only what they declare.
+        """
+        files = []
+        folders = []
+        for name, same in listed.items():
+            if len(same) == 1:
+                continue
+            if name.endswith("/"):
+                folders.append(name)
+                continue
+            files.append(name)
+            contents = set()
+            for entry in same:
+                digest = hashlib.sha256()
+                self.copy(entry, digest.update, LARGEST)
+                contents.add(digest.digest())
+            if len(contents) > 1:
+                raise FmuError(
+                    f"{self.path}: the archive has {len(same)} entries of one name that differ: "
+                    f"{name!r}"
+                )
+        kinds = {"folders twice": folders, "files twice, with equal bytes": files}
+        return [
+            f"the archive lists {kind}: {listing(names)}" for kind, names in kinds.items() if names
+        ]
+
+    def unpack(self, files: Mapping[str, zipfile.ZipInfo], folder: Path) -> None:
+        """Unpack files, and all folders, into a folder."""
+        size = 0
+        for name, entry in files.items():
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with target.open("xb") as file:
+                size += self.copy(entry, file.write, LARGEST - size)
+        for entry in self.archive.infolist():
+            target = folder / _member(entry.orig_filename)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if _is_folder(entry):
+                target.mkdir(exist_ok=True)
+
+    def copy(self, entry: zipfile.ZipInfo, write: Callable[[bytes], object], room: int) -> int:
+        """Unpack one entry in pieces, into at most ``room`` bytes; return its size."""
+        size = 0
+        name = entry.orig_filename
+        with self.archive.open(entry) as source:
+            while chunk := source.read(CHUNK):
+                size += len(chunk)
+                if size > room:
+                    raise FmuError(
+                        f"{self.path}: {name!r} has more than {room} bytes unpacked, "
+                        "which is all it may have"
+                    )
+                if size > max(SMALL, RATIO * entry.compress_size):
+                    raise FmuError(
+                        f"{self.path}: {name!r} is packed more than {RATIO} times: "
+                        f"{entry.compress_size} bytes unpack to {size} or more"
+                    )
+                write(chunk)
+        if size != entry.file_size:
+            raise FmuError(
+                f"{self.path}: {name!r} has {size} bytes unpacked; the archive declares "
+                f"{entry.file_size}"
+            )
+        return size
 
 
 class _BoundedFile(io.FileIO):
@@ -135,34 +254,7 @@ def _open(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
         raise FmuError(f"{path}: not an FMU, as it is no zip archive ({error})") from error
 
 
-# --- checks before anything is unpacked ---
-
-
-def _check_entries(
-    path: Path, archive: zipfile.ZipFile
-) -> tuple[Mapping[str, zipfile.ZipInfo], list[str]]:
-    """Return the files by name, if the archive may be unpacked, and warnings."""
-    entries = archive.infolist()
-    _check_extent(path, entries)
-    for entry in entries:
-        # The original name: zipfile alters ``filename``, so that some problems no longer show.
-        name = entry.orig_filename
-        problem = _name_problem(name) or _type_problem(entry)
-        if problem:
-            raise FmuError(f"{path}: the archive has {problem}: {name!r}")
-    with_backslash = [entry.orig_filename for entry in entries if "\\" in entry.orig_filename]
-    warnings = []
-    if with_backslash:
-        text = "names with backslashes, where FMI needs '/'"
-        warnings.append(f"the archive has {text}: {listing(with_backslash)}")
-    listed: dict[str, list[zipfile.ZipInfo]] = {}
-    for entry in entries:
-        listed.setdefault(_member(entry.orig_filename), []).append(entry)
-    listed.pop("", None)  # the folder that all is in
-    warnings += _check_portability(path, list(listed))
-    _check_overlap(path, archive, entries)
-    warnings += _check_duplicates(path, archive, listed)
-    return {name: same[0] for name, same in listed.items() if not name.endswith("/")}, warnings
+# --- checks of names ---
 
 
 def _check_extent(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
@@ -232,35 +324,6 @@ def _type_problem(entry: zipfile.ZipInfo) -> str | None:
     return None
 
 
-def _check_duplicates(
-    path: Path, archive: zipfile.ZipFile, listed: Mapping[str, Sequence[zipfile.ZipInfo]]
-) -> list[str]:
-    """Refuse a file that is there twice and not the same; return warnings about what is the same.
-
-    Its bytes are compared: what the entries declare is only what they declare.
-    """
-    files = []
-    folders = []
-    for name, same in listed.items():
-        if len(same) == 1:
-            continue
-        if name.endswith("/"):
-            folders.append(name)
-            continue
-        files.append(name)
-        contents = set()
-        for entry in same:
-            digest = hashlib.sha256()
-            _copy(path, archive, entry, digest.update, LARGEST)
-            contents.add(digest.digest())
-        if len(contents) > 1:
-            raise FmuError(
-                f"{path}: the archive has {len(same)} entries of one name that differ: {name!r}"
-            )
-    kinds = {"folders twice": folders, "files twice, with equal bytes": files}
-    return [f"the archive lists {kind}: {listing(names)}" for kind, names in kinds.items() if names]
-
-
 def _check_portability(path: Path, names: list[str]) -> list[str]:
     """Return warnings about names that cannot be unpacked on every system.
 
@@ -324,73 +387,3 @@ def _places(name: str) -> list[str]:
 def _normalized(name: str) -> str:
     """Return what a name is where neither case nor the composition of letters counts."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
-
-
-def _check_overlap(path: Path, archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]) -> None:
-    """Refuse entries that share their packed bytes: header, name and content stand one by one."""
-    end = 0
-    distinct = {(entry.header_offset, entry.orig_filename): entry for entry in entries}
-    for entry in sorted(distinct.values(), key=lambda entry: entry.header_offset):
-        if entry.header_offset < end:
-            raise FmuError(
-                f"{path}: the archive has overlapping entries: "
-                f"{entry.orig_filename!r} begins inside another"
-            )
-        encoding = "utf-8" if entry.flag_bits & UTF8_NAME else "cp437"
-        name_length = len(entry.orig_filename.encode(encoding))
-        end = entry.header_offset + ENTRY_HEADER + name_length + entry.compress_size
-    if end > archive.start_dir:
-        raise FmuError(
-            f"{path}: the archive has an entry that reaches beyond the others: "
-            "the file is truncated or altered"
-        )
-
-
-# --- unpacking ---
-
-
-def _unpack(
-    path: Path, archive: zipfile.ZipFile, files: Mapping[str, zipfile.ZipInfo], folder: Path
-) -> None:
-    size = 0
-    for name, entry in files.items():
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with target.open("xb") as file:
-            size += _copy(path, archive, entry, file.write, LARGEST - size)
-    for entry in archive.infolist():
-        target = folder / _member(entry.orig_filename)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if _is_folder(entry):
-            target.mkdir(exist_ok=True)
-
-
-def _copy(
-    path: Path,
-    archive: zipfile.ZipFile,
-    entry: zipfile.ZipInfo,
-    write: Callable[[bytes], object],
-    room: int,
-) -> int:
-    """Unpack one entry in pieces, into at most ``room`` bytes; return its size."""
-    size = 0
-    name = entry.orig_filename
-    with archive.open(entry) as source:
-        while chunk := source.read(CHUNK):
-            size += len(chunk)
-            if size > room:
-                raise FmuError(
-                    f"{path}: {name!r} has more than {room} bytes unpacked, "
-                    "which is all it may have"
-                )
-            if size > max(SMALL, RATIO * entry.compress_size):
-                raise FmuError(
-                    f"{path}: {name!r} is packed more than {RATIO} times: "
-                    f"{entry.compress_size} bytes unpack to {size} or more"
-                )
-            write(chunk)
-    if size != entry.file_size:
-        raise FmuError(
-            f"{path}: {name!r} has {size} bytes unpacked; the archive declares {entry.file_size}"
-        )
-    return size

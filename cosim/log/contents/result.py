@@ -37,13 +37,6 @@ class LastRow:
     end_ns: int = 0
 
 
-def result_group(
-    end: EndOfRun, last_row: LastRow, *, content_hash: str, values: Mapping[str, Any]
-) -> RecordGroup:
-    """Return the record and the attachment; ``values`` go to the attachment only."""
-    return _end_group(result_items(end, last_row, content_hash=content_hash), values)
-
-
 def result_items(end: EndOfRun, last_row: LastRow, *, content_hash: str) -> ResultItems:
     """Return what is recorded of the end of a run."""
     return {**asdict(end), **asdict(last_row), "content_hash": content_hash}
@@ -64,35 +57,18 @@ def part_group(
     content_hash : str
         Of the rows of the file.
     """
-    return _end_group(_part_items(number, first_ns, asdict(last_row), content_hash), {})
+    return end_group(part_items(number, first_ns, asdict(last_row), content_hash), {})
 
 
-def last_part_group(
-    number: int,
-    first_ns: int | None,
-    whole: ResultItems,
-    *,
-    content_hash: str,
-    values: Mapping[str, Any],
-) -> RecordGroup:
-    """Return the end of the last file of a log of several, with that of the whole run.
-
-    Parameters
-    ----------
-    number, first_ns, content_hash
-        As of :func:`part_group`.
-    whole : mapping
-        What is recorded of the end of the run.
-    values : mapping
-        Of the whole run, too; for the attachment.
-    """
-    part = _end_group(_part_items(number, first_ns, whole, content_hash), values)
+def with_whole(part: RecordGroup, whole: ResultItems) -> RecordGroup:
+    """Return the end of the last file of a log of several behind that of the whole run."""
     return _joined(result_record(PARTIAL, whole), part)
 
 
-def _part_items(
+def part_items(
     number: int, first_ns: int | None, last_row: Mapping[str, Any], content_hash: str
 ) -> ResultItems:
+    """Return what is recorded of the end of a file of several; see :func:`part_group`."""
     end_ns = last_row["end_ns"]
     where = "without rows" if first_ns is None else span_text(first_ns, end_ns)
     return {
@@ -109,7 +85,8 @@ def span_text(first_ns: int, last_ns: int) -> str:
     return f"from {first_ns / NANOSECONDS} s to {last_ns / NANOSECONDS} s"
 
 
-def _end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
+def end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
+    """Return the record and the attachment; ``values`` go to the attachment only."""
     # Ours after the caller's: no caller may overwrite how the run ended.
     text = json.dumps({**values, **items}, default=_to_json, indent=2)
     attachment = attachment_group(RESULT_FILE, "application/json", text.encode())

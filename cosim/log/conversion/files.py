@@ -11,7 +11,6 @@ from cosim.log.conversion.arrays import write_mat, write_npz
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.conversion.parquet import need_pyarrow, write_parquet
 from cosim.log.conversion.text import csv_text
-from cosim.log.mcap_file.paths import check_new_log, log_path
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 
 ENDINGS: Final = (".csv", ".parquet", ".mat", ".npz")
@@ -19,8 +18,8 @@ ENDINGS: Final = (".csv", ".parquet", ".mat", ".npz")
 _BUFFER_BYTES: Final = 2**20
 
 
-def check_target(out: Path, *, force: bool = False) -> None:
-    """Check that a log can be converted to a path, before it is read.
+def free_target(out: Path, *, force: bool = False) -> UnfinishedLog:
+    """Return where a log is converted to; check that it can be, before the log is read.
 
     Raises
     ------
@@ -37,7 +36,9 @@ def check_target(out: Path, *, force: bool = False) -> None:
         )
     if ending == ".parquet":
         need_pyarrow()
-    check_new_log(log_path(out), force=force, numbered=False)
+    target = UnfinishedLog(out, force=force)
+    target.check_free()
+    return target
 
 
 def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
@@ -54,12 +55,11 @@ def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
     Raises
     ------
     UsageError
-        As :func:`check_target`, or if an array is too large for MAT.
+        As :func:`free_target`, or if an array is too large for MAT.
     LogError
         If the log is damaged, or the file cannot be written.
     """
-    check_target(out, force=force)
-    target = UnfinishedLog(out, force=force, numbered=False)
+    target = free_target(out, force=force)
     try:
         with io.BufferedWriter(target.create(), _BUFFER_BYTES) as stream:
             _write(stream, choice, out.suffix.lower())

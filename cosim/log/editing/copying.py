@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from io import RawIOBase
-from pathlib import Path
 from typing import Any
 
 from cosim.errors import LogError
@@ -18,7 +17,6 @@ from cosim.log.editing.pieces import LogPieces
 from cosim.log.mcap_file.chunks import MessageBatch, separate_chunks
 from cosim.log.mcap_file.head import FileHead, attachment_group
 from cosim.log.mcap_file.live_file import LiveFile
-from cosim.log.mcap_file.paths import check_new_log, log_path
 from cosim.log.mcap_file.summary import RecordGroup
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.mcap_file.workers import Workers
@@ -45,12 +43,10 @@ class PartEnd:
 
 
 def write_log(
-    out: Path,
+    target: UnfinishedLog,
     pieces: LogPieces,
     batches: Iterable[list[MessageBatch]],
     end: Callable[[str], PartEnd],
-    *,
-    force: bool,
 ) -> Log:
     """Write a log, and return it.
 
@@ -58,21 +54,18 @@ def write_log(
 
     Parameters
     ----------
-    out : Path
+    target : UnfinishedLog
     pieces : LogPieces
     batches : iterable of list of MessageBatch
     end : callable
         Is called with the content hash when all messages are written.
-    force : bool
-        Replace an existing file.
 
     Raises
     ------
     LogError
         If a file exists there and is to stay, or it cannot be written.
     """
-    check_new_log(log_path(out), force=force, numbered=False)
-    target = UnfinishedLog(out, force=force, numbered=False)
+    target.check_free()
     try:
         file = _begun(target.create(), pieces)
         with closing(Workers()) as workers:
@@ -86,7 +79,7 @@ def write_log(
         target.publish()
         return Log(target.path, target.own)
     except OSError as error:
-        raise LogError(f"{out} cannot be written: {error.strerror or error}") from error
+        raise LogError(f"{target.path} cannot be written: {error.strerror or error}") from error
     finally:
         target.discard()
 

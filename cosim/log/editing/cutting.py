@@ -14,7 +14,7 @@ from cosim.log.contents.result import PARTIAL_STATUS, span_text
 from cosim.log.editing.batches import gathered
 from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.pieces import LogPieces, read_pieces
-from cosim.log.mcap_file.paths import check_not_read
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.reading.container import Container
 from cosim.log.reading.reader import Log, open_log
 
@@ -53,7 +53,8 @@ def cut(
         log.
     """
     first_ns, last_ns = span_ns(start, stop, names)
-    check_not_read(out, [path])
+    target = UnfinishedLog(out, force=force)
+    target.check_not_read([path])
     log = open_log(path)
     pieces = read_pieces(log.path)
     messages = _message_span(pieces, first_ns, last_ns)
@@ -69,7 +70,7 @@ def cut(
 
     blocks = Container(log.path).blocks(first_ns=messages[0], last_ns=last_ns)
     batches = gathered(blocks, pieces.dtypes, span.has)
-    return write_log(out, pieces, batches, end, force=force)
+    return write_log(target, pieces, batches, end)
 
 
 def _message_span(

@@ -19,7 +19,7 @@ from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.cutting import part_text
 from cosim.log.editing.pieces import LogPieces, read_pieces
 from cosim.log.mcap_file.chunks import MessageBatch
-from cosim.log.mcap_file.paths import check_not_read
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.reading.container import Container
 from cosim.log.reading.reader import Log, open_log
 
@@ -65,7 +65,8 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     """
     if len(paths) < 2:
         raise UsageError(f"expected at least two logs to merge, got {len(paths)}")
-    check_not_read(out, paths)
+    target = UnfinishedLog(out, force=force)
+    target.check_not_read(paths)
     spans = sorted((_span(path) for path in paths), key=lambda span: span.begin)
     for earlier, later in pairwise(spans):
         _check_same_run(earlier, later)
@@ -84,7 +85,7 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
             )
         return end
 
-    return write_log(out, known, _batches(spans), checked_end, force=force)
+    return write_log(target, known, _batches(spans), checked_end)
 
 
 def _span(path: Path) -> _RunPart:

@@ -20,7 +20,8 @@ from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.lost import RecoveredRows, is_beginning, missing_rows
 from cosim.log.editing.pieces import OF_THE_END, LogPieces
 from cosim.log.editing.salvage import Salvage, intact_blocks, salvage
-from cosim.log.mcap_file.paths import check_not_read, log_path
+from cosim.log.mcap_file.paths import log_path
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.reading.container import MALFORMED
 from cosim.log.reading.reader import Log
 
@@ -105,7 +106,8 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         ``out`` cannot be written, or is that file.
     """
     path = log_path(path)
-    check_not_read(out, [path])
+    target = UnfinishedLog(out, force=force)
+    target.check_not_read([path])
     found = salvage(path)
     declared = _pieces(path, found)
     pieces = _complete_components(declared)
@@ -120,7 +122,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         kept = {name: items for name, items in pieces.metadata.items() if name not in OF_THE_END}
         pieces = replace(pieces, metadata=kept)
     batches = gathered(intact_blocks(path, found), pieces.dtypes, selection.wanted)
-    log = write_log(out, pieces, batches, lambda _: end, force=force)
+    log = write_log(target, pieces, batches, lambda _: end)
     return RecoveredLog(log, rows, end_ns, end_is_known, has_all_messages)
 
 

@@ -72,7 +72,7 @@ def read_ros2idl(name: str, text: str) -> RosMessages:
         If it cannot be parsed.
     """
     reader = _IdlReader(_TITLES.sub("", text))
-    reader.definitions(())
+    reader.definitions()
     messages = {**TIME_FIELDS, **reader.messages}
     check_messages(short_name(name), messages)
     return messages
@@ -89,6 +89,7 @@ class _IdlReader:
             if match["skipped"] is None:
                 self._tokens.append(match[0])
         self._position = 0
+        self._scope: tuple[str, ...] = ()  # the modules around
 
     # --- tokens ---
 
@@ -127,28 +128,29 @@ class _IdlReader:
 
     # --- definitions ---
 
-    def definitions(self, scope: tuple[str, ...]) -> None:
+    def definitions(self) -> None:
         """Read definitions up to the end of a module, or of the text."""
-        if len(scope) > MOST_LEVELS:
+        if len(self._scope) > MOST_LEVELS:
             raise FieldProblem(f"its schema nests more than {MOST_LEVELS} modules")
         while True:
             self._skip_annotations()
-            if self._position == len(self._tokens) and not scope:
+            if self._position == len(self._tokens) and not self._scope:
                 return
             match self._next():
-                case "}" if scope:
+                case "}" if self._scope:
                     return
                 case "module":
-                    inner = (*scope, self._next())
+                    self._scope = (*self._scope, self._next())
                     self._expect("{")
-                    self.definitions(inner)
+                    self.definitions()
                     self._expect(";")
+                    self._scope = self._scope[:-1]
                 case "struct":
-                    self._struct(scope)
+                    self._struct()
                 case "typedef":
-                    self._typedef(scope)
+                    self._typedef()
                 case "enum":
-                    self._types[_full(scope, self._next())] = ("uint32", None)
+                    self._types[self._full(self._next())] = ("uint32", None)
                     self._skip_to(";")
                 case "const":
                     self._skip_to(";")
@@ -158,27 +160,27 @@ class _IdlReader:
                         f"got {other!r}"
                     )
 
-    def _struct(self, scope: tuple[str, ...]) -> None:
-        name = _full(scope, self._next())
+    def _struct(self) -> None:
+        name = self._full(self._next())
         self._expect("{")
         fields: list[RosField] = []
         while True:
             self._skip_annotations()
             if self._peek() == "}":
                 break
-            for field, (type_name, count) in self._declared(scope).items():
+            for field, (type_name, count) in self._declared().items():
                 fields.append(RosField(field, type_name, count))
         self._expect("}")
         self._expect(";")
         self.messages[name] = tuple(fields)
 
-    def _typedef(self, scope: tuple[str, ...]) -> None:
-        for name, declared in self._declared(scope).items():
-            self._types[_full(scope, name)] = declared
+    def _typedef(self) -> None:
+        for name, declared in self._declared().items():
+            self._types[self._full(name)] = declared
 
-    def _declared(self, scope: tuple[str, ...]) -> dict[str, IdlType]:
+    def _declared(self) -> dict[str, IdlType]:
         """Read a type and the names that have it, up to the semicolon."""
-        type_name, count = self._type(scope)
+        type_name, count = self._type()
         declared = {}
         while True:
             name = self._next()
@@ -201,12 +203,12 @@ class _IdlReader:
             raise FieldProblem(f"its schema: expected a number, got {token!r}")
         return int(token)
 
-    def _type(self, scope: tuple[str, ...]) -> IdlType:
+    def _type(self) -> IdlType:
         word = self._next()
         if word == "sequence":
             self._expect("<")
             is_nested = self._peek() == "sequence"
-            name, count = ("", VARIABLE) if is_nested else self._type(scope)
+            name, count = ("", VARIABLE) if is_nested else self._type()
             if count is not None:
                 raise FieldProblem("its schema has a sequence of arrays or sequences")
             if self._expect(",", ">") == ",":
@@ -223,14 +225,13 @@ class _IdlReader:
             return _NUMBERS[word], None
         if word in PRIMITIVES:
             return word, None
-        return self._named(word, scope)
+        return self._named(word)
 
-    def _named(self, word: str, scope: tuple[str, ...]) -> IdlType:
+    def _named(self, word: str) -> IdlType:
         parts = word.split("::")
-        name = short_name("/".join(parts)) if len(parts) > 1 else _full(scope, word)
+        name = short_name("/".join(parts)) if len(parts) > 1 else self._full(word)
         return self._types.get(name, (name, None))
 
-
-def _full(scope: tuple[str, ...], name: str) -> str:
-    """Return the name of what is defined in modules, as ``package/Name``."""
-    return short_name("/".join((*scope, name)))
+    def _full(self, name: str) -> str:
+        """Return the name of what is defined here, as ``package/Name``."""
+        return short_name("/".join((*self._scope, name)))

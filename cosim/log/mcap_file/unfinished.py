@@ -11,12 +11,15 @@ import io
 import os
 import secrets
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import final
 
 from cosim.errors import LogError, flag
+from cosim.files import check_folder
 from cosim.log.mcap_file.own_file import OwnFile
+from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import further_parts
 
 _HIDDEN_SUFFIX = ".part"
@@ -34,7 +37,7 @@ class UnfinishedLog:
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         Where it goes; missing folders are created.
     force : bool
         Replace an existing file.
@@ -49,14 +52,54 @@ class UnfinishedLog:
         The file, to be read whatever is at the path; None before it is created.
     """
 
-    def __init__(self, path: Path, *, force: bool, numbered: bool) -> None:
-        self.path = path
+    def __init__(self, path: Path | str, *, force: bool, numbered: bool = False) -> None:
+        self.path = log_path(path)
         self._force = force
         self._numbered = numbered
         self.published = False
         self.own: OwnFile | None = None
         self._hidden_path: Path | None = None
         self._stream: io.RawIOBase | None = None
+
+    def check_free(self) -> None:
+        """Check that a log can be written to its path.
+
+        Raises
+        ------
+        LogError
+            If a file exists there and is neither to be replaced nor kept beside the new one, or
+            both; the path is a folder, or its folder takes no files.
+        """
+        if self._force and self._numbered:
+            raise LogError(
+                "force and numbered exclude each other: an existing log is either replaced or kept "
+                "beside the new one"
+            )
+        path = self.path
+        if not self._numbered and path.is_dir():
+            raise LogError(f"{path} is a folder; name a file, such as {path / 'run.mcap'}")
+        if not self._numbered and not self._force and path.exists():
+            raise LogError(f"{path} exists; choose another path, or {flag('force')} to replace it")
+        try:
+            check_folder(path.parent)
+        except OSError as error:
+            reason = error.strerror or error
+            raise LogError(f"{path} cannot be created: {reason}") from error
+
+    def check_not_read(self, sources: Iterable[Path]) -> None:
+        """Check that it does not replace one of its inputs.
+
+        Raises
+        ------
+        LogError
+            If it does, also under another name.
+        """
+        for source in sources:
+            if os.path.realpath(self.path) == os.path.realpath(log_path(source)):
+                raise LogError(
+                    f"{source} is an input of the new log and cannot be replaced by it; choose "
+                    "another path"
+                )
 
     def create(self) -> io.RawIOBase:
         """Create the file beside its path, under the hidden name.

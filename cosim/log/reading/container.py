@@ -82,25 +82,25 @@ class Container:
         self.is_unfinished = False
         self.is_indexed = False
         try:
-            with self._stream() as stream:
-                self._index_steady(stream)
+            self._index_steady()
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{path} cannot be read: {reason}") from error
 
-    def _index_steady(self, stream: BinaryIO) -> None:
+    def _index_steady(self) -> None:
         """Find out where the pieces stand; again where a run has written to the file meanwhile."""
-        for attempt in range(_ATTEMPTS):
-            self._identity = _identity(stream)
-            try:
-                self._index(stream)
-            except LogError:
-                if attempt == _ATTEMPTS - 1 or _identity(stream) == self._identity:
-                    raise
-            else:
-                # A summary that is replaced while it is read looks as if there was none.
-                if self.is_indexed or _identity(stream) == self._identity:
-                    return
+        with self._stream() as stream:
+            for attempt in range(_ATTEMPTS):
+                self._identity = _identity(stream)
+                try:
+                    self._index(stream)
+                except LogError:
+                    if attempt == _ATTEMPTS - 1 or _identity(stream) == self._identity:
+                        raise
+                else:
+                    # A summary that is replaced while it is read looks as if there was none.
+                    if self.is_indexed or _identity(stream) == self._identity:
+                        return
 
     def _index(self, stream: BinaryIO) -> None:
         """Find out where the pieces of the file stand."""
@@ -360,7 +360,8 @@ class Container:
         if span.size > most:
             reason = f"a record of {span.size} bytes exceeds the limit of {most}"
             raise self.damage_error(span.start, reason)
-        return _read(stream, span)
+        stream.seek(span.start)
+        return stream.read(span.size)
 
     def _piece(
         self, stream: BufferedReader, span: RecordSpan, memory: _Memory
@@ -394,7 +395,7 @@ class Container:
         footer_start = self.contents.footer
         footer_span = RecordSpan(Opcode.FOOTER, footer_start, footer_start + FOOTER_SIZE)
         try:
-            footer = records.Footer.read(_content(_read(stream, footer_span)))
+            footer = records.Footer.read(_content(self._record(stream, footer_span)))
             start = footer.summary_start
             if not start:
                 return Summary()
@@ -461,11 +462,6 @@ def _identity(stream: BinaryIO) -> tuple[int, int, int]:
     """Return what changes when a file is replaced, its number, or when it is written to."""
     status = os.fstat(stream.fileno())
     return status.st_ino, status.st_size, status.st_mtime_ns
-
-
-def _read(stream: BinaryIO, span: RecordSpan) -> bytes:
-    stream.seek(span.start)
-    return stream.read(span.size)
 
 
 def _content(record: bytes) -> ReadDataStream:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -30,6 +30,31 @@ _MOST_KEPT = 2**24  # bytes of rows that are kept where one of their signals is 
 _MOST_OF_ALL = 2**26  # bytes of rows that are kept of all components together
 _AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of the one before
 _MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
+
+
+class _Window(NamedTuple):
+    """Rows in ``first_ns <= time <= last_ns`` [ns]; None: from the first on, up to the last."""
+
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        return self.first_ns is None and self.last_ns is None
+
+    def of(self, records: Records) -> Records:
+        """Return the records in it.
+
+        The parts of a component may have chunks of other lengths: here their rows are the same.
+        """
+        if self.first_ns is not None:
+            records = records[records["log_time"] >= max(self.first_ns, 0)]
+        if self.last_ns is not None:
+            records = records[records["log_time"] <= max(self.last_ns, 0)]
+        return records
+
+
+_WHOLE: Final = _Window()
 
 
 @final
@@ -113,14 +138,15 @@ class LogRows:
         Chunks without rows in ``first_ns <= time <= last_ns`` are not read. Of few rows all are
         read at once, and may be in any order in the file.
         """
+        window = _Window(first_ns, last_ns)
         if component in self._rows or component in self._kept:
             yield self.of(component)
         elif self._row_bytes(component) > self._most_whole:
-            yield from self._stream(component, first_ns=first_ns, last_ns=last_ns)
-        elif first_ns is None and last_ns is None:
+            yield from self._stream(component, window)
+        elif window.is_whole:
             yield self._read_ahead(component)
         else:
-            yield self._read_rows([component], first_ns=first_ns, last_ns=last_ns)[component]
+            yield self._read_rows([component], window)[component]
 
     def blocks_of(
         self, components: Sequence[str], first_ns: int | None, last_ns: int | None
@@ -129,14 +155,15 @@ class LogRows:
 
         Of few rows all are read at once, and may be in any order in the file.
         """
+        window = _Window(first_ns, last_ns)
         size = sum(self._row_bytes(name) for name in components)
         if size <= self._most_whole:
-            whole = self._read_rows(components, first_ns=first_ns, last_ns=last_ns)
+            whole = self._read_rows(components, window)
             for name, (time_ns, rows) in whole.items():
                 yield name, time_ns, rows
             return
         streams = self._streams(components)
-        yield from self._streamed(streams, first_ns=first_ns, last_ns=last_ns)
+        yield from self._streamed(streams, window)
         for name, stream in streams.items():
             if not stream.ordered:
                 raise self._unordered(name)
@@ -261,27 +288,19 @@ class LogRows:
                 elif record[0] == number:
                     yield record[1]
 
-    def _blocks_of(
-        self,
-        components: Iterable[str],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
-    ) -> Iterator[memoryview]:
+    def _blocks_of(self, components: Iterable[str], window: _Window) -> Iterator[memoryview]:
         """Yield the chunks that have rows of some components and time."""
         channel_ids: set[int] = set()
         for name in components:
             channel_ids |= self._parts_of[name].keys()
-        yield from self._file.blocks(channel_ids, first_ns=first_ns, last_ns=last_ns)
+        yield from self._file.blocks(channel_ids, first_ns=window.first_ns, last_ns=window.last_ns)
 
-    def _stream(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[TimedRows]:
+    def _stream(self, component: str, window: _Window) -> Iterator[TimedRows]:
         """Yield the rows of a component in one pass over the file."""
         streams = self._streams([component])
         width = self._channels[component].columns
         yield np.empty(0, np.int64), np.empty((0, width.stop - width.start))
-        for _, time_ns, rows in self._streamed(streams, first_ns=first_ns, last_ns=last_ns):
+        for _, time_ns, rows in self._streamed(streams, window):
             yield time_ns, rows
         if not streams[component].ordered:
             raise self._unordered(component)
@@ -297,17 +316,12 @@ class LogRows:
         return {name: RowStream(self._parts_of[name]) for name in components}
 
     def _streamed(
-        self,
-        streams: Mapping[str, RowStream],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
+        self, streams: Mapping[str, RowStream], window: _Window = _WHOLE
     ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
         """Yield the rows of components as they come, in a window of time."""
-        is_whole = first_ns is None and last_ns is None
         dtypes = self._dtypes
         try:
-            for block in self._blocks_of(streams, first_ns=first_ns, last_ns=last_ns):
+            for block in self._blocks_of(streams, window):
                 for record in scan(block, dtypes):
                     if isinstance(record, OtherRecord):
                         self._check_declared(record)
@@ -315,12 +329,12 @@ class LogRows:
                     number, records = record
                     name = self._parts[number].channel.name
                     if name in streams:
-                        records = _within(records, first_ns, last_ns)
+                        records = window.of(records)
                         for time_ns, rows in streams[name].append(number, records):
                             yield name, time_ns, rows
             for stream in streams.values():
                 stream.finish()
-                if is_whole:
+                if window.is_whole:
                     self._check_counts(stream.counts)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
@@ -364,18 +378,14 @@ class LogRows:
         return size
 
     def _read_rows(
-        self,
-        components: Sequence[str],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
+        self, components: Sequence[str], window: _Window = _WHOLE
     ) -> dict[str, TimedRows]:
         """Read the rows of some components, in a window of time, in one pass."""
         if not components:
             return {}
         try:
-            parts = self._read_part_rows(components, first_ns, last_ns)
-            if first_ns is None and last_ns is None:
+            parts = self._read_part_rows(components, window)
+            if window.is_whole:
                 self._check_counts({number: rows.count for number, rows in parts.items()})
             rows = {}
             for name in components:
@@ -388,26 +398,23 @@ class LogRows:
             raise LogError(f"{self.path}: not enough memory for the rows of {names}") from error
         return rows
 
-    def _read_part_rows(
-        self, components: Sequence[str], first_ns: int | None, last_ns: int | None
-    ) -> dict[int, SignalRows]:
+    def _read_part_rows(self, components: Sequence[str], window: _Window) -> dict[int, SignalRows]:
         """Read the rows of some components, in a window of time, by channel id."""
         dtypes = self._dtypes
         rows: dict[int, SignalRows] = {}
-        is_whole = first_ns is None and last_ns is None
-        has_counts = is_whole and self._file.summary.statistics is not None
+        has_counts = window.is_whole and self._file.summary.statistics is not None
         for name in components:
             for number, part in self._parts_of[name].items():
                 expected = self._file.expected_messages(number, dtypes[number].itemsize)
                 rows[number] = SignalRows(part, expected if has_counts else 0)
-        for block in self._blocks_of(components, first_ns=first_ns, last_ns=last_ns):
+        for block in self._blocks_of(components, window):
             for record in scan(block, dtypes):
                 if isinstance(record, OtherRecord):
                     self._check_declared(record)
                     continue
                 number, messages = record
                 if number in rows:
-                    rows[number].append(_within(messages, first_ns, last_ns))
+                    rows[number].append(window.of(messages))
         return rows
 
     def _check_declared(self, record: OtherRecord) -> None:
@@ -483,15 +490,3 @@ def _bytes_of(rows: TimedRows) -> int:
 
 def _size(columns: slice) -> int:
     return int(columns.stop - columns.start)
-
-
-def _within(records: Records, first_ns: int | None, last_ns: int | None) -> Records:
-    """Return the records in a window of time.
-
-    The parts of a component may have chunks of other lengths: here their rows are the same.
-    """
-    if first_ns is not None:
-        records = records[records["log_time"] >= max(first_ns, 0)]
-    if last_ns is not None:
-        records = records[records["log_time"] <= max(last_ns, 0)]
-    return records

@@ -164,7 +164,7 @@ class RotatingLog:
         """Close the file and begin the next one, under its path at once."""
         self._file.check()
         path = part_path(self._first.path, self._count + 1)
-        following = UnfinishedLog(path, force=False, numbered=False)
+        following = UnfinishedLog(path, force=False)
         try:
             stream = following.create()
             file = LiveFile(stream, self._head.data, self._head.summary(), sync=self._sync)

@@ -14,10 +14,11 @@ from cosim.log.contents.content import combine_hashes
 from cosim.log.contents.layout import Part, signals_json
 from cosim.log.contents.result import (
     LastRow,
-    last_part_group,
+    end_group,
     part_group,
-    result_group,
+    part_items,
     result_items,
+    with_whole,
 )
 from cosim.log.mcap_file.chunks import CHUNK_BYTES, one_chunk, separate_chunks
 from cosim.log.mcap_file.compression import Compression
@@ -138,22 +139,18 @@ class LogStore:
     def close(self, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the result and the end of the file."""
         self._keep_tail()
-        self._file.commit(self._end_group(end, values))
+        content_hash = self._content_hash(self._hashes[0])
+        whole = result_items(end, self.last_row, content_hash=content_hash)
+        own = whole
+        if self._number > 1:
+            own_hash = self._content_hash(self._hashes[-1])
+            own = part_items(self._number, self._first_ns, whole, own_hash)
+        group = end_group(own, values)
+        if self._number > 1:
+            group = with_whole(group, whole)
+        self._file.commit(group)
         self._file.close()
         self._workers.close()
-
-    def _end_group(self, end: EndOfRun, values: Mapping[str, Any]) -> RecordGroup:
-        """Return the records of the end of the run."""
-        content_hash = self._content_hash(self._hashes[0])
-        if self._number == 1:
-            return result_group(end, self.last_row, content_hash=content_hash, values=values)
-        return last_part_group(
-            self._number,
-            self._first_ns,
-            result_items(end, self.last_row, content_hash=content_hash),
-            content_hash=self._content_hash(self._hashes[-1]),
-            values=values,
-        )
 
     def _new_hashes(self) -> dict[str, hashlib._Hash]:
         return {channel.name: hashlib.sha256() for channel in self._plan.layout.channels}

@@ -32,7 +32,6 @@ from cosim.log.contents.preamble import (
 from cosim.log.mcap_file.compression import Compression
 from cosim.log.mcap_file.head import FileHead
 from cosim.log.mcap_file.live_file import LiveFile
-from cosim.log.mcap_file.paths import check_new_log, log_path
 from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.reading.reader import Log
@@ -113,7 +112,7 @@ class McapRecorder:
         self._flush = flush
         self._sync = sync
         self._rotation = rotation
-        self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
+        self._file = UnfinishedLog(path, force=force, numbered=numbered)
         self._writer: BackgroundWriter | None = None
         self._early: list[tuple[str, int, bytes]] = []  # messages before the file
 
@@ -145,7 +144,7 @@ class McapRecorder:
         LogError
             If the file exists and is to stay, the path is a folder, or its folder takes no files.
         """
-        check_new_log(self.path, force=self._force, numbered=self._numbered)
+        self._file.check_free()
         if not self._numbered:
             check_no_parts(self.path, force=self._force)
         return self

@@ -462,15 +462,33 @@ class GaussNewtonResult:
     iterations: int
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SearchLimits:
+    """What bounds a search for theta.
+
+    Parameters
+    ----------
+    lower, upper : Vector, shape (P,)
+        Bounds; where they are equal theta is known.
+    scale : Vector, shape (P,)
+        Longest steps.
+    threshold : Vector, shape (components,)
+        Statistic, in variances of the residual, from which on a component is no noise.
+    accuracy : float
+        Of a weighted residual: smaller ones are rounding.
+    """
+
+    lower: Vector
+    upper: Vector
+    scale: Vector
+    threshold: Vector
+    accuracy: float
+
+
 def minimize(
     records: Sequence[ResponseRecord],
     theta: Vector,
-    *,
-    lower: Vector,
-    upper: Vector,
-    scale: Vector,
-    threshold: Vector,
-    accuracy: float,
+    limits: SearchLimits,
     iterations: int | None = None,
 ) -> GaussNewtonResult:
     """Minimize the weighted squares of the residuals of all records over theta.
@@ -481,14 +499,7 @@ def minimize(
         Of the same disturbance; afterwards their ``amplitudes`` are those of the minimum.
     theta : Vector, shape (P,)
         Where to start.
-    lower, upper : Vector, shape (P,)
-        Bounds; where they are equal theta is known.
-    scale : Vector, shape (P,)
-        Longest steps.
-    threshold : Vector, shape (components,)
-        Statistic, in variances of the residual, from which on a component is no noise.
-    accuracy : float
-        Of a weighted residual: smaller ones are rounding.
+    limits : SearchLimits
     iterations : int, optional
         At most; by default, and never more than, ``MOST_ITERATIONS``.
     """
@@ -497,7 +508,8 @@ def minimize(
     components = len(generators.size)
     structs = (ExperimentStruct * len(records))(*(one.struct for one in records))
     count = int32(generators.count)
-    inputs = [np.array(values, np.float64) for values in (lower, upper, scale, threshold)]
+    bounds = (limits.lower, limits.upper, limits.scale, limits.threshold)
+    inputs = [np.array(values, np.float64) for values in bounds]
     at = np.array(theta, np.float64)
     estimate = np.array(theta, np.float64)
     covariance = np.zeros((P, P))
@@ -513,7 +525,7 @@ def minimize(
         ctypes.addressof(structs),
         pointer(count),
         *map(pointer, inputs),
-        accuracy,
+        limits.accuracy,
         1.0,
         np.inf,
         *map(pointer, outputs),

@@ -91,7 +91,7 @@ def guarded_step(step: NativeStep, called: int | None) -> tuple[NativeStep, Guar
         memory=step.memory,
         keep=(step,),
         outputs=address("cosim_guarded_outputs") if step.outputs else 0,
-        rollback=rollback,
+        own_rollback=rollback,
         left_outputs=step.left_outputs,
     )
     return guarded, struct

@@ -214,7 +214,7 @@ def compile_expression(text: str) -> Program:
         If the text is no expression of the language; with the place, what was found and what is
         possible instead.
     """
-    return _compiled(_IN_TIME, text, text)
+    return _Written(_IN_TIME, text, text.strip()).program()
 
 
 def compile_over_signals(text: str) -> Program:
@@ -225,7 +225,7 @@ def compile_over_signals(text: str) -> Program:
     UsageError
         If the text is no expression of the language; as from :func:`compile_expression`.
     """
-    return _compiled(_OVER_SIGNALS, text, text)
+    return _Written(_OVER_SIGNALS, text, text.strip()).program()
 
 
 def compile_condition(text: str) -> ConditionProgram:
@@ -243,7 +243,7 @@ def compile_condition(text: str) -> ConditionProgram:
     if last is not None and _NOT_IN_DURATION.isdisjoint(text[last.end() :]):
         condition = text[: last.start()]
         duration_ns = read_duration(f"condition {quoted(text)}", text[last.end() :])
-    program = _compiled(_CONDITION, text, condition)
+    program = _Written(_CONDITION, text, condition.strip()).program()
     return ConditionProgram(text, program, duration_ns)
 
 
@@ -257,13 +257,14 @@ def compile_part(tree: ast.expr, source: str) -> Program:
         The whole text, as it was parsed.
     """
     part = ast.get_source_segment(source, tree) or ""
-    return _emitted(_OVER_SIGNALS, tree, part, source)
+    return _Written(_OVER_SIGNALS, part, source).program_of(tree)
 
 
 def compile_condition_part(tree: ast.expr, source: str, duration_ns: int) -> ConditionProgram:
     """Compile a condition that is a part of a text, as :func:`compile_part`."""
     part = ast.get_source_segment(source, tree) or ""
-    return ConditionProgram(part, _emitted(_CONDITION, tree, part, source), duration_ns)
+    program = _Written(_CONDITION, part, source).program_of(tree)
+    return ConditionProgram(part, program, duration_ns)
 
 
 def compile_arithmetic(tree: ast.expr, source: str) -> Program:
@@ -274,7 +275,7 @@ def compile_arithmetic(tree: ast.expr, source: str) -> Program:
     UsageError
         If there is anything else in it than arithmetic.
     """
-    return _emitted(_METRIC, tree, source, source)
+    return _Written(_METRIC, source, source).program_of(tree)
 
 
 def is_condition(tree: ast.expr) -> bool:
@@ -326,38 +327,71 @@ def read_duration(start: str, duration: str) -> int:
     return int(ns)
 
 
-def _compiled(form: _Form, text: str, source: str) -> Program:
-    """Compile the part of a text that is an expression, or a condition at an instant."""
-    tree = _parse(form, text, source)
-    return _emitted(form, tree, text, source.strip())
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """A text of a form.
 
+    Parameters
+    ----------
+    form : _Form
+    text : str
+        As messages name it.
+    source : str
+        The part of it that is parsed.
+    """
 
-def _emitted(form: _Form, tree: ast.expr, text: str, source: str) -> Program:
-    """Compile a syntax tree; ``text`` is what messages name, ``source`` what was parsed."""
-    compiler = _Compiler(form, text, source)
-    start = _start(form, text)
-    try:
-        depth = compiler.emit_condition(tree) if form.is_condition else compiler.emit(tree)
-    except RecursionError as error:
-        raise nested_too_deep(start) from error
-    if depth > _STACK:
-        raise UsageError(f"{start}: expected at most {_STACK} levels of nesting, got {depth}")
-    code = np.array(compiler.code, np.int32)
-    constants = np.array(
-        compiler.constants or [0.0], np.float64
-    )  # never empty: C takes its address
-    return Program(text, code, constants, tuple(compiler.signals))
+    form: _Form
+    text: str
+    source: str
+
+    @property
+    def start(self) -> str:
+        """The start of a message about it."""
+        _, name = self.form.name.split()
+        return f"{name} {quoted(self.text)}"
+
+    def tree(self) -> ast.expr:
+        """Return its syntax tree."""
+        if len(self.text) > MOST_TEXT:
+            raise UsageError(
+                f"{self.start}: expected at most {MOST_TEXT} characters, got {len(self.text)}"
+            )
+        try:
+            with ignored_warnings():  # of "1or 2" and the like, which the compiler refuses
+                return ast.parse(self.source.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            column = error.offset if isinstance(error, SyntaxError) else None
+            place = f" at column {column}" if column else ""
+            raise UsageError(
+                f"{self.start}: not {self.form.name}{place}; expected something like "
+                f"{self.form.example}"
+            ) from error
+
+    def program(self) -> Program:
+        """Compile it."""
+        return self.program_of(self.tree())
+
+    def program_of(self, tree: ast.expr) -> Program:
+        """Compile its syntax tree, or a part of that."""
+        compiler = _Compiler(self)
+        try:
+            depth = compiler.emit_condition(tree) if self.form.is_condition else compiler.emit(tree)
+        except RecursionError as error:
+            raise nested_too_deep(self.start) from error
+        if depth > _STACK:
+            raise UsageError(
+                f"{self.start}: expected at most {_STACK} levels of nesting, got {depth}"
+            )
+        code = np.array(compiler.code, np.int32)
+        constants = np.array(
+            compiler.constants or [0.0], np.float64
+        )  # never empty: C takes its address
+        return Program(self.text, code, constants, tuple(compiler.signals))
 
 
 def nested_too_deep(start: str) -> UsageError:
     """Return the error of a text that Python cannot follow into its depth."""
     return UsageError(f"{start}: nested too deeply; use fewer terms")
-
-
-def _start(form: _Form, text: str) -> str:
-    """Return the start of a message about a text."""
-    _, name = form.name.split()
-    return f"{name} {quoted(text)}"
 
 
 def parse(text: str) -> ast.expr:
@@ -368,7 +402,7 @@ def parse(text: str) -> ast.expr:
     UsageError
         If it does not, or is too long.
     """
-    return _parse(_IN_TIME, text, text)
+    return _Written(_IN_TIME, text, text).tree()
 
 
 def parse_metric(text: str, source: str) -> ast.expr:
@@ -386,23 +420,7 @@ def parse_metric(text: str, source: str) -> ast.expr:
     UsageError
         If it does not look like one, or is too long.
     """
-    return _parse(_METRIC, text, source)
-
-
-def _parse(form: _Form, text: str, source: str) -> ast.expr:
-    """Return the syntax tree of the part of a text that should have a form."""
-    start = _start(form, text)
-    if len(text) > MOST_TEXT:
-        raise UsageError(f"{start}: expected at most {MOST_TEXT} characters, got {len(text)}")
-    try:
-        with ignored_warnings():  # of "1or 2" and the like, which the compiler refuses
-            return ast.parse(source.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        column = error.offset if isinstance(error, SyntaxError) else None
-        place = f" at column {column}" if column else ""
-        raise UsageError(
-            f"{start}: not {form.name}{place}; expected something like {form.example}"
-        ) from error
+    return _Written(_METRIC, text, source).tree()
 
 
 class _Compiler:
@@ -410,15 +428,12 @@ class _Compiler:
 
     Parameters
     ----------
-    form : _Form
-    text, source : str
-        As it was written, and the part of it that is compiled.
+    written : _Written
     """
 
-    def __init__(self, form: _Form, text: str, source: str) -> None:
-        self._form = form
-        self._text = text
-        self._written = source
+    def __init__(self, written: _Written) -> None:
+        self._written = written
+        self._form = written.form
         self.code: list[int] = []
         self.constants: list[float] = []
         self.signals: dict[str, int] = {}  # number of each
@@ -484,7 +499,7 @@ class _Compiler:
         return 1
 
     def _source(self, node: ast.expr) -> str:
-        return ast.get_source_segment(self._written, node) or ""
+        return ast.get_source_segment(self._written.source, node) or ""
 
     def _literal(self, value: object) -> int:
         if value is ...:
@@ -534,7 +549,7 @@ class _Compiler:
         return max(depths)
 
     def _refusal(self, problem: str, way_out: str) -> UsageError:
-        return UsageError(f"{_start(self._form, self._text)}: {problem}; {way_out}")
+        return UsageError(f"{self._written.start}: {problem}; {way_out}")
 
 
 def _is_written(node: ast.expr) -> bool:

@@ -228,7 +228,7 @@ def linear_step(
         state,
         n_y=n_y,
         memory=memory,
-        keep=keep,
+        keep=tuple(keep),
         outputs=outputs,
         memory_is_state=True,
     )

@@ -18,7 +18,7 @@ from cosim.scenario.assumptions.beginning import Beginning
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.known_truth import covariance_of, noise_of
-from cosim.scenario.kinds.compensators import CompensatorKind
+from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import (
@@ -86,7 +86,9 @@ class CompensatorCheck:
 
     @cached_property
     def _compensator(self) -> Compensator:
-        return self.kind.compensator(self.name, self.builder.context, self._gains)
+        context = self.builder.context
+        observed = observer_in_loop(self.name, context)
+        return self.kind.compensator(observed, context, self._gains)
 
     def _feedback(self) -> Evidence:
         plant, K = self._plant_and_gain

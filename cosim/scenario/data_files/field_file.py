@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from itertools import chain, groupby, pairwise
 from pathlib import Path
-from typing import Final, Literal, TypeAlias, get_args
+from typing import Final
 
 import numpy as np
 
@@ -38,11 +38,8 @@ from cosim.scenario.data_files.recorded_fields import (
     recorded_data,
     without_codes,
 )
-from cosim.scenario.data_files.table import DataTable, TableForm
+from cosim.scenario.data_files.table import DataTable, FieldForm, SameTime, TableForm, TimeOffset
 from cosim.scenario.data_files.tables import read_table
-
-TimeOffset: TypeAlias = float | Literal["first"]
-SameTime: TypeAlias = Literal["last", "spread"]
 
 SPREAD: Final = "spread"
 
@@ -115,58 +112,39 @@ def read_field_data(
     """
     if isinstance(missing, str):  # a sequence too, of letters
         raise UsageError(f"missing: expected a list of numbers and texts, got {missing!r}")
-    data = field_data(
-        path,
+    form = FieldForm(
         time=time,
         time_unit=time_unit,
         offset=offset,
-        columns=columns,
         same_time=same_time,
-        form=TableForm(separator, decimal, skip, comment, tuple(missing), sheet),
+        columns=columns,
+        table=TableForm(separator, decimal, skip, comment, tuple(missing), sheet),
     )
+    data = field_data(path, form)
     warn(data.diagnostics)
     return data
 
 
 def field_data(
-    path: str | Path,
-    *,
-    time: str | None = None,
-    time_unit: str | None = None,
-    offset: TimeOffset | None = None,
-    columns: Mapping[str, str | Sequence[str]] | None = None,
-    same_time: SameTime | None = None,
-    form: TableForm | None = None,
-    unread: dict[str, str] | None = None,
+    path: str | Path, form: FieldForm | None = None, *, unread: dict[str, str] | None = None
 ) -> FieldData:
     """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics.
 
     ``unread`` takes the signals that cannot be read, and why, where that shall be no error.
     """
     path = expanded(path)
-    form = form or TableForm()
-    is_instant = isinstance(offset, int | float) and not isinstance(offset, bool)
-    if offset is not None and offset != "first" and not (is_instant and math.isfinite(offset)):
-        raise UsageError(f'offset: expected a finite number or "first", got {offset!r}')
-    if same_time not in (None, *get_args(SameTime)):
-        raise UsageError(f'same_time: expected "last" or "spread", got {same_time!r}')
+    form = form or FieldForm()
     if path.suffix.lower() == MCAP:
-        fields = listed_columns(columns or {})
-        check_asked(path, fields, same_time)
-        samples = read_samples(
-            path, chain.from_iterable(fields.values()), time=time, time_unit=time_unit
-        )
-        return recorded_data(
-            path, fields, samples, offset=offset, time_unit=time_unit, missing=form.missing
-        )
-    table = read_table(path, form)
+        fields = listed_columns(form.columns or {})
+        check_asked(path, fields, form.same_time)
+        samples = read_samples(path, chain.from_iterable(fields.values()), form)
+        return recorded_data(path, fields, samples, form)
+    table = read_table(path, form.table)
     named = [header for header in table.headers if header.text]
-    clock, reason, notes = _clock(table, named, time, time_unit or "s")
-    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time", time)
-    chosen = _signals(table.label, named, clock, columns)
-    stamps = _Stamps(
-        table, clock, offset=offset, time_unit=time_unit, same_time=same_time or table.same_time
-    )
+    clock, reason, notes = _clock(table, named, form)
+    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time", form.time)
+    chosen = _signals(table.label, named, clock, form.columns)
+    stamps = _Stamps(table, clock, form)
     signals = []
     for name, parts in chosen.items():
         try:
@@ -176,7 +154,7 @@ def field_data(
                 raise
             unread[name] = str(error).removeprefix(f"{table.label}, ")
             continue
-        stacked = without_codes(np.stack(columns_of, axis=1)[stamps.rows], form.missing)
+        stacked = without_codes(np.stack(columns_of, axis=1)[stamps.rows], form.table.missing)
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, stacked, tuple(part.text for part in parts)))
     return FieldData(
@@ -209,7 +187,7 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
 
 
 def _clock(
-    table: DataTable, named: Sequence[Header], time: str | None, unit: str
+    table: DataTable, named: Sequence[Header], form: FieldForm
 ) -> tuple[Header, str, tuple[str, ...]]:
     """Return the column of the times, why it is that, and what is to be known of it.
 
@@ -218,8 +196,8 @@ def _clock(
     UsageError
         If several may be it.
     """
-    if time is not None:
-        (clock,) = find_headers(table.label, named, [time])
+    if form.time is not None:
+        (clock,) = find_headers(table.label, named, [form.time])
         return clock, "", ()
     unnamed = [
         header for header in table.headers if not header.text and header.position in table.index
@@ -242,6 +220,7 @@ def _clock(
     clock = [*unnamed, *index, *named][0]
     where = "the index that pandas wrote" if clock.position in table.index else "the first column"
     name = f", {clock.name!r}" if clock.name else ""
+    unit = form.time_unit or "s"
     note = (
         f"{table.label}: the times are those of {where}{name}, in {unit}, as no column says that "
         "it has times, by a name such as t or time, a unit of time or dates; time selects another"
@@ -297,17 +276,11 @@ class _Stamps:
     offset by which t = 0 is behind it.
     """
 
-    def __init__(
-        self,
-        table: DataTable,
-        clock: Header,
-        *,
-        offset: TimeOffset | None,
-        time_unit: str | None,
-        same_time: str | None,
-    ) -> None:
+    def __init__(self, table: DataTable, clock: Header, form: FieldForm) -> None:
+        offset = form.offset
+        same_time = form.same_time or table.same_time
         stamps = table.times(clock.position)
-        second = _second(table, clock, time_unit)
+        second = _second(table, clock, form.time_unit)
         if not stamps:
             raise UsageError(f"{table.label}: expected rows of numbers, got none")
         infinite = next((row for row, stamp in enumerate(stamps) if not stamp.is_finite()), None)
@@ -341,7 +314,8 @@ class _Stamps:
         reason = "the default"
         if own is not None:
             reason = "of dates or durations" if clock.position in table.stamps else "of the column"
-        table.tell("time unit", time_unit or own or "s", reason, "time_unit", time_unit)
+        unit = form.time_unit
+        table.tell("time unit", unit or own or "s", reason, "time_unit", unit)
         origin = "the first time stamp" if offset == "first" else str(offset or 0)
         table.tell("t = 0", origin, 'the default, or "first"', "offset", offset)
         if repeated:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from cosim.blocks.field_data import FieldData, FieldSignal
 from cosim.errors import UsageError, option
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.headers import is_number, seconds_in
+from cosim.scenario.data_files.table import FieldForm
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
@@ -34,10 +35,8 @@ LONG_GAP: Final = 2  # median distances that are worth a word
 SamplesByField: TypeAlias = "Mapping[str, FieldSamples]"
 
 
-def read_samples(
-    path: Path, fields: Iterable[str], *, time: str | None, time_unit: str | None
-) -> SamplesByField:
-    """Read fields of the messages in an MCAP file, in one pass; parameters as of a component.
+def read_samples(path: Path, fields: Iterable[str], form: FieldForm) -> SamplesByField:
+    """Read fields of the messages in an MCAP file, in one pass.
 
     Raises
     ------
@@ -46,9 +45,9 @@ def read_samples(
     """
     from cosim.log.foreign.samples import LOG_TIME, read_fields  # rarely needed
 
-    unit = _unit_ns(f"file {str(path)!r}", time_unit)
+    unit = _unit_ns(f"file {str(path)!r}", form.time_unit)
     names = list(dict.fromkeys(fields))
-    found = read_fields(path, names, time=time or LOG_TIME, time_unit_ns=unit)
+    found = read_fields(path, names, time=form.time or LOG_TIME, time_unit_ns=unit)
     return dict(zip(names, found, strict=True))
 
 
@@ -77,10 +76,7 @@ def recorded_data(
     path: Path,
     columns: Mapping[str, Sequence[str]],
     samples: SamplesByField,
-    *,
-    offset: float | Literal["first"] | None,
-    time_unit: str | None,
-    missing: Sequence[float | str] = (),
+    form: FieldForm,
 ) -> FieldData:
     """Return fields of messages as signals.
 
@@ -91,12 +87,8 @@ def recorded_data(
         Which are its elements, one behind the other.
     samples : mapping of field to FieldSamples
         At least of these; with ``"first"`` all of them have a sample at t = 0.
-    offset : float, "first" or None
-        The time that is t = 0, in ``time_unit``; None: "first".
-    time_unit : str or None
-        None: s.
-    missing : sequence of numbers and texts
-        Numbers that stand for no measured value.
+    form : FieldForm
+        Its offset is in its unit of time; None: "first".
 
     Raises
     ------
@@ -104,10 +96,10 @@ def recorded_data(
         If the times are too far from the offset, or there are too many of them.
     """
     label = f"file {str(path)!r}"
-    if offset is None or offset == "first":
+    if form.offset is None or form.offset == "first":
         offset_ns = max(_first_measured(found) for found in samples.values())
     else:
-        offset_ns = round(Decimal(repr(offset)) * _unit_ns(label, time_unit))
+        offset_ns = round(Decimal(repr(form.offset)) * _unit_ns(label, form.time_unit))
     used: list[FieldSamples] = []
     for fields in columns.values():
         used += [samples[name] for name in fields]
@@ -122,7 +114,7 @@ def recorded_data(
     signals = []
     for name, fields in columns.items():
         parts = [_spread(samples[field], time_ns) for field in fields]
-        values = without_codes(np.hstack(parts), missing)
+        values = without_codes(np.hstack(parts), form.table.missing)
         signals.append(FieldSignal(name, None, values, tuple(fields)))
     spacings = {found.topic: found.spacing for found in used}
     notes = [_note(label, topic, spacing, offset_ns) for topic, spacing in spacings.items()]
@@ -142,7 +134,7 @@ def recorded_data(
         offset_ns,
         tuple(discrete),
         end=(end_ns - offset_ns) / NANOSECONDS,
-        restart=(float(t[gap]), offset_text(after_gap / _unit_ns(label, time_unit))),
+        restart=(float(t[gap]), offset_text(after_gap / _unit_ns(label, form.time_unit))),
     )
 
 

@@ -6,12 +6,13 @@ another may be able to read what that other is not.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from cosim.instants import EXACT
 from cosim.scenario.data_files.headers import NO_UNIT, Header, find_headers
 
 LARGEST: Final = 2**28  # bytes
+
+TimeOffset: TypeAlias = float | Literal["first"]
+SameTime: TypeAlias = Literal["last", "spread"]
 
 
 class Reading(NamedTuple):
@@ -63,6 +67,33 @@ class TableForm:
     def missing_texts(self) -> frozenset[str]:
         """The cells that are no measured values."""
         return frozenset(code for code in self.missing if isinstance(code, str))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldForm:
+    """What is given of field data; see :func:`cosim.read_field_data`.
+
+    Raises
+    ------
+    UsageError
+        If ``offset`` or ``same_time`` is none.
+    """
+
+    time: str | None = None
+    time_unit: str | None = None
+    offset: TimeOffset | None = None
+    same_time: SameTime | None = None
+    columns: Mapping[str, str | Sequence[str]] | None = None
+    table: TableForm = TableForm()
+
+    def __post_init__(self) -> None:
+        """Check what is no key of a table."""
+        offset = self.offset
+        is_instant = isinstance(offset, int | float) and not isinstance(offset, bool)
+        if offset is not None and offset != "first" and not (is_instant and math.isfinite(offset)):
+            raise UsageError(f'offset: expected a finite number or "first", got {offset!r}')
+        if self.same_time not in (None, *get_args(SameTime)):
+            raise UsageError(f'same_time: expected "last" or "spread", got {self.same_time!r}')
 
 
 class DataTable:

@@ -381,24 +381,25 @@ class TextTable(DataTable):
     def times(self, position: int) -> list[Decimal]:
         """Return numbers, or the nanoseconds of dates and durations."""
         stamps: list[Decimal] = []
+        column = self._column(position)
         for row, cell in enumerate(self._stripped(position)):
             stamp = nanoseconds(cell) if position in self.stamps else None
             if stamp is None:
                 if _LIKE_A_DATE.fullmatch(cell):
                     raise UsageError(
-                        f"{self._cell(row, position)}: expected a date of the calendar in ISO 8601 "
+                        f"{self._cell(row, column)}: expected a date of the calendar in ISO 8601 "
                         f"(YYYY-MM-DDThh:mm:ss), got {cell!r}; convert the column, such as by "
                         "pandas.to_datetime"
                     )
                 if position in self.stamps and cell not in self._gaps:
                     raise UsageError(
-                        f"{self._cell(row, position)}: expected a date or duration as in the rows "
+                        f"{self._cell(row, column)}: expected a date or duration as in the rows "
                         "before, got other text"
                     )
-                number = self._number(row, position, cell)
+                number = self._number(row, column, cell)
                 if number == "nan":
                     raise UsageError(
-                        f"{self._cell(row, position)}: expected a time, got an empty cell"
+                        f"{self._cell(row, column)}: expected a time, got an empty cell"
                     )
                 stamp = Decimal(number)
             stamps.append(stamp)
@@ -407,13 +408,14 @@ class TextTable(DataTable):
     def values(self, position: int) -> Vector:
         """Return the numbers of a column; NaN in empty cells."""
         cells = enumerate(self._stripped(position))
-        numbers = [self._number(row, position, cell) for row, cell in cells]
+        column = self._column(position)
+        numbers = [self._number(row, column, cell) for row, cell in cells]
         values = np.array(list(map(float, numbers)))
-        self._refuse_infinite(values, self._column(position))
-        self._refuse_rounded(values, numbers, self._column(position))
+        self._refuse_infinite(values, column)
+        self._refuse_rounded(values, numbers, column)
         return values
 
-    def _number(self, row: int, position: int, cell: str) -> str:
+    def _number(self, row: int, column: str, cell: str) -> str:
         """Return a number as Python writes it; "nan": nothing was measured."""
         if cell in self._gaps:
             return "nan"
@@ -431,14 +433,14 @@ class TextTable(DataTable):
             if _THOUSANDS.fullmatch(cell):
                 way_out += ", unless commas separate thousands"
         raise UsageError(
-            f"{self._cell(row, position)}: expected a number or an empty cell, got text{way_out}"
+            f"{self._cell(row, column)}: expected a number or an empty cell, got text{way_out}"
         )
 
     def _column(self, position: int) -> str:
         return f"{position + 1} ({self.headers[position].text!r})"
 
-    def _cell(self, row: int, position: int) -> str:
-        return f"{self.label}, {self.place(row)}, column {self._column(position)}"
+    def _cell(self, row: int, column: str) -> str:
+        return f"{self.label}, {self.place(row)}, column {column}"
 
 
 def is_unit(text: str) -> bool:

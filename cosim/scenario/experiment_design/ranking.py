@@ -91,12 +91,13 @@ def design(
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(set=mapping_argument("set", set))
     subject = subject_of(edited, noise=noise, theta=theta)
-    ranking = _Ranking(subject, trial_of(subject, {}))
+    trial = trial_of(subject, {})
     if longest is None:
-        longest = max(_LONGEST * ranking.trial.span, *subject.regressor_kind.delays)
-    if not ranking.trial.step <= longest < math.inf:
+        longest = max(_LONGEST * trial.span, *subject.regressor_kind.delays)
+    ranking = _Ranking(subject, trial, longest)
+    if not trial.step <= longest < math.inf:
         raise UsageError(f"longest: expected at least one communication step, got {longest:g} s")
-    return ranking.all_of(longest, with_input=input)
+    return ranking.all_of(with_input=input)
 
 
 @dataclass(eq=False)
@@ -108,10 +109,13 @@ class _Ranking:
     subject : DesignSubject
     trial : Trial
         The scenario as it is.
+    longest : float
+        The longest delay to try [s].
     """
 
     subject: DesignSubject
     trial: Trial
+    longest: float
     bound: Vector = field(init=False)
     predictions: dict[_Variant, PredictedEstimate | str] = field(default_factory=dict, init=False)
     omissions: dict[_Omission, list[Mapping[str, Any]]] = field(default_factory=dict, init=False)
@@ -131,19 +135,19 @@ class _Ranking:
                 "disturbance has no amplitude, or the run is too short"
             )
 
-    def all_of(self, longest: float, *, with_input: bool) -> ExperimentDesign:
+    def all_of(self, *, with_input: bool) -> ExperimentDesign:
         """Return the designs of every choice."""
         trial = self.trial
         filters = self._filters()
         designs = self._output_error("scenario", trial, (math.inf,))
         designs += self._of_methods("scenario", trial.regression, trial.steps, {})
         for method in REGRESSION_METHODS:
-            designs += self._delays(method, longest)
+            designs += self._delays(method)
         designs += _best_first(self._as_they_are("filter", filters))
         designs += _best_first(self._steps())
         designs += self._output_error("window", trial, _WINDOWS)
         for method in REGRESSION_METHODS:
-            designs += self._together(method, filters, longest)
+            designs += self._together(method, filters)
         if with_input:
             designs += _best_first(self._inputs())
         covariance = trial.covariance
@@ -161,8 +165,8 @@ class _Ranking:
 
     # --- choices ---
 
-    def _delays(self, method: RegressionMethod, longest: float) -> list[RankedDesign]:
-        steps = self._best_delays(self.trial, method, longest, [self.trial.steps])
+    def _delays(self, method: RegressionMethod) -> list[RankedDesign]:
+        steps = self._best_delays(self.trial, method, [self.trial.steps])
         if steps is None:
             return []
         return self._ranked("delays", self.trial.regression, steps, method, {})
@@ -229,12 +233,10 @@ class _Ranking:
                 designs += self._of_methods("step", trial.regression, trial.steps, edits)
         return designs
 
-    def _together(
-        self, method: RegressionMethod, filters: Iterable[Trial], longest: float
-    ) -> list[RankedDesign]:
+    def _together(self, method: RegressionMethod, filters: Iterable[Trial]) -> list[RankedDesign]:
         """Choose a filter, delays for it, and a filter for these."""
         known = [self.trial.steps]
-        for design in self._delays(method, longest):
+        for design in self._delays(method):
             delays = design.settings[f"{self.subject.regressor}.delays"]
             known.append(tuple(round(delay / self.trial.step) for delay in delays))
         variants = [self.trial, *filters]
@@ -244,7 +246,7 @@ class _Ranking:
             return self._error_of(trial.regression, steps, method)
 
         best, _ = min(product(variants, known), key=error)
-        other = self._best_delays(best, method, longest, known)
+        other = self._best_delays(best, method, known)
         if other is not None:
             known.append(other)
         best, steps = min(product(variants, known), key=error)
@@ -317,7 +319,15 @@ class _Ranking:
         reason = predicted if isinstance(predicted, str) else _UNDETERMINED
         if isinstance(predicted, str):
             predicted = _no_estimate(len(self.bound))
-        designed = self._design(choice, settings, method, predicted)
+        designed = RankedDesign(
+            choice=choice,
+            settings=settings,
+            method=method,
+            bias=predicted.bias,
+            standard_error=predicted.standard_error,
+            error=predicted.error,
+            ratio=self._ratio(predicted),
+        )
         if math.isfinite(designed.ratio):
             return [designed]
         self._omit(choice, settings, reason, method)
@@ -335,23 +345,6 @@ class _Ranking:
         delays = [round(count * regression.step, 9) for count in steps]
         chosen = {**settings, f"{self.subject.regressor}.delays": delays}
         return self._designed(choice, chosen, method, predicted)
-
-    def _design(
-        self,
-        choice: str,
-        settings: Mapping[str, Any],
-        method: str,
-        predicted: PredictedEstimate,
-    ) -> RankedDesign:
-        return RankedDesign(
-            choice=choice,
-            settings=settings,
-            method=method,
-            bias=predicted.bias,
-            standard_error=predicted.standard_error,
-            error=predicted.error,
-            ratio=self._ratio(predicted),
-        )
 
     def _output_error(
         self, choice: str, trial: Trial, windows: Iterable[float]
@@ -403,14 +396,13 @@ class _Ranking:
         self,
         trial: Trial,
         method: RegressionMethod,
-        longest: float,
         starts: Sequence[tuple[int, ...]],
     ) -> tuple[int, ...] | None:
         try:
             search = search_delays(
                 lambda steps: self._error_of(trial.regression, steps, method),
                 count=trial.regression.delays_needed,
-                longest=math.floor(longest / trial.step + 1e-9),
+                longest=math.floor(self.longest / trial.step + 1e-9),
                 starts=starts,
             )
         except AssumptionError as error:

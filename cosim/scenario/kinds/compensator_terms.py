@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cosim.core.clock import Clock
 from cosim.core.port import ElementIndex, Port
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
@@ -79,7 +80,7 @@ def _identified_terms(identifier: str, context: BuildContext) -> list[ClassTerm]
     return class_terms(regression.families, regression.alphas)
 
 
-def check_constant(terms: Sequence[ClassTerm], context: BuildContext) -> None:
+def check_constant(terms: Sequence[ClassTerm], clock: Clock) -> None:
     """Refuse alphas that vary: the internal model is a system with constant coefficients.
 
     Raises
@@ -88,7 +89,7 @@ def check_constant(terms: Sequence[ClassTerm], context: BuildContext) -> None:
         If one does.
     """
     for term in terms:
-        if _varies(term.alpha, context):
+        if _varies(term.alpha, clock):
             raise UsageError(
                 f"internal_model: expected constant alphas, got {term.alpha.text!r}; for a "
                 "time-varying alpha use internal_model = false with feedforward = true"
@@ -121,7 +122,7 @@ def check_meaning(name: str, terms: Sequence[ClassTerm], context: BuildContext) 
     used = {parameter.term for parameter in taken if parameter is not None}
     for identifier, others in identified.items():
         unused = [term for term in others if term not in used]
-        for term in _uncovered(unused, terms, context):
+        for term in _uncovered(unused, terms, context.clock):
             text = f"{term.label} of {identifier!r} is not in the internal model"
             context.warn(name, f"{text}, which does not reject what that term makes")
 
@@ -181,7 +182,7 @@ def _check_parameter(
     """
     origin = f"{element} is {source}"
     is_any = isinstance(target.term.family, LinearFamily)
-    if _varies(source.term.alpha, context):
+    if _varies(source.term.alpha, context.clock):
         varying = f"{origin}, whose alpha = {source.term.alpha.text!r} varies"
         if not is_any:
             raise UsageError(
@@ -202,12 +203,12 @@ def _check_parameter(
 
 
 def _uncovered(
-    others: Iterable[ClassTerm], own: Sequence[ClassTerm], context: BuildContext
+    others: Iterable[ClassTerm], own: Sequence[ClassTerm], clock: Clock
 ) -> Iterator[ClassTerm]:
     """Yield the terms of others whose signals no term makes."""
     for other in others:
         is_included = any(_includes(term.family, other.family) for term in own)
-        if not is_included or _varies(other.alpha, context):
+        if not is_included or _varies(other.alpha, clock):
             yield other
 
 
@@ -218,10 +219,9 @@ def _includes(family: Family, other: Family) -> bool:
     return family == other
 
 
-def _varies(alpha: Alpha, context: BuildContext) -> bool:
+def _varies(alpha: Alpha, clock: Clock) -> bool:
     if isinstance(alpha, AlphaSignal):
         return True
-    clock = context.clock
     parts = np.arange(SAMPLES) * math.sqrt(2.0) % 1.0  # no period divides them
     times = clock.start_time + (clock.stop - clock.start_time) * parts
     values = evaluate_at([alpha], np.asarray(times, np.float64))

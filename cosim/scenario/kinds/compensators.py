@@ -138,15 +138,17 @@ class CompensatorKind(Kind):
         gains = self.gains(name, context)
         if self.internal_model:
             check_meaning(name, self._class_terms(name, context), context)
-        component = self.compensator(name, context, gains)
         observed = observer_in_loop(name, context)
+        component = self.compensator(observed, context, gains)
         for problem in _other_parts(name, observed.name, context):
             context.warn(name, f"{problem}: the loop that was certified is one without it")
         record = self._record(self._regulated(observed.reduced), gains.box)
         context.add_metadata(name, {"compensation": record})
         return component
 
-    def compensator(self, name: str, context: BuildContext, gains: CompensatorGains) -> Compensator:
+    def compensator(
+        self, observed: ObserverInLoop, context: BuildContext, gains: CompensatorGains
+    ) -> Compensator:
         """Return the compensator itself, with its gains.
 
         Raises
@@ -154,7 +156,6 @@ class CompensatorKind(Kind):
         UsageError, AssumptionError
             If its options do not fit the plant and the observer.
         """
-        observed = observer_in_loop(name, context)
         reduced = observed.reduced
         state, *_ = state_maps(reduced)
         if observed.kind.lag(observed.name, state.name, context):
@@ -240,7 +241,7 @@ class CompensatorKind(Kind):
     def _class_terms(self, name: str, context: BuildContext) -> list[ClassTerm]:
         terms = internal_model_terms(name, self.terms, context)
         if self.internal_model:
-            check_constant(terms, context)
+            check_constant(terms, context.clock)
         return terms
 
     def _model(

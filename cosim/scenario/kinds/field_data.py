@@ -29,6 +29,7 @@ from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import field_data, listed_columns
 from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
+from cosim.scenario.data_files.table import FieldForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
@@ -212,6 +213,18 @@ class FieldDataKind(TableKeys, PlantKind):
     def _is_mcap(self) -> bool:
         return Path(self.path).suffix.lower() == MCAP
 
+    @property
+    def field_form(self) -> FieldForm:
+        """What is given of the samples and their file."""
+        return FieldForm(
+            time=self.time,
+            time_unit=self.time_unit,
+            offset=self.offset,
+            same_time=self.same_time,
+            columns=self.columns,
+            table=replace(self.form, missing=self.missing),
+        )
+
     def fields(self, mapped: Sequence[Port]) -> dict[str, list[str]]:
         """Return the fields of an MCAP by output: those of ``columns``, and what a map names."""
         fields = listed_columns(self.columns or {})
@@ -222,51 +235,30 @@ class FieldDataKind(TableKeys, PlantKind):
 
     def _read(self, name: str, context: BuildContext) -> FieldData:
         """Read the file; samples of communication points get these as their times."""
-        data = self._read_file(name, context)
+        path = context.file(self.path)
+        if self._is_mcap:
+            data = self._read_mcap(path, self.fields(context.mapped(name)), context)
+        else:
+            data = field_data(path, self.field_form)
         return at_points(data, context.clock.points)
 
-    def _read_file(self, name: str, context: BuildContext) -> FieldData:
-        if self._is_mcap:
-            return self._read_mcap(name, context)
-        return field_data(
-            context.file(self.path),
-            time=self.time,
-            time_unit=self.time_unit,
-            offset=self.offset,
-            columns=self.columns,
-            same_time=self.same_time,
-            form=replace(self.form, missing=self.missing),
-        )
-
-    def _read_mcap(self, name: str, context: BuildContext) -> FieldData:
+    def _read_mcap(
+        self, path: Path, columns: Mapping[str, Sequence[str]], context: BuildContext
+    ) -> FieldData:
         """Read fields of an MCAP in one pass with those of the components from the same file.
 
         All of them have a sample at t = 0.
         """
-        path = context.file(self.path)
-        columns = self.fields(context.mapped(name))
         check_asked(path, columns, self.same_time)
         together = list(chain.from_iterable(columns.values()))
         for other, spec in context.of_kind(FieldDataKind).items():
-            is_beside = (spec.path, spec.time, spec.time_unit) == (
-                self.path,
-                self.time,
-                self.time_unit,
-            )
-            if is_beside:
+            if (spec.path, spec.time, spec.time_unit) == (self.path, self.time, self.time_unit):
                 together += chain.from_iterable(spec.fields(context.mapped(other)).values())
         samples = context.designed(
             f"samples of {path} by {self.time} in {self.time_unit}",
-            lambda: read_samples(path, together, time=self.time, time_unit=self.time_unit),
+            lambda: read_samples(path, together, self.field_form),
         )
-        return recorded_data(
-            path,
-            columns,
-            samples,
-            offset=self.offset,
-            time_unit=self.time_unit,
-            missing=self.missing,
-        )
+        return recorded_data(path, columns, samples, self.field_form)
 
 
 def _samples_behind(source: Port, outputs: Mapping[str, Signal], most: int) -> Port | None:

@@ -174,27 +174,19 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         Where y has samples at times of their own, these too.
         """
         implied: dict[Port, ImpliedConnection] = {}
+        regressor = _driver(connections, Port(name, "regressor"))
         if "alpha" in METHODS[self.method].inputs:
-            implied |= self._alphas(name, connections, specs)
-        for signal, origin in self._origins(name, connections).items():
+            implied |= _alphas(name, regressor, specs)
+        for signal, origin in self._origins(regressor, connections).items():
             implied |= shared_connections(Port(name, signal), origin, connections)
         if self.method == "output-error":
             implied |= sample_connections(name, connections, implied, specs)
         return implied
 
-    def _alphas(
-        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
-    ) -> dict[Port, ImpliedConnection]:
-        """Return what drives the alphas of the regressor that are signals."""
-        regressor = _driver(connections, Port(name, "regressor"))
-        spec = None if regressor is None else specs.get(regressor)
-        if not isinstance(spec, RegressorKind):
-            return {}
-        return alpha_connections(name, spec.alphas, regressor)
-
-    def _origins(self, name: str, connections: Mapping[Port, Connection]) -> dict[str, Port]:
+    def _origins(
+        self, regressor: str | None, connections: Mapping[Port, Connection]
+    ) -> dict[str, Port]:
         """Return the inputs of regressor and observer that take the signals of the method."""
-        regressor = _driver(connections, Port(name, "regressor"))
         if regressor is None:
             return {}
         origins = {"delta": Port(regressor, "delta")}
@@ -534,6 +526,16 @@ def _recovery_notes(recovery: Recovery) -> list[str]:
         if group.kind is RecoveryKind.EXPONENTIALS:
             notes.append(f"{names}: two exponentials under one alpha come back the larger first")
     return notes
+
+
+def _alphas(
+    name: str, regressor: str | None, specs: Mapping[str, Kind]
+) -> dict[Port, ImpliedConnection]:
+    """Return what drives the alphas of the regressor that are signals."""
+    spec = None if regressor is None else specs.get(regressor)
+    if not isinstance(spec, RegressorKind):
+        return {}
+    return alpha_connections(name, spec.alphas, regressor)
 
 
 def _driver(connections: Mapping[Port, Connection], to: Port) -> str | None:

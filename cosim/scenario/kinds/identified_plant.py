@@ -14,9 +14,9 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.numerics.programs import evaluate_at
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import OutputErrorProblem
 
 # (lower, upper) of each theta, or of some by their index
 ThetaBounds: TypeAlias = Sequence[Sequence[float]] | Mapping[int, tuple[float, float]]

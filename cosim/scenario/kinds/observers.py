@@ -353,11 +353,8 @@ class UnknownInputObserverKind(ExportableKind):
         if output not in ("delta", "x_b", "x"):
             return 0.0
         lag = self.reconstruction(name, context).lag
-        if output != "delta" and lag:
-            reduced = self.design_model_of(name, context).reduced
-            lagging = [state.name for state in observer.lagging_states(reduced)]
-            return lag if output in lagging else 0.0
-        return lag
+        lagging = _lagging_outputs(self.design(name, context).model) if lag else ()
+        return lag if output in lagging else 0.0
 
     def transient(self, name: str, context: BuildContext) -> observer.StateSpace:
         """Return the dynamics of the errors of delta, which are the output; there are no inputs.
@@ -431,7 +428,7 @@ class UnknownInputObserverKind(ExportableKind):
             "bandwidth": self.bandwidth,
             "step": step,
             "delta": None if spectrum is None else dict(spectrum.source),
-            "model": numbers_hash(self._numbers(name, context)),
+            "model": numbers_hash(self._numbers(model, context)),
         }
 
         def choose() -> dict[str, Any]:
@@ -446,13 +443,13 @@ class UnknownInputObserverKind(ExportableKind):
         except AssumptionError as error:
             raise LogError(f"the recorded choice of {name!r} cannot be used: {error}") from error
 
-    def _numbers(self, name: str, context: BuildContext) -> tuple[Matrix, ...]:
+    def _numbers(self, model: DesignModel, context: BuildContext) -> tuple[Matrix, ...]:
         """Return the numbers of the design model, as they are written or recorded."""
         if isinstance(self.model, str):
             system = context.model(self.model)
             letters = ("A", "Bu", "Bd", "C") if system.n_a is not None else MATRICES
             return tuple(getattr(system, letter) for letter in letters)
-        reduced = self.design_model_of(name, context).reduced
+        reduced = model.reduced
         return reduced.A_a, reduced.B_1a, reduced.B_2a, reduced.C3, reduced.C4
 
     def _spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
@@ -521,9 +518,8 @@ class UnknownInputObserverKind(ExportableKind):
             "reconstruction": plain_reconstruction(reconstruction),
             **gains,
         }
-        lags = {output: self.lag(name, output, context) for output in ("delta", "x_b", "x")}
-        if lags["delta"]:
-            metadata["lags"] = {output: lag for output, lag in lags.items() if lag}
+        if reconstruction.lag:
+            metadata["lags"] = dict.fromkeys(_lagging_outputs(model), reconstruction.lag)
         context.add_metadata(name, metadata)
 
     def advice(
@@ -551,19 +547,20 @@ class UnknownInputObserverKind(ExportableKind):
 
     def design(self, name: str, context: BuildContext) -> DesignedObserver:
         """Return the design of the observer (14)-(18)."""
-        return context.designed(name, lambda: self._designed(name, context))
 
-    def _designed(self, name: str, context: BuildContext) -> DesignedObserver:
-        model = self.design_model_of(name, context)
-        if not model.reduced.B_2a.shape[1]:
-            raise UsageError(
-                f"expected a design model with a disturbance (Bd, or B and disturbances), got "
-                f"{self.model!r} without"
-            )
-        design = self._design_on(model.reduced)
-        if self._is_unfiltered(design):
-            design = replace(design, filter_rate=None)
-        return DesignedObserver(model, design)
+        def designed() -> DesignedObserver:
+            model = self.design_model_of(name, context)
+            if not model.reduced.B_2a.shape[1]:
+                raise UsageError(
+                    f"expected a design model with a disturbance (Bd, or B and disturbances), got "
+                    f"{self.model!r} without"
+                )
+            design = self._design_on(model.reduced)
+            if self._is_unfiltered(design):
+                design = replace(design, filter_rate=None)
+            return DesignedObserver(model, design)
+
+        return context.designed(name, designed)
 
     def _design_on(self, reduced: ReducedSystem) -> observer.ObserverDesign:
         """Design the observer on a model of this form.
@@ -600,6 +597,12 @@ class UnknownInputObserverKind(ExportableKind):
             if signal.unit is None and len(set(units.get(port, ()))) > 1:
                 units.pop(port)
         return designed._replace(units=units)
+
+
+def _lagging_outputs(model: DesignModel) -> tuple[str, ...]:
+    """Return the outputs that lag by as much as the reconstruction of delta does."""
+    lagging = {state.name for state in observer.lagging_states(model.reduced)}
+    return ("delta", *(output for output in ("x_b", "x") if output in lagging))
 
 
 def _gain_of_x_a(L: Matrix, coordinates: UserCoordinates, n_y: int) -> Matrix:

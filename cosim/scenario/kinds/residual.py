@@ -13,9 +13,9 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.noise_color import largest_power
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Polynomial
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import OutputErrorProblem
 
 _NOTHING: Final = np.zeros((0, 0))
 _PLANT: Final = DisturbedPlant(

@@ -24,8 +24,9 @@ from cosim.errors import LogError, RunError, UsageError, flag, option, warn
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.contents.result import PARTIAL_STATUS
-from cosim.log.mcap_file.paths import check_new_log, log_path
+from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import Rotation
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.native.fmi.process import report_log
@@ -104,7 +105,7 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
     path = log_path(out)
     if file_type(path) != "log":
         raise UsageError(f"{out}: expected a path that ends in .mcap")
-    check_new_log(path, force=force, numbered=numbered)
+    UnfinishedLog(path, force=force, numbered=numbered).check_free()
     if not numbered:
         check_no_parts(path, force=force)
 
@@ -267,7 +268,7 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         run_graph(graph, clock, recorder, plan, designs=designs, until=until)
         return
     # Most runs need none of it.
-    from cosim.core.stepping.repeating import repeat, run_with_actions
+    from cosim.core.stepping.repeating import RecordedChanges, repeat, run_with_actions
 
     if acts:
         actions = experiment.actions
@@ -277,17 +278,8 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         )
         return
     copied = () if experiment.origin is None else experiment.origin.copied
-    repeat(
-        graph,
-        clock,
-        recorder,
-        plan,
-        events=experiment.events,
-        recorded=copied,
-        designs=designs,
-        until=until,
-        settings=experiment.settings,
-    )
+    changes = RecordedChanges(experiment.events, copied, experiment.settings)
+    repeat(graph, clock, recorder, plan, changes=changes, designs=designs, until=until)
 
 
 def log_recorder(

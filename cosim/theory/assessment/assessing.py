@@ -20,7 +20,6 @@ from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
 from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise, residual_size
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import standing_outputs
 from cosim.theory.assessment.term_order import ordered_like
 from cosim.theory.assessment.verdicts import (
@@ -30,13 +29,15 @@ from cosim.theory.assessment.verdicts import (
     is_present,
     is_settled,
 )
-from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.other_optima import search_optima, spread_optima
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
+    OutputErrorProblem,
     excess_squares,
     largest_chance,
 )
+from cosim.theory.estimators.start_grid import search_start
 
 if TYPE_CHECKING:
     from cosim.theory.assessment.noise_color import Criterion
@@ -126,7 +127,7 @@ def _rival(own: FittedModel) -> _Examined | None:
     thinned = own.problem.thinned
     white = own.noise.without_color()
     try:
-        optima = thinned.search_optima(own.fit.theta, white)
+        optima = search_optima(thinned, own.fit.theta, white)
         near = thinned.fit(own.fit.theta, white)
         for optimum in optima:
             if not _may_be_rival(near, optimum):
@@ -233,12 +234,12 @@ def _searched(problem: OutputErrorProblem) -> _Examined:
     that it leads to two close together, with amplitudes that cancel, from which no fit comes back.
     """
     noise = first_noise(problem)
-    white = _white(problem, problem.in_order(problem.search_start(noise)))
+    white = _white(problem, problem.in_order(search_start(problem, noise)))
     is_explained = white.fitted.fit.converged and not white.consistency.is_structured
     if is_explained or not problem.has_several:
         return white
     thinned = problem.thinned
-    optima = thinned.spread_optima(noise)
+    optima = spread_optima(thinned, noise)
     if not optima:
         return white
     near = thinned.fit(white.fitted.fit.theta, noise)
@@ -251,13 +252,11 @@ def _searched(problem: OutputErrorProblem) -> _Examined:
 
 def _white(problem: OutputErrorProblem, start: Vector) -> _Examined:
     """Fit for white noise, from a start."""
-    return _fitted(problem, start, first_noise(problem), is_known=problem.stated is not None)
+    is_known = problem.stated is not None
+    return _examined(fit_with_noise(problem, start, first_noise(problem), is_known=is_known))
 
 
-def _fitted(
-    problem: OutputErrorProblem, theta: Vector, noise: NoiseModel, *, is_known: bool
-) -> _Examined:
-    fitted = fit_with_noise(problem, theta, noise, is_known=is_known)
+def _examined(fitted: FittedModel) -> _Examined:
     return _Examined(fitted, examine(fitted))
 
 
@@ -301,7 +300,8 @@ def _without(left_out: tuple[int, ...], examined: _Examined) -> _Examined:
     fitted = examined.fitted
     problem = fitted.problem.without_effect_of(left_out)
     is_known = problem.stated is not None and not fitted.noise.order
-    return _fitted(problem, fitted.fit.theta, fitted.noise, is_known=is_known)
+    again = fit_with_noise(problem, fitted.fit.theta, fitted.noise, is_known=is_known)
+    return _examined(again)
 
 
 def _missing(examined: _Examined) -> dict[int, str]:
@@ -355,7 +355,7 @@ def _with_color(examined: _Examined, criterion: Criterion) -> tuple[_Examined, s
             return examined, color.remark
         # what is stated is of the noise itself, not of the white one that makes it
         noise = replace(fitted.noise, a=color.a, freedom=color.freedom)
-        examined = _fitted(fitted.problem, fitted.fit.theta, noise, is_known=False)
+        examined = _examined(fit_with_noise(fitted.problem, fitted.fit.theta, noise))
     return examined, ""
 
 

@@ -7,9 +7,8 @@ from functools import cached_property
 
 from cosim.theory.assessment.accuracy import Accuracy, accuracy_of
 from cosim.theory.assessment.linearized_fit import LinearizedFit, linearize_fit
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbed_plant import NoiseModel
-from cosim.theory.estimators.output_error import OutputErrorFit
+from cosim.theory.estimators.output_error import OutputErrorFit, OutputErrorProblem
 from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 

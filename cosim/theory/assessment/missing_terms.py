@@ -19,6 +19,7 @@ from cosim.theory.estimators.output_error import (
     OutputErrorFit,
     presence_threshold,
 )
+from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.quantiles import chi_square_above
 
 
@@ -90,7 +91,7 @@ def _explained_by(
     own = problem.of_terms(kept)
     fit = own.fit(whole.fit.theta[problem.parameters_of(kept)], whole.noise)
     if not _explains(fit, larger.squares + allowed):
-        fit = own.fit(own.search_start(whole.noise), whole.noise)
+        fit = own.fit(search_start(own, whole.noise), whole.noise)
     return fit if _explains(fit, larger.squares + allowed) else None
 
 

@@ -20,14 +20,13 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.theory.assessment.fitted_model import FittedModel
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbed_plant import (
     DataSet,
     NoiseModel,
     autoregressive_filter,
     counted_values,
 )
-from cosim.theory.estimators.output_error import OutputErrorFit
+from cosim.theory.estimators.output_error import OutputErrorFit, OutputErrorProblem
 
 MOST_FITS: Final = 12
 # of a covariance in units of the one that weighed the fit: its effect on theta is of second order

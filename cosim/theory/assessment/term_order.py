@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.theory.assessment.problem import OutputErrorProblem
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.interchangeable import groups_of
 
 

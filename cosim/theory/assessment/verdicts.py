@@ -36,12 +36,12 @@ from cosim.theory.assessment.consistency import (
     Consistency,
 )
 from cosim.theory.assessment.fitted_model import FittedModel
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import StandingOutput
 from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.documents import ParameterVerdict, Verdict
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
+    OutputErrorProblem,
     presence_threshold,
     squares_at,
 )

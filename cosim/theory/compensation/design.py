@@ -490,10 +490,11 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Cer
     if gains.decay_rate is None:
         return CertifiedCompensator(None, base_rate, NAN, (), 0)
     problem = ""
+    loop = _Loop(gains, system)
     refinements = _refinements(gains.box)
     for parts in refinements:
         most_corners = MOST_CORNERS if parts == refinements[-1] else FEW_CORNERS
-        attempt = _attempt(gains, system, gains.box, parts, most_corners)
+        attempt = loop.attempt(gains.box, parts, most_corners)
         problem = attempt.problem
         if attempt.schedule is not None:
             certificate = attempt.certificate
@@ -502,7 +503,7 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Cer
             )
     cure = "choose another decay_rate or state feedback"
     if len(gains.box.lower):
-        factor = _largest_factor(gains, system)
+        factor = loop.largest_factor()
         largest = gains.box.scaled(factor).text if factor > 0.0 else "none"
         cure = (
             f"the largest interval about the same center that would do: {largest}; or one about "
@@ -521,24 +522,55 @@ class _Attempt(NamedTuple):
     certificate: Certificate
 
 
-def _attempt(
-    gains: CompensatorGains,
-    system: ControlledPlant,
-    box: ParameterBox,
-    parts: int,
-    most_corners: int,
-) -> _Attempt:
-    """Design the gains of a box, and try to prove both loops with them."""
-    schedule = scheduled(gains, box, parts)
-    certificate = certify(sampled_loop(system, gains, schedule), most_corners)
-    if not certificate.proven:
-        problem = _instability("the loop with the internal model", box, certificate)
-        return _Attempt(problem, None, certificate)
-    at_limit = certify(saturated_loop(system, gains, schedule), most_corners)
-    if not at_limit.proven:
-        problem = _instability("the internal model with u at a limit", box, at_limit)
-        return _Attempt(problem, None, at_limit)
-    return _Attempt("", schedule, certificate)
+class _Loop(NamedTuple):
+    """The gains of a compensator, and the plant that they are for."""
+
+    gains: CompensatorGains
+    system: ControlledPlant
+
+    def attempt(self, box: ParameterBox, parts: int, most_corners: int) -> _Attempt:
+        """Design the gains of a box, and try to prove both loops with them."""
+        schedule = scheduled(self.gains, box, parts)
+        certificate = certify(sampled_loop(self.system, self.gains, schedule), most_corners)
+        if not certificate.proven:
+            problem = _instability("the loop with the internal model", box, certificate)
+            return _Attempt(problem, None, certificate)
+        at_limit = certify(saturated_loop(self.system, self.gains, schedule), most_corners)
+        if not at_limit.proven:
+            problem = _instability("the internal model with u at a limit", box, at_limit)
+            return _Attempt(problem, None, at_limit)
+        return _Attempt("", schedule, certificate)
+
+    def largest_factor(self) -> float:
+        """Return by how much the box has to shrink about its center for a proof; 0: to nothing.
+
+        That is where the loop becomes unstable, less what the proof needs as a margin.
+        """
+        box = self.gains.box
+        parts = _refinements(box)[-1]
+        low = 0.0
+        high = 1.0
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            if self._is_stable(box.scaled(middle), parts):
+                low = middle
+            else:
+                high = middle
+        for margin in MARGINS:
+            factor = low * (1.0 - margin)
+            with suppress(AssumptionError):  # there are no gains at a node of its own
+                attempt = self.attempt(box.scaled(factor), parts, FEW_CORNERS)
+                if attempt.schedule is not None:
+                    return factor
+        return 0.0
+
+    def _is_stable(self, box: ParameterBox, parts: int) -> bool:
+        """Return whether there are gains of a box, and the loop with them is stable on a grid."""
+        try:
+            schedule = scheduled(self.gains, box, parts)
+        except AssumptionError:
+            return False
+        return is_stable_on_grid(sampled_loop(self.system, self.gains, schedule))
 
 
 def _instability(what: str, box: ParameterBox, certificate: Certificate) -> str:
@@ -562,37 +594,3 @@ def _refinements(box: ParameterBox) -> list[int]:
     affordable = [parts for parts in PARTS if parts <= most]
     few = [parts for parts in FEW_PARTS if parts <= most]
     return affordable or few[:1] or [1]
-
-
-def _largest_factor(gains: CompensatorGains, system: ControlledPlant) -> float:
-    """Return by how much the box has to shrink about its center for a proof; 0: to nothing.
-
-    That is where the loop becomes unstable, less what the proof needs as a margin.
-    """
-    parts = _refinements(gains.box)[-1]
-    low = 0.0
-    high = 1.0
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if _is_stable(gains, system, gains.box.scaled(middle), parts):
-            low = middle
-        else:
-            high = middle
-    for margin in MARGINS:
-        factor = low * (1.0 - margin)
-        with suppress(AssumptionError):  # there are no gains at a node of its own
-            attempt = _attempt(gains, system, gains.box.scaled(factor), parts, FEW_CORNERS)
-            if attempt.schedule is not None:
-                return factor
-    return 0.0
-
-
-def _is_stable(
-    gains: CompensatorGains, system: ControlledPlant, box: ParameterBox, parts: int
-) -> bool:
-    """Return whether there are gains of a box, and the loop with them is stable on a grid."""
-    try:
-        schedule = scheduled(gains, box, parts)
-    except AssumptionError:
-        return False
-    return is_stable_on_grid(sampled_loop(system, gains, schedule))

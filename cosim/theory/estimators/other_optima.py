@@ -10,27 +10,23 @@ two that come close together stay so, with amplitudes that cancel.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.errors import StartError
 from cosim.native.estimation.output_error import Generators
-from cosim.theory.disturbances.families import Family, SearchBox, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
-from cosim.theory.estimators.output_error import (
-    NO_BOUNDS,
-    longest_span,
-    response_records,
-)
+from cosim.theory.disturbed_plant import NoiseModel
+from cosim.theory.estimators.output_error import OutputErrorFit, OutputErrorProblem, SampledProblem
 from cosim.theory.estimators.start_grid import (
     COLUMNS,
     RecordsOnGrid,
     axis_points,
     box_of_search,
-    interchangeable_terms,
     points_of_box,
     records_on_grid,
 )
@@ -45,80 +41,66 @@ ROOT_STEPS: Final = 40  # of a fixed-point iteration whose error is divided by 3
 DEPENDENT: Final = 1e-6  # part of a column that others leave, relative to it: it is rounding
 
 
-def starts_beside(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    known: Vector,
-    *,
-    noise: NoiseModel,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> list[Vector]:
-    """Return the best points of a coarse grid, and minima beside a known optimum, each (P,).
+def search_optima(
+    problem: OutputErrorProblem, known: Vector, noise: NoiseModel
+) -> list[OutputErrorFit]:
+    """Return optima beside a known one, as if the noise were white, the best first.
 
-    Parameters
-    ----------
-    data, plant, families, noise, offset, bounds
-        As for :func:`cosim.theory.estimators.output_error.fit_output_error`; the noise without an
-        autoregressive model.
-    known : Vector, shape (P,)
-        Theta of the optimum.
+    Raises
+    ------
+    AssumptionError
+        As :func:`cosim.theory.estimators.output_error.fit_output_error`.
     """
-    matrices = generators(families)
-    records = response_records(data, plant, matrices, noise=noise, offset=offset)
-    box = _box(data, families, bounds)
-    on_grid = records_on_grid(
-        records,
-        box.lower,
-        box.upper,
-        points=axis_points(matrices, box.graded, most=COARSE_POINTS, columns=COLUMNS),
-        graded=box.graded,
-        alike=interchangeable_terms(data, plant, matrices, bounds),
-        beside=[known],
-    )
-    return [*on_grid.search(STARTS_OF_GRID), *_minima_beside(on_grid, matrices, known)]
+    sampled = problem.sampled(noise.without_color())
+    return _optima(sampled, starts_beside(sampled, known))
 
 
-def spread_starts(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> list[Vector]:
+def spread_optima(problem: OutputErrorProblem, noise: NoiseModel) -> list[OutputErrorFit]:
+    """Return the optima that spread starts lead to, as if the noise were white, the best first.
+
+    Raises
+    ------
+    AssumptionError
+        As :func:`cosim.theory.estimators.output_error.fit_output_error`.
+    """
+    return _optima(problem.sampled(noise.without_color()), _spread_starts(problem))
+
+
+def _optima(sampled: SampledProblem, starts: Sequence[Vector]) -> list[OutputErrorFit]:
+    """Return the fits from starts that have converged, the best first."""
+    fits = []
+    for start in starts:
+        with suppress(StartError):
+            fits.append(sampled.fit(start))
+    converged = [fit for fit in fits if fit.converged]
+    return sorted(converged, key=lambda fit: fit.deviation)
+
+
+def starts_beside(sampled: SampledProblem, known: Vector) -> list[Vector]:
+    """Return the best points of a coarse grid, and minima beside a known optimum, each (P,)."""
+    problem = sampled.problem
+    box = box_of_search(problem)
+    points = axis_points(problem.generators, box.graded, most=COARSE_POINTS, columns=COLUMNS)
+    alike = problem.interchangeable
+    on_grid = records_on_grid(sampled.records, box, points, alike=alike, beside=[known])
+    return [*on_grid.search(STARTS_OF_GRID), *_minima_beside(on_grid, problem.generators, known)]
+
+
+def _spread_starts(problem: OutputErrorProblem) -> list[Vector]:
     """Return starts that fill the box evenly, each part of it for one of interchangeable terms.
-
-    Parameters
-    ----------
-    data, plant, families, bounds
-        As for :func:`starts_beside`.
-    """
-    matrices = generators(families)
-    alike = interchangeable_terms(data, plant, matrices, bounds)
-    return _spread_over(_box(data, families, bounds), matrices, alike)
-
-
-def _box(
-    data: Sequence[DataSet], families: Sequence[Family], bounds: Mapping[int, tuple[float, float]]
-) -> SearchBox:
-    spacing = min(data_set.sampling_interval for data_set in data)
-    return box_of_search(families, span=longest_span(data), spacing=spacing, bounds=bounds)
-
-
-def _spread_over(box: SearchBox, matrices: Generators, alike: Sequence[int]) -> list[Vector]:
-    """Return starts that fill the box evenly.
 
     The sequence is that of M. Roberts (2018): multiples of the powers of the root of
     ``x^(P+1) = x + 1``.
     """
+    box = box_of_search(problem)
+    matrices = problem.generators
     P = matrices.parameters
     root = 2.0
     for _ in range(ROOT_STEPS):
         root = (1.0 + root) ** (1.0 / (P + 1.0))
     ratios = root ** -np.arange(1.0, P + 1.0)
     places = np.outer(np.arange(1, STARTS_SPREAD + 1), ratios) % 1.0
-    for group in groups_of(alike):
+    for group in groups_of(problem.interchangeable):
         for k, term in enumerate(group):
             if matrices.count[term]:
                 last = matrices.each[term].theta.stop - 1

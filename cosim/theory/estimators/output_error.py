@@ -12,7 +12,7 @@ the Cramer-Rao bound for the same unknowns
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Final
@@ -21,23 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.errors import AssumptionError, StartError
+from cosim.errors import AssumptionError, StartError, quoted
 from cosim.native.estimation.output_error import (
     NO_INFORMATION,
     GaussNewtonResult,
     Generators,
     ParameterState,
     ResponseRecord,
+    SearchLimits,
     minimize,
 )
-from cosim.theory.disturbances.families import Family, generators, search_box
+from cosim.theory.covariance import is_covariance
+from cosim.theory.disturbances.families import Family, even_parameters, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
     NoiseModel,
+    check_sizes,
+    needs_predictor,
     sample_plant,
     white_noise,
 )
+from cosim.theory.interchangeable import in_order, interchangeable
 from cosim.theory.quantiles import chi_square_above
 
 # probability of a larger difference of two optima by noise alone
@@ -47,6 +52,7 @@ FALSE_CHOICE: Final = 0.01
 FALSE_PRESENCE: Final = 1e-8
 LARGEST_ENTRY: Final = 1e150  # of a column: the squares of larger ones are no numbers
 ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
+MOST_SAMPLES: Final = 1000  # of a record, in which other optima are searched
 NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
@@ -114,6 +120,280 @@ class OutputErrorFit:
         return sum(_least_squares(record, R) for record, R in pairs)
 
 
+@dataclass(frozen=True, eq=False)
+class OutputErrorProblem:
+    """Data sets of one plant under one theta, and the model that is fitted to them.
+
+    Parameters
+    ----------
+    data : sequence of DataSet
+        Amplitudes, initial states and offsets of each are its own.
+    plant : DisturbedPlant
+    families : sequence of Family
+        Of the terms of the disturbance.
+    stated : Matrix, shape (n_y, n_y), optional
+        Covariance of the noise of the outputs, where it is known.
+    offset : bool
+        An unknown constant is on every output.
+    bounds : mapping of index to (lower, upper)
+        Of entries of theta; equal bounds fix one.
+
+    Raises
+    ------
+    AssumptionError
+        If there are no data, they do not fit the plant, ``stated`` is no covariance of its outputs,
+        or there is no such theta to bound, or a lower bound is above its upper one.
+    """
+
+    data: Sequence[DataSet]
+    plant: DisturbedPlant
+    families: Sequence[Family]
+    stated: Matrix | None = None
+    offset: bool = False
+    bounds: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that all of it fits together."""
+        if not self.data:
+            raise AssumptionError("data: expected at least one record, got none")
+        for data_set in self.data:
+            check_sizes(self.plant, self.generators, data_set)
+        _ = self.limits
+        if self.stated is None:
+            return
+        stated = np.asarray(self.stated)
+        shape = (self.outputs, self.outputs)
+        if stated.shape != shape or not is_covariance(stated):
+            raise AssumptionError(
+                "stated: expected the covariance of the noise of y, a symmetric positive definite "
+                f"matrix of shape {shape}, got {quoted(stated.tolist())}"
+            )
+
+    @cached_property
+    def generators(self) -> Generators:
+        """Those of all terms."""
+        return generators(self.families)
+
+    @cached_property
+    def interchangeable(self) -> tuple[int, ...]:
+        """For every term the last one before it that is interchangeable with it, or -1."""
+
+        def same_alpha(i: int, k: int) -> bool:
+            return all(np.array_equal(one.alpha[:, i], one.alpha[:, k]) for one in self.data)
+
+        return interchangeable(self.generators, self.plant, same_alpha, self.bounds)
+
+    @property
+    def has_several(self) -> bool:
+        """Whether there are several terms with parameters, which may exchange their parts."""
+        return sum(1 for count in self.generators.count if count) > 1
+
+    @property
+    def may_have_rivals(self) -> bool:
+        """Whether parts may be exchanged, of several terms or of the functions of one."""
+        pairs = zip(self.generators.size, self.generators.count, strict=True)
+        return self.has_several or any(V > 1 and count for V, count in pairs)
+
+    def in_order(self, theta: Vector) -> Vector:
+        """Return the one of all theta of the same model that is reported, shape (P,)."""
+        even = even_parameters(self.families)
+        return in_order(theta, self.generators, self.interchangeable, even)
+
+    @property
+    def outputs(self) -> int:
+        """The number of outputs."""
+        return len(self.plant.C)
+
+    @cached_property
+    def limits(self) -> tuple[Vector, Vector]:
+        """The bounds of all parameters, infinite where none are given, each ``(P,)``."""
+        lower = np.full(self.generators.parameters, -np.inf)
+        upper = np.full(self.generators.parameters, np.inf)
+        for j, (low, high) in self.bounds.items():
+            if not 0 <= j < len(lower):
+                raise AssumptionError(f"bounds: no theta[{j}]; there are {len(lower)} parameters")
+            if not low <= high:
+                raise AssumptionError(
+                    f"bounds of theta[{j}]: expected lower first, got {low} > {high}"
+                )
+            lower[j] = low
+            upper[j] = high
+        return lower, upper
+
+    @property
+    def span(self) -> float:
+        """The length of the longest record [s]."""
+        return max(float(one.t[-1] - one.t[0]) for one in self.data)
+
+    @property
+    def spacing(self) -> float:
+        """The shortest usual distance of the samples of a record [s]."""
+        return min(one.sampling_interval for one in self.data)
+
+    def sampled(self, noise: NoiseModel, forgetting: float = 1.0) -> SampledProblem:
+        """Discretize it.
+
+        Parameters
+        ----------
+        noise : NoiseModel
+        forgetting : float
+            Weight of the square of a sample over that of the next sample.
+
+        Raises
+        ------
+        AssumptionError
+            If there are more unknowns than the kernels hold, or a single sample.
+        """
+        records = []
+        for one in self.data:
+            sampled = sample_plant(
+                self.plant,
+                self.generators,
+                one,
+                noise=noise,
+                offset=self.offset,
+                forgetting=forgetting,
+            )
+            records.append(sampled.record(one))
+        return SampledProblem(self, noise, tuple(records))
+
+    def fit(self, theta: Vector, noise: NoiseModel) -> OutputErrorFit:
+        """Fit output error from a start.
+
+        Raises
+        ------
+        AssumptionError, StartError
+            As :func:`fit_output_error`.
+        """
+        return self.sampled(noise).fit(theta)
+
+    @cached_property
+    def thinned(self) -> OutputErrorProblem:
+        """The problem of every so many samples, in which other optima are searched.
+
+        The response to u is taken off before, as u may change between these samples.
+        """
+        data = []
+        for one in self._without_inputs():
+            every = max(1, len(one.t) // MOST_SAMPLES)
+            data.append(one.thinned(every))
+        return self.of_data(data)
+
+    def _without_inputs(self) -> list[DataSet]:
+        """Return the data less the response to u; as they are where that grows too much."""
+        records = self.sampled(white_noise(self.outputs)).records
+        data = []
+        for one, record in zip(self.data, records, strict=True):
+            span = float(one.t[-1] - one.t[0])
+            if needs_predictor(self.plant.A, span):
+                data.append(one)
+            else:
+                data.append(replace(one, y=record.residual, u=np.zeros_like(one.u)))
+        return data
+
+    def of_data(self, data: Sequence[DataSet]) -> OutputErrorProblem:
+        """Return the same for other data."""
+        return replace(self, data=data)
+
+    def of_terms(self, kept: Sequence[int]) -> OutputErrorProblem:
+        """Return the problem of some of the terms."""
+        data = [replace(one, alpha=one.alpha[:, kept]) for one in self.data]
+        plant = replace(self.plant, Bd=self.plant.Bd[:, kept], Dd=self.plant.Dd[:, kept])
+        bounds = {}
+        for place, j in enumerate(self.parameters_of(kept)):
+            if j in self.bounds:
+                bounds[place] = self.bounds[j]
+        families = [self.families[i] for i in kept]
+        return replace(self, data=data, plant=plant, families=families, bounds=bounds)
+
+    def without_effect_of(self, terms: Sequence[int]) -> OutputErrorProblem:
+        """Return the problem with alpha 0 for some terms, whose theta keeps its place."""
+        data = []
+        for one in self.data:
+            alpha = one.alpha.copy()
+            alpha[:, terms] = 0.0
+            data.append(replace(one, alpha=alpha))
+        return self.of_data(data)
+
+    def parameters_of(self, terms: Sequence[int]) -> list[int]:
+        """Return the places in theta of the parameters of some terms."""
+        places: list[int] = []
+        first = 0
+        for i, family in enumerate(self.families):
+            count = len(family.parameters)
+            if i in terms:
+                places += range(first, first + count)
+            first += count
+        return places
+
+
+@dataclass(frozen=True, eq=False)
+class SampledProblem:
+    """A problem under a model of its noise.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    noise : NoiseModel
+    records : tuple of ResponseRecord
+        The residual problem of each data set.
+    """
+
+    problem: OutputErrorProblem
+    noise: NoiseModel
+    records: tuple[ResponseRecord, ...]
+
+    def fit(self, theta: Vector, iterations: int | None = None) -> OutputErrorFit:
+        """Estimate theta as :func:`fit_output_error` does.
+
+        Parameters
+        ----------
+        theta : Vector, shape (P,)
+            Start.
+        iterations : int, optional
+            At most; by default as many as lead to an optimum nearly always.
+        """
+        data = self.problem.data
+        matrices = self.problem.generators
+        start = np.asarray(theta, np.float64)
+        if start.shape != (matrices.parameters,):
+            raise AssumptionError(
+                f"theta: expected a start of shape {(matrices.parameters,)}, one for each "
+                f"parameter of the families, got {start.shape}"
+            )
+        lower, upper = self.problem.limits
+        limits = SearchLimits(
+            lower=lower,
+            upper=upper,
+            scale=self._longest_steps(),
+            threshold=presence_threshold(matrices.size, len(data)),
+            accuracy=self._rounding(),
+        )
+        result = minimize(self.records, np.clip(start, lower, upper), limits, iterations)
+        if result.status == NO_INFORMATION:
+            unknowns = len(data) * self.records[0].model.linear + matrices.parameters
+            raise _no_information(data, unknowns, start)
+        return _fit(result, self.records, matrices.order, self.problem.plant.A.shape[0])
+
+    def _longest_steps(self) -> Vector:
+        """Return the longest steps of an iteration, shape (P,).
+
+        Longer steps make the response overflow, or pass between two samples.
+        """
+        span = self.problem.span
+        count = max(len(one.t) for one in self.problem.data)
+        shortest = 4.0 * span / max(count - 1, 4)
+        return search_box(self.problem.families, span=span, shortest=shortest).step
+
+    def _rounding(self) -> float:
+        """Return the largest error by rounding of the simulated outputs, made white."""
+        largest_of_each = [np.nanmax(np.abs(one.y), axis=0) for one in self.problem.data]
+        largest = np.max(largest_of_each, axis=0)
+        positive = np.maximum(largest, np.finfo(np.float64).tiny)
+        white = np.abs(self.noise.whitening) @ positive
+        return ROUNDING * float(white.max())
+
+
 def fit_output_error(
     data: Sequence[DataSet],
     plant: DisturbedPlant,
@@ -153,85 +433,9 @@ def fit_output_error(
     StartError
         If the response at the start is not finite.
     """
-    if not data:
-        raise AssumptionError("data: expected at least one record, got none")
-    matrices = generators(families)
-    noise = noise or white_noise(plant.C.shape[0])
-    records = response_records(
-        data, plant, matrices, noise=noise, offset=offset, forgetting=forgetting
-    )
-    return fit_records(records, data, plant, families, theta, noise=noise, bounds=bounds)
-
-
-def fit_records(
-    records: Sequence[ResponseRecord],
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    theta: Vector,
-    *,
-    noise: NoiseModel,
-    bounds: Mapping[int, tuple[float, float]],
-    iterations: int | None = None,
-) -> OutputErrorFit:
-    """Estimate theta as :func:`fit_output_error` does, from the residual problems of the data.
-
-    Parameters
-    ----------
-    records : sequence of ResponseRecord
-        As from :func:`response_records`.
-    data, plant, families, theta, noise, bounds
-        As of :func:`fit_output_error`.
-    iterations : int, optional
-        At most; by default as many as lead to an optimum nearly always.
-    """
-    matrices = generators(families)
-    start = np.asarray(theta, np.float64)
-    if start.shape != (matrices.parameters,):
-        raise AssumptionError(
-            f"theta: expected a start of shape {(matrices.parameters,)}, one for each parameter "
-            f"of the families, got {start.shape}"
-        )
-    lower, upper = bound_vectors(bounds, matrices.parameters)
-    result = minimize(
-        records,
-        np.clip(start, lower, upper),
-        lower=lower,
-        upper=upper,
-        scale=_longest_steps(data, families),
-        threshold=presence_threshold(matrices.size, len(data)),
-        accuracy=_rounding_of(data, noise),
-        iterations=iterations,
-    )
-    if result.status == NO_INFORMATION:
-        unknowns = len(records) * records[0].model.linear + matrices.parameters
-        raise _no_information(data, unknowns, start)
-    return _fit(result, records, matrices.order, plant.A.shape[0])
-
-
-def response_records(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    matrices: Generators,
-    *,
-    noise: NoiseModel,
-    offset: bool = False,
-    forgetting: float = 1.0,
-) -> list[ResponseRecord]:
-    """Return the residual problem of each data set; parameters as of :func:`fit_output_error`."""
-    records = []
-    for data_set in data:
-        sampled = sample_plant(
-            plant, matrices, data_set, noise=noise, offset=offset, forgetting=forgetting
-        )
-        records.append(sampled.record(data_set))
-    return records
-
-
-def longest_span(data: Sequence[DataSet]) -> float:
-    """Return the length of the longest record [s]."""
-    spans = [float(data_set.t[-1] - data_set.t[0]) for data_set in data]
-    return max(spans)
+    problem = OutputErrorProblem(data, plant, families, offset=offset, bounds=bounds)
+    noise = noise or white_noise(problem.outputs)
+    return problem.sampled(noise, forgetting).fit(theta)
 
 
 def squares_at(records: Sequence[ResponseRecord], theta: Vector) -> float:
@@ -272,28 +476,6 @@ def largest_chance(parameters: int) -> float:
     return chi_square_above(FALSE_CHOICE, max(parameters, 1))
 
 
-def bound_vectors(
-    bounds: Mapping[int, tuple[float, float]], parameters: int
-) -> tuple[Vector, Vector]:
-    """Return the bounds of all parameters, infinite where none are given, shapes ``(P,)``.
-
-    Raises
-    ------
-    AssumptionError
-        If there is no such parameter, or an upper bound is below the lower bound.
-    """
-    lower = np.full(parameters, -np.inf)
-    upper = np.full(parameters, np.inf)
-    for j, (low, high) in bounds.items():
-        if not 0 <= j < parameters:
-            raise AssumptionError(f"bounds: no theta[{j}]; there are {parameters} parameters")
-        if not low <= high:
-            raise AssumptionError(f"bounds of theta[{j}]: expected lower first, got {low} > {high}")
-        lower[j] = low
-        upper[j] = high
-    return lower, upper
-
-
 def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
     """Return above which ``beta' C^-1 beta`` a component is there, shape (components,)."""
     thresholds = [chi_square_above(FALSE_PRESENCE, size * records) for size in sizes]
@@ -310,26 +492,6 @@ def _no_information(data: Sequence[DataSet], unknowns: int, theta: Vector) -> As
     return AssumptionError(
         f"expected at least {unknowns} measured values for {unknowns} unknowns, got {measured}"
     )
-
-
-def _longest_steps(data: Sequence[DataSet], families: Sequence[Family]) -> Vector:
-    """Return the longest steps of an iteration, shape (P,).
-
-    Longer steps make the response overflow, or pass between two samples.
-    """
-    span = longest_span(data)
-    count = max(len(data_set.t) for data_set in data)
-    shortest = 4.0 * span / max(count - 1, 4)
-    return search_box(families, span=span, shortest=shortest).step
-
-
-def _rounding_of(data: Sequence[DataSet], noise: NoiseModel) -> float:
-    """Return the largest error by rounding of the simulated outputs, made white."""
-    largest_of_each = [np.nanmax(np.abs(data_set.y), axis=0) for data_set in data]
-    largest = np.max(largest_of_each, axis=0)
-    positive = np.maximum(largest, np.finfo(np.float64).tiny)
-    white = np.abs(noise.whitening) @ positive
-    return ROUNDING * float(white.max())
 
 
 def _fit(

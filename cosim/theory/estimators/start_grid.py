@@ -15,7 +15,7 @@ online (``identifier.c``) as well as for recorded data (:func:`search_start`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from typing import Final
@@ -28,23 +28,13 @@ from cosim.native.estimation.start_grid import StartGridConstants, StartGridMode
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.programs import evaluate
 from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
-from cosim.theory.disturbed_plant import (
-    DataSet,
-    DisturbedPlant,
-    NoiseModel,
-    white_noise,
-)
+from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.estimators.output_error import (
-    NO_BOUNDS,
     OutputErrorFit,
-    bound_vectors,
+    OutputErrorProblem,
     excess_squares,
-    fit_records,
     largest_chance,
-    longest_span,
-    response_records,
 )
-from cosim.theory.interchangeable import interchangeable
 
 STARTS: Final = 8  # points of the grid that are fitted from
 MOST_POINTS: Final = 4096
@@ -106,14 +96,11 @@ def axis_points(
 
 def start_grid(
     model: OutputErrorConstants,
-    lower: Vector,
-    upper: Vector,
+    box: SearchBox,
     *,
     points: int | Sequence[int],
     average: int,
-    graded: Sequence[bool] = (),
     alike: Sequence[int] = (),
-    even: Sequence[bool] = (),
     beside: Sequence[Vector] = (),
 ) -> StartGridConstants:
     """Return the grid over a box.
@@ -122,33 +109,28 @@ def start_grid(
     ----------
     model : OutputErrorConstants
         Of y.
-    lower, upper : Vector, shape (P,)
-        The box.
+    box : SearchBox
     points : int or sequence of int
         Along every parameter, or along each; one where the box has no width.
     average : int
         Samples that make one row.
-    graded : sequence of bool
-        For each parameter, whether steps grow with it; by default none does.
     alike : sequence of int
         For each component the last one before that is interchangeable with it, or -1; by default
         none.
-    even : sequence of bool
-        For each parameter, whether its negative makes the same signals; by default of none.
     beside : sequence of Vector, shape (P,)
         Theta whose parts are points of their components, too.
     """
     generators = model.generators
     P = generators.parameters
     counts = [points] * P if isinstance(points, int) else list(points)
-    grades = tuple(graded) or (False,) * P
+    grades = box.graded or (False,) * P
     systems = []
     rows = []
     thetas = []
     component = []
     for i, generator in enumerate(generators.each):
         own = generator.theta
-        regular = points_of_box(lower[own], upper[own], counts[own], grades[own])
+        regular = points_of_box(box.lower[own], box.upper[own], counts[own], grades[own])
         others = [theta[own] for theta in beside if generators.count[i]]
         grid = np.vstack([regular, *others])
         for theta in grid:
@@ -164,7 +146,7 @@ def start_grid(
         count=generators.count,
         points=tuple(points_of_each),
         alike=tuple(alike) or (-1,) * len(generators.size),
-        even=tuple(even) or (False,) * P,
+        even=box.even or (False,) * P,
         theta=np.concatenate(thetas),
     )
 
@@ -217,11 +199,9 @@ class RecordsOnGrid:
 
 def records_on_grid(
     records: Sequence[ResponseRecord],
-    lower: Vector,
-    upper: Vector,
-    *,
+    box: SearchBox,
     points: int | Sequence[int],
-    graded: Sequence[bool] = (),
+    *,
     alike: Sequence[int] = (),
     beside: Sequence[Vector] = (),
 ) -> RecordsOnGrid:
@@ -231,9 +211,7 @@ def records_on_grid(
     ----------
     records : sequence of ResponseRecord
         Under the same theta; a point is as good as the sum of its squares over all of them.
-    lower, upper : Vector, shape (P,)
-        The box.
-    points, graded, alike, beside
+    box, points, alike, beside
         As of :func:`start_grid`.
     """
     triangles = []
@@ -242,11 +220,9 @@ def records_on_grid(
         samples = int(is_measured.sum())
         constants = start_grid(
             record.model.constants,
-            lower,
-            upper,
+            box,
             points=points,
             average=max(1, samples // ROWS),
-            graded=graded,
             alike=alike,
             beside=beside,
         )
@@ -256,56 +232,7 @@ def records_on_grid(
     return RecordsOnGrid(constants, grid, tuple(triangles))
 
 
-def search_starts(
-    records: Sequence[ResponseRecord],
-    lower: Vector,
-    upper: Vector,
-    *,
-    points: int | Sequence[int],
-    most: int,
-    graded: Sequence[bool] = (),
-    alike: Sequence[int] = (),
-    beside: Sequence[Vector] = (),
-) -> Matrix:
-    """Return the best points of the grid for records of y, the best first, shape (starts, P).
-
-    Parameters
-    ----------
-    records, lower, upper, points, graded, alike, beside
-        As of :func:`records_on_grid`.
-    most : int
-        Starts at most.
-    """
-    on_grid = records_on_grid(
-        records, lower, upper, points=points, graded=graded, alike=alike, beside=beside
-    )
-    return on_grid.search(most)
-
-
-def interchangeable_terms(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    matrices: Generators,
-    bounds: Mapping[int, tuple[float, float]],
-) -> tuple[int, ...]:
-    """Return for every term the last one before it that is interchangeable with it, or -1."""
-
-    def same_alpha(i: int, k: int) -> bool:
-        alphas = [data_set.alpha for data_set in data]
-        return all(np.array_equal(alpha[:, i], alpha[:, k]) for alpha in alphas)
-
-    return interchangeable(matrices, plant, same_alpha, bounds)
-
-
-def search_start(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    noise: NoiseModel | None = None,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> Vector:
+def search_start(problem: OutputErrorProblem, noise: NoiseModel) -> Vector:
     """Find a start: theta of the best fit from the best points of a grid.
 
     With several terms the points of the best fit are added to the grid, and it is searched again:
@@ -317,8 +244,9 @@ def search_start(
 
     Parameters
     ----------
-    data, plant, families, noise, offset, bounds
-        As for :func:`fit_output_error`; the noise without an autoregressive model.
+    problem : OutputErrorProblem
+    noise : NoiseModel
+        Its autoregressive model is left out.
 
     Returns
     -------
@@ -328,47 +256,30 @@ def search_start(
     Raises
     ------
     AssumptionError
-        As from there.
+        As from :func:`fit_output_error`.
     """
-    matrices = generators(families)
-    noise = noise or white_noise(plant.C.shape[0])
-    records = response_records(data, plant, matrices, noise=noise, offset=offset)
-    span = longest_span(data)
-    spacing = min(data_set.sampling_interval for data_set in data)
-    box = box_of_search(families, span=span, spacing=spacing, bounds=bounds)
-    alike = interchangeable_terms(data, plant, matrices, bounds)
+    sampled = problem.sampled(noise.without_color())
+    box = box_of_search(problem)
+    points = _points_of_records(problem.families)
 
     def searched(beside: Sequence[Vector], most: int) -> Matrix:
-        return search_starts(
-            records,
-            box.lower,
-            box.upper,
-            points=_points_of_records(families),
-            most=most,
-            graded=box.graded,
-            alike=alike,
-            beside=beside,
-        )
-
-    def fitted(start: Vector, iterations: int | None = None) -> OutputErrorFit:
-        return fit_records(
-            records, data, plant, families, start, noise=noise, bounds=bounds, iterations=iterations
-        )
+        alike = problem.interchangeable
+        on_grid = records_on_grid(sampled.records, box, points, alike=alike, beside=beside)
+        return on_grid.search(most)
 
     starts = searched((), STARTS)
-    fits = [fitted(start, ITERATIONS) for start in starts]
+    fits = [sampled.fit(start, ITERATIONS) for start in starts]
     if any(fit.converged for fit in fits):
         pairs = zip(fits, starts, strict=True)
-        fits = [fit if fit.converged else fitted(start) for fit, start in pairs]
+        fits = [fit if fit.converged else sampled.fit(start) for fit, start in pairs]
     if not fits:
         return box.lower  # no response is finite, which a fit will say
     best = _best_of(fits)
-    several = sum(1 for count in matrices.count if count) > 1
-    for _ in range(ROUNDS if several else 0):
+    for _ in range(ROUNDS if problem.has_several else 0):
         beside = searched([best.theta], STARTS_BESIDE)
-        better = _best_of([best, *map(fitted, beside)])
+        better = _best_of([best, *map(sampled.fit, beside)])
         excess = excess_squares(better.deviation, best.deviation, better.freedom)
-        if excess <= largest_chance(matrices.parameters):
+        if excess <= largest_chance(len(best.theta)):
             break
         best = better
     return best.theta
@@ -386,42 +297,21 @@ def _best_of(fits: Sequence[OutputErrorFit]) -> OutputErrorFit:
     return other if is_chance else best
 
 
-def box_of_search(
-    families: Sequence[Family],
-    *,
-    span: float,
-    spacing: float,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> SearchBox:
+def box_of_search(problem: OutputErrorProblem) -> SearchBox:
     """Return where :func:`search_start` looks: as far as the points of its grid are dense enough.
 
     It looks for nothing faster than the samples resolve: a sine beyond half their frequency has the
     same samples as a slower one. Bounds cut it; apart from it they are searched instead.
-
-    Parameters
-    ----------
-    families : sequence of Family
-    span : float
-        Length of the record [s].
-    spacing : float
-        Distance of its samples [s].
-    bounds : mapping of index to (lower, upper)
-        Of entries of theta.
-
-    Raises
-    ------
-    AssumptionError
-        If there is no such parameter, or an upper bound is below the lower bound.
     """
-    parameters = sum(len(family.parameters) for family in families)
+    families = problem.families
     graded = chain.from_iterable(family.graded for family in families)
     points = zip(_points_of_records(families), graded, strict=True)
     # where all parameters have steps that grow, a grid of few points reaches as far
     of_rates = [count for count, is_graded in points if not is_graded]
     time_scales = max(min(of_rates, default=MOST_POINTS_OF_SEVERAL) / POINTS_A_SCALE, LEAST_SCALES)
-    shortest = max(span / time_scales, spacing)
-    box = search_box(families, span=span, shortest=shortest)
-    lower, upper = bound_vectors(bounds, parameters)
+    shortest = max(problem.span / time_scales, problem.spacing)
+    box = search_box(families, span=problem.span, shortest=shortest)
+    lower, upper = problem.limits
     first = np.maximum(box.lower, lower)
     last = np.minimum(box.upper, upper)
     # Bounds apart from the box are entered as far as the box is wide.

@@ -14,7 +14,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
-from cosim.core.stepping.repeating import repeat
+from cosim.core.stepping.repeating import RecordedChanges, repeat
 from cosim.errors import GraphError, LogError, NonFiniteError
 from tests.core.graphs import loop
 from tests.core.parts import Scripted, integrator, times
@@ -213,7 +213,7 @@ def test_faults_are_recorded_and_repeated(kind, parameters):
     assert own[0].parameters == tuple(map(float, parameters))
     assert own[-1][1:3] == ("release", "plant.u")
     again = Memory()
-    repeat(loop(), clock(), again, events=memory.events())
+    repeat(loop(), clock(), again, changes=RecordedChanges(memory.events()))
     assert again.events() == memory.events()
     for name in memory.signals:
         assert again[name].tobytes() == memory[name].tobytes()
@@ -342,4 +342,4 @@ def test_an_event_of_a_fault_without_its_parameters_is_refused():
     """A log that was damaged."""
     event = SignalEvent(0, "offset", "g.u", (1.0,))
     with pytest.raises(LogError, match=r"does not fit: offset:.*offset.*0 parameters"):
-        repeat(driven(), clock(), Memory(), events=[event])
+        repeat(driven(), clock(), Memory(), changes=RecordedChanges([event]))

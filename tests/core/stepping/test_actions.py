@@ -19,7 +19,7 @@ from cosim.core.stepping.actions import (
     Setting,
     TimedAction,
 )
-from cosim.core.stepping.repeating import repeat, run_with_actions
+from cosim.core.stepping.repeating import RecordedChanges, repeat, run_with_actions
 from cosim.errors import GraphError, NonFiniteError
 from tests.core.graphs import loop
 from tests.core.parts import Scripted, integrator, times
@@ -65,7 +65,7 @@ def test_a_run_with_actions_is_the_simulation_that_does_the_same_by_hand():
         for name in memory.signals:
             assert memory[name].tobytes() == expected[name].tobytes(), name
         again = Memory()
-        repeat(loop(native=native), clock(), again, events=memory.events())
+        repeat(loop(native=native), clock(), again, changes=RecordedChanges(memory.events()))
         assert again.events() == memory.events()
         for name in memory.signals:
             assert again[name].tobytes() == memory[name].tobytes(), name
@@ -180,7 +180,7 @@ def test_a_setting_is_an_event_and_repeated():
     for timed in settings(other):
         by_key[timed.index * 10**8, timed.action.name] = timed.action
     again = Memory()
-    repeat(other, clock(), again, events=memory.events(), settings=by_key)
+    repeat(other, clock(), again, changes=RecordedChanges(memory.events(), settings=by_key))
     assert again.events() == memory.events()
     for name in memory.signals:
         assert again[name].tobytes() == memory[name].tobytes(), name
@@ -193,7 +193,7 @@ def test_a_setting_of_a_recorded_component_is_taken_from_what_followed():
         SignalEvent(5 * 10**8, "follow", "g.y", (7.0,)),
     ]
     memory = Memory()
-    repeat(chain(), clock(), memory, events=events, recorded=["g"])
+    repeat(chain(), clock(), memory, changes=RecordedChanges(events, copied=["g"]))
     assert memory.events() == [*events, SignalEvent(5 * 10**8, "follow", "x.u", (7.0,))]
 
 
@@ -276,7 +276,7 @@ def test_actions_happen_where_conditions_come_true_first(native, block):
     ]
     assert memory.results["never_came_true"] == ["x.y < -1"]
     again = Memory()
-    repeat(watched(native=native), clock(), again, events=memory.events())
+    repeat(watched(native=native), clock(), again, changes=RecordedChanges(memory.events()))
     assert again.events() == memory.events()
     for name in memory.signals:
         assert again[name].tobytes() == memory[name].tobytes(), name

@@ -23,6 +23,7 @@ from cosim.native.estimation.rayleigh import MOST_ROWS, MOST_TERMS
 from cosim.native.estimation.start_grid import MOST_STARTS, StartGridModel
 from cosim.theory.disturbances.families import (
     Exponential,
+    SearchBox,
     Sine,
     coefficients,
     generators,
@@ -245,7 +246,7 @@ def test_the_grid_of_starts_takes_many_components():
     sampled = sample_plant(plant, generators(families), data, noise=white_noise(1))
     constants = sampled.model.constants
     grid = StartGridModel(
-        start_grid(constants, np.array([-2.0]), np.array([0.0]), points=20, average=1)
+        start_grid(constants, SearchBox(np.array([-2.0]), np.array([0.0])), points=20, average=1)
     )
     record = sampled.record(data)
     samples = type(record)(grid.model, record.residual, record.alpha)

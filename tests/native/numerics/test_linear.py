@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cosim.blocks.plant import linear_model
-from cosim.core.linear import Linear
-from cosim.core.signals import Signal
+from cosim.core.linear import Linear, LinearModel, with_dependencies
+from cosim.core.signals import Interface, Signal
 from cosim.native.numerics.linear import (
     affine,
     first_order_hold,
@@ -267,18 +266,17 @@ def test_steps_of_any_length_agree_with_sixty_digits(A, h):
 
 def dirty_derivative(rate):
     """Return q' = rate (u - q) with the outputs rate (u - q), fresh, and q (19)."""
-    return Linear(
-        linear_model(
-            (Signal("u"),),
-            (Signal("fresh"), Signal("q")),
-            states=("q",),
-            A=np.array([[-rate]]),
-            B=np.array([[rate]]),
-            C=np.array([[-rate], [1.0]]),
-            D=np.array([[rate], [0.0]]),
-            X0=np.zeros(1),
-        )
+    model = LinearModel(
+        Interface((Signal("u"),), (Signal("fresh"), Signal("q"))),
+        states=("q",),
+        A=np.array([[-rate]]),
+        B=np.array([[rate]]),
+        C=np.array([[-rate], [1.0]]),
+        D=np.array([[rate], [0.0]]),
+        X0=np.zeros(1),
+        Xu=np.zeros((1, 1)),
     )
+    return Linear(with_dependencies(model))
 
 
 @pytest.mark.parametrize(

@@ -454,7 +454,7 @@ def test_an_exported_regressor_takes_the_signals_by_its_input_alpha(tmp_path):
     path = scenario(tmp_path)
     changes = {**RUN, "scenario.stop": 4.0}
     fmu = tmp_path / "regressor.fmu"
-    export_component(path, "regressor", fmu, set=changes, fmi="3")
+    export_component(cosim.load(path).set(changes), "regressor", fmu, fmi="3")
     run = signals(path, set=changes)
     u = np.column_stack([run["observer.delta"], run["schedule.y"]])
     t = run.time("regressor.mu")
@@ -477,7 +477,7 @@ def test_exported_regressor_and_identifier_give_the_same(tmp_path, fmi):
     swap = {}
     for name in ("regressor", "identifier"):
         swap[name] = tmp_path / f"{name}.fmu"
-        export_component(str(path), name, swap[name], set=changes, fmi=fmi)
+        export_component(cosim.load(path).set(changes), name, swap[name], fmi=fmi)
     run = signals(str(path), set=changes)
     swapped = signals(str(path), set=changes, swap=swap)
     np.testing.assert_array_equal(swapped["regressor.mu"], run["regressor.mu"])

@@ -492,4 +492,4 @@ def test_options_of_another_filter_or_model_are_refused(name, folder):
 def test_an_observer_that_is_linearized_anew_is_not_exported(folder):
     """An FMU has no other FMU in it."""
     with pytest.raises(UsageError, match="relinearize = false"):
-        export_component(str(far_swing(folder)), "observer", folder / "x.fmu", set=ANEW)
+        export_component(cosim.load(far_swing(folder)).set(ANEW), "observer", folder / "x.fmu")

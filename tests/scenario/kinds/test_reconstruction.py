@@ -498,7 +498,7 @@ def test_an_exported_average_gives_what_the_component_gave(name, changes, fmi, a
     settings = {**SHORT, "scenario.stop": 4.0} | changes
     run = cosim.run(academic, set=settings)
     path = tmp_path / "exported.fmu"
-    export_component(academic, name, path, fmi=fmi, set=settings)
+    export_component(cosim.load(academic).set(settings), name, path, fmi=fmi)
     assert validate_fmu(str(path)) == []
     with ExitStack() as resources:
         graph = Builder(load(academic).set(settings), resources).experiment().graph

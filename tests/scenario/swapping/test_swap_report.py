@@ -417,7 +417,7 @@ def test_a_port_may_have_any_name():
 def milli(folder):
     """Write the plant with its output in mm."""
     matrix = {"models.academic.C": [[2000, 0, 1000]], "plant.unit": {"y": "mm"}}
-    export_component("academic", "plant", folder / "milli.fmu", set=matrix)
+    export_component(cosim.load("academic").set(matrix), "plant", folder / "milli.fmu")
     return folder
 
 

@@ -8,10 +8,10 @@ import pytest
 from cosim.native.numerics.linear import first_order_hold, linear_step
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from tests.theory.experiments import FAMILIES, THETA, design
 from tests.theory.experiments import alpha as alpha_of_example
 from tests.theory.experiments import noisy as noisy_example

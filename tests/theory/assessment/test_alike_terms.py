@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from cosim.theory.assessment.assessing import assess, assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential, Polynomial, TExponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from tests.theory.straight_lines import simulate_lines
 
 T = 0.02 * np.arange(1001)

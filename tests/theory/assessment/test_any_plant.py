@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.forced_response import simulate
 
 STOP = 30.0  # s

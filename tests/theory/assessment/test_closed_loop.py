@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import expm
 
 from cosim.theory.assessment.assessing import assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 
 N = 2000
 H = 0.0125  # s

@@ -14,12 +14,11 @@ from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.accuracy import step_error
 from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.model_errors import model_errors
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import is_settled
 from cosim.theory.disturbances.families import generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.documents import Verdict
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import OutputErrorProblem, fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import forced_outputs
 from tests.theory.experiments import COARSE, FAMILIES, design, exact, solved

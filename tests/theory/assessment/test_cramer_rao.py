@@ -14,7 +14,6 @@ from scipy.stats import chi2
 
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import (
     DampedSine,
     Exponential,
@@ -23,6 +22,7 @@ from cosim.theory.disturbances.families import (
     TExponential,
 )
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.closed_forms import ALPHAS, ClosedForm, T

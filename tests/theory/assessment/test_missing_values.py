@@ -10,12 +10,11 @@ from scipy.signal import lfilter
 
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.assessing import assess, assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.smoothing import smoothed_signals
 from cosim.theory.disturbances.families import generators
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel
 from cosim.theory.documents import Verdict
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import OutputErrorProblem, fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import simulate
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, states

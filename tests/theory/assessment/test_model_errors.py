@@ -5,9 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import OutputErrorProblem
 
 
 def test_a_constant_alpha_has_no_slope_at_any_instants():

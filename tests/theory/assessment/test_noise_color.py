@@ -16,10 +16,10 @@ from cosim.theory.assessment.noise_color import (
     correlation_length,
     largest_power,
 )
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.quantiles import chi_square_above, ratio_above
 from tests.theory.straight_lines import simulate_lines
 

@@ -10,7 +10,6 @@ import pytest
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import judge
 from cosim.theory.disturbances.families import (
     DampedSine,
@@ -21,8 +20,8 @@ from cosim.theory.disturbances.families import (
 )
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, white_noise
 from cosim.theory.documents import Verdict
-from cosim.theory.estimators.output_error import fit_records
-from cosim.theory.estimators.start_grid import ITERATIONS, STARTS
+from cosim.theory.estimators.output_error import OutputErrorProblem, SampledProblem
+from cosim.theory.estimators.start_grid import ITERATIONS, STARTS, search_start
 
 TRUE = -0.4
 T = np.arange(501) * 0.02
@@ -198,16 +197,17 @@ def test_the_color_of_noise_is_not_asked_for_without_an_estimate(monkeypatch):
 def test_only_the_best_start_is_followed_where_none_gets_to_an_optimum(monkeypatch):
     """A damped sine beside a constant, of an exponential: its rate runs towards 0 from anywhere."""
     iterations = []
+    own_fit = SampledProblem.fit
 
-    def fit(*given, **options):
-        found = fit_records(*given, **options)
+    def fit(*given):
+        found = own_fit(*given)
         iterations.append(found.iterations)
         return found
 
-    monkeypatch.setattr("cosim.theory.estimators.start_grid.fit_records", fit)
+    monkeypatch.setattr(SampledProblem, "fit", fit)
     families = (DampedSine(), Polynomial(0))
     problem = OutputErrorProblem([measured(1.0, 1.0)], plant(2), families)
-    problem.search_start(white_noise(1))
+    search_start(problem, white_noise(1))
     assert iterations == [ITERATIONS + 1] * STARTS  # the last step is refused
 
 

@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.noise_covariance import fit_with_noise
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.documents import Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import FAMILIES, design, times
 from tests.theory.straight_lines import simulate_lines

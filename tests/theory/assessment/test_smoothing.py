@@ -14,10 +14,9 @@ from scipy.stats import binom
 
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.fitted_model import FittedModel
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.smoothing import smoothed_signals
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import OutputErrorProblem, fit_output_error
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.academic import delta as true_delta

@@ -7,11 +7,11 @@ import pytest
 
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.documents import UndetectedError, Verdict
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.forced_response import simulate as simulated
 from tests.theory.experiments import FAMILIES, delta, design, record, simulate, times
 

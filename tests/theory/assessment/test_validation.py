@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.assessing import _assessed, _white, assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.validation import ValidationVerdict, validate
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import OutputErrorProblem, fit_output_error
 from tests.theory.academic import THETA, alpha
 from tests.theory.closed_forms import static_plant
 from tests.theory.experiments import (

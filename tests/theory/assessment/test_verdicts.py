@@ -10,15 +10,14 @@ from scipy.signal import lfilter
 
 import cosim.theory.assessment.assessing
 import cosim.theory.assessment.consistency
-import cosim.theory.assessment.problem
+import cosim.theory.estimators.output_error
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess, assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import judge
 from cosim.theory.disturbances.families import Exponential, TExponential
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.documents import Verdict
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import OutputErrorProblem, fit_output_error
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (
     BOUND,
@@ -263,7 +262,7 @@ def test_data_far_above_the_noise_are_not_searched(monkeypatch):
     def forbidden(*arguments, **options):
         raise AssertionError("a start was searched")
 
-    monkeypatch.setattr(cosim.theory.assessment.problem, "search_start", forbidden)
+    monkeypatch.setattr(cosim.theory.assessment.assessing, "search_start", forbidden)
     data = [noisy("good", 1e-3, seed=7, h=COARSE)]
     found = assess(OutputErrorProblem(data, design(), FAMILIES), START)
     assert [parameter.verdict for parameter in found.parameters] == GOOD

@@ -7,12 +7,11 @@ import pytest
 
 import cosim
 from cosim.theory.assessment.assessing import assess_near
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import alpha_products, expand
-from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.disturbed_plant import DataSet, disturbed_plant, white_noise
 from cosim.theory.documents import Verdict
-from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.output_error import OutputErrorProblem, fit_output_error
 from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.observers import observer
@@ -121,7 +120,7 @@ def test_starts_that_end_elsewhere_say_so(lagging):
 
 def test_the_search_finds_the_optimum(coarse):
     """From y alone."""
-    start = search_start([coarse.data], coarse.plant, FAMILIES)
+    start = search_start(OutputErrorProblem([coarse.data], coarse.plant, FAMILIES), white_noise(1))
     assert coarse.is_optimum(coarse.fit(start).theta)
 
 

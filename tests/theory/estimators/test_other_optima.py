@@ -8,6 +8,7 @@ import pytest
 from cosim.theory.disturbances.families import Sine
 from cosim.theory.disturbed_plant import DataSet, white_noise
 from cosim.theory.estimators.other_optima import starts_beside
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from tests.theory.closed_forms import static_plant
 
 T = 0.02 * np.arange(1001)
@@ -21,9 +22,8 @@ def test_each_term_is_moved_beside_the_other_in_any_unit_of_the_disturbance(unit
     data = DataSet(T, y[:, np.newaxis], np.zeros((len(T), 0)), unit * ALPHA)
     known = np.array([1.3, 6.0])
     bounds = {0: (0.2, 10.0), 1: (0.2, 10.0)}
-    starts = starts_beside(
-        [data], static_plant(2), (Sine(), Sine()), known, noise=white_noise(1), bounds=bounds
-    )
+    problem = OutputErrorProblem([data], static_plant(2), (Sine(), Sine()), bounds=bounds)
+    starts = starts_beside(problem.sampled(white_noise(1)), known)
     of_terms = starts[-4:]  # two of each term, behind those of a grid
     spacing = 9.8 / 32  # of 32 points along a rate
     assert [start[1] for start in of_terms[:2]] == [6.0, 6.0]

@@ -8,7 +8,6 @@ from scipy.integrate import solve_ivp
 
 from cosim.errors import AssumptionError
 from cosim.native.estimation.output_error import ParameterState
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import (
@@ -20,8 +19,8 @@ from cosim.theory.disturbed_plant import (
     white_noise,
 )
 from cosim.theory.estimators.output_error import (
+    OutputErrorProblem,
     fit_output_error,
-    response_records,
     squares_at,
 )
 from cosim.theory.plants.descriptor import reduce
@@ -357,7 +356,7 @@ def test_squares_of_a_response_beyond_all_numbers_are_infinite(rate):
     t = np.arange(401) * 0.1
     y = np.random.default_rng(1).standard_normal((401, 1))
     record = DataSet(t, y, np.zeros((401, 0)), np.ones((401, 1)))
-    records = response_records([record], plant, generators([Exponential()]), noise=white_noise(1))
+    records = OutputErrorProblem([record], plant, [Exponential()]).sampled(white_noise(1)).records
     squares = squares_at(records, np.array([rate]))
     if rate > 2.0:
         assert squares == np.inf

@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import (
     DampedSine,
     Exponential,
@@ -18,6 +17,7 @@ from cosim.theory.disturbed_plant import (
     disturbed_plant,
     white_noise,
 )
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.estimators.start_grid import axis_points
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic

@@ -10,15 +10,16 @@ from scipy.linalg import expm
 
 from cosim.native.estimation.output_error import ResponseRecord
 from cosim.native.estimation.start_grid import StartGridModel
-from cosim.theory.disturbances.families import Exponential, Sine, generators
+from cosim.theory.disturbances.families import Exponential, SearchBox, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
+from cosim.theory.estimators.output_error import OutputErrorProblem
 from cosim.theory.estimators.start_grid import (
     MOST_POINTS,
     MOST_POINTS_ON_AN_AXIS,
     box_of_search,
     grid_points,
+    records_on_grid,
     search_start,
-    search_starts,
     start_grid,
 )
 from tests.theory.straight_lines import simulate_lines
@@ -26,6 +27,7 @@ from tests.theory.straight_lines import simulate_lines
 T = np.arange(401) * 0.02
 LOWER = np.array([-3.0, 0.2])
 UPPER = np.array([0.1, 3.0])
+BOX = SearchBox(LOWER, UPPER)
 TRUE = np.array([-0.4, 1.7])
 FAMILIES = (Exponential(), Sine())
 # two outputs, and a disturbance that feeds through to the second one
@@ -48,6 +50,12 @@ def disturbances(t):
     """Return the exponential, and a sine of known phase."""
     sine = 0.7 * np.cos(TRUE[1] * t) - 0.9 * np.sin(TRUE[1] * t)
     return known_factors(t) * np.stack([1.3 * np.exp(TRUE[0] * t), sine], axis=-1)
+
+
+def found_start(data, plant, families, bounds=()):
+    """Return the start that a search finds, for white noise."""
+    problem = OutputErrorProblem([data], plant, families, bounds=dict(bounds))
+    return search_start(problem, white_noise(len(plant.C)))
 
 
 @cache
@@ -108,7 +116,7 @@ def least_squares(record, theta, average, offset):
 def test_every_point_is_a_least_squares_of_its_own(offset):
     """Its squares are those of its own columns, apart from the kernels."""
     record = sampled(offset)
-    grid = StartGridModel(start_grid(record.model.constants, LOWER, UPPER, points=9, average=8))
+    grid = StartGridModel(start_grid(record.model.constants, BOX, points=9, average=8))
     beside = ResponseRecord(grid.model, record.residual, record.alpha)
     squares = grid.squares([beside.make(np.zeros(0))]).reshape(9, 9).T
     axes = [LOWER[j] + (np.arange(9) + 0.5) / 9 * (UPPER - LOWER)[j] for j in (0, 1)]
@@ -122,7 +130,7 @@ def test_starts_are_the_best_points(offset):
     """Ordered by their squares; none has a better neighbor."""
     record = sampled(offset)
     points = 9
-    starts = search_starts([record], LOWER, UPPER, points=points, most=4)
+    starts = records_on_grid([record], BOX, points).search(4)
     axes = [LOWER[j] + (np.arange(points) + 0.5) / points * (UPPER - LOWER)[j] for j in (0, 1)]
     squares = np.array(
         [[least_squares(record, (a, b), 1, offset) for b in axes[1]] for a in axes[0]]
@@ -144,18 +152,17 @@ def test_several_records_have_one_start():
     first = sampled(present=(1.0, 0.0))
     second = sampled(present=(0.0, 1.0))
     for records in ([first, second], [second, first]):
-        start = search_starts(records, LOWER, UPPER, points=9, most=1)[0]
+        start = records_on_grid(records, BOX, 9).search(1)[0]
         assert (np.abs(start - TRUE) <= 0.5 * (UPPER - LOWER) / 9).all()
 
 
 def test_a_theta_that_is_known_has_one_point():
     """Bounds without width are no direction to search in."""
     record = sampled()
-    lower = np.array([-0.4, 0.2])
-    upper = np.array([-0.4, 3.0])
-    grid = start_grid(record.model.constants, lower, upper, points=20, average=4)
+    box = SearchBox(np.array([-0.4, 0.2]), np.array([-0.4, 3.0]))
+    grid = start_grid(record.model.constants, box, points=20, average=4)
     assert grid.points == (1, 20)
-    starts = search_starts([record], lower, upper, points=20, most=1)
+    starts = records_on_grid([record], box, 20).search(1)
     assert starts[0, 0] == -0.4
     assert abs(starts[0, 1] - 1.7) <= 0.5 * 2.8 / 20
 
@@ -163,7 +170,7 @@ def test_a_theta_that_is_known_has_one_point():
 def test_a_known_theta_beyond_the_box_of_the_search_is_searched_with():
     """Held there, the other one is found."""
     data = DataSet(T, simulated(), np.zeros((len(T), 0)), known_factors(T))
-    start = search_start([data], PLANT, FAMILIES, bounds={0: (-9.0, -9.0)})
+    start = found_start(data, PLANT, FAMILIES, {0: (-9.0, -9.0)})
     assert start[0] == -9.0
     record = sampled()
     found = least_squares(record, (-9.0, start[1]), 1, False)
@@ -174,7 +181,7 @@ def test_a_known_theta_beyond_the_box_of_the_search_is_searched_with():
 def test_rows_that_say_the_same_leave_numbers():
     """Fewer rows than columns: what rounding leaves is divided by nothing that vanishes."""
     record = sampled()
-    grid = start_grid(record.model.constants, LOWER, UPPER, points=24, average=1)
+    grid = start_grid(record.model.constants, BOX, points=24, average=1)
     for count in range(1, 30):
         short = ResponseRecord(
             StartGridModel(grid).model, record.residual[:count], record.alpha[:count]
@@ -206,7 +213,7 @@ FIRST_ORDER = DisturbedPlant(
 @pytest.mark.parametrize("rate", [0.3, 2.0, 4.0, 8.0, 20.0, 30.0])
 def test_a_sine_is_found_up_to_a_hundred_periods(rate):
     """Of 20 s: its periodogram has lobes as narrow as 1/20 Hz, and the grid has a point in each."""
-    start = search_start([lag(rate, sigma=1e-3)], FIRST_ORDER, [Sine()])
+    start = found_start(lag(rate, sigma=1e-3), FIRST_ORDER, [Sine()])
     assert abs(start[0] - rate) < 1e-2
 
 
@@ -214,9 +221,9 @@ def test_a_sine_is_found_up_to_a_hundred_periods(rate):
 def test_a_rate_beyond_the_box_is_found_within_bounds(bounds):
     """Wherever they lie; without a lower one that is near the box ends before, and says where."""
     data = lag(100.0)
-    box = box_of_search([Sine()], span=20.0, spacing=0.01, bounds={0: bounds})
+    box = box_of_search(OutputErrorProblem([data], FIRST_ORDER, [Sine()], bounds={0: bounds}))
     assert bounds[0] <= box.lower[0] < box.upper[0] <= bounds[1]
-    start = search_start([data], FIRST_ORDER, [Sine()], bounds={0: bounds})
+    start = found_start(data, FIRST_ORDER, [Sine()], {0: bounds})
     assert (abs(start[0] - 100.0) < 0.1) == (box.lower[0] <= 100.0 <= box.upper[0])
 
 
@@ -230,8 +237,9 @@ def test_bounds_cut_the_box_of_the_search(subtests):
         ((-9.0, -8.0), (-9.0, -8.0)),
     ]:
         with subtests.test(bounds=bounds):
-            box = box_of_search([Sine()], span=20.0, spacing=0.1)
-            cut = box_of_search([Sine()], span=20.0, spacing=0.1, bounds={0: bounds})
+            problem = OutputErrorProblem([lag(1.0).thinned(10)], FIRST_ORDER, [Sine()])
+            box = box_of_search(problem)
+            cut = box_of_search(replace(problem, bounds={0: bounds}))
             assert cut.lower[0] == (box.lower[0] if expected[0] is None else expected[0])
             assert cut.upper[0] == (box.upper[0] if expected[1] is None else expected[1])
 
@@ -249,10 +257,9 @@ def test_no_sine_is_searched_beyond_half_the_sampling_frequency(every):
     few = DataSet(data.t[short], y[short], data.u[short], data.alpha[short])
     spacing = every * (data.t[1] - data.t[0])
     assert few.sampling_interval == pytest.approx(spacing)
-    span = float(few.t[-1] - few.t[0])
-    box = box_of_search([Sine()], span=span, spacing=few.sampling_interval)
+    box = box_of_search(OutputErrorProblem([few], FIRST_ORDER, [Sine()]))
     assert box.upper[0] == pytest.approx(np.pi / spacing)
-    found = search_start([few], FIRST_ORDER, [Sine()])
+    found = found_start(few, FIRST_ORDER, [Sine()])
     assert abs(found[0]) < np.pi / spacing
 
 
@@ -262,7 +269,7 @@ def test_two_sines_are_found_up_to_twenty_five_periods():
     y = one.y + 0.5 * lag(7.5).y
     data = DataSet(one.t, y, one.u, np.ones((len(one.t), 2)))
     plant = replace(FIRST_ORDER, Bd=np.ones((1, 2)), Dd=np.zeros((1, 2)))
-    start = search_start([data], plant, [Sine(), Sine()])
+    start = found_start(data, plant, [Sine(), Sine()])
     np.testing.assert_allclose(np.sort(start), [3.0, 7.5], atol=1e-2)
 
 
