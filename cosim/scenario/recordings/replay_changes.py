@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 from cosim.core.port import Port
@@ -26,7 +25,6 @@ EVERYWHERE = {  # what matters to all inputs
     "scenario.iterations",
     "scenario.substeps",
 }
-NO_CHANGES: Final[Mapping[str, Any]] = MappingProxyType({})
 _TABLES = ("components", "models", "connections")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,57 +28,18 @@ from cosim.scenario.record import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
 from cosim.scenario.recordings.replay_changes import Swaps, check_changes
-from cosim.scenario.recordings.replaying import add_setting_designs, rebuilt, valid_designs
-from cosim.scenario.recordings.window import ReplayWindow, window_of
+from cosim.scenario.recordings.replaying import (
+    ReplayRequest,
+    add_setting_designs,
+    rebuilt,
+    valid_designs,
+)
+from cosim.scenario.recordings.window import window_of
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
 
 _RECORDED: Final = "as recorded"
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayRequest:
-    """How a log is to be replayed.
-
-    Parameters
-    ----------
-    changes : mapping of dotted key to value
-    swaps : Swaps
-    components : tuple of str or None
-        The only ones to compute; None: all that can be.
-    window : ReplayWindow or None
-        What is recorded of it; None: all.
-    allow_code : bool
-        Whether the code of users' classes may run that the log names, and that of its FMUs.
-    rerun : bool
-        Whether plants are computed, too.
-    block : int or None
-        Communication steps in a block.
-    """
-
-    changes: Mapping[str, Any]
-    swaps: Swaps
-    components: tuple[str, ...] | None = None
-    window: ReplayWindow | None = None
-    allow_code: bool = False
-    block: int | None = None
-    rerun: bool = False
-
-    @property
-    def all_changes(self) -> Mapping[str, Any]:
-        """The changes, and the end of the window.
-
-        Raises
-        ------
-        UsageError
-            If both say where the replay ends.
-        """
-        if self.window is None:
-            return self.changes
-        if "scenario.stop" in self.changes:
-            raise UsageError(f"expected {option('set', 'scenario.stop')} or a window, got both")
-        return {**self.changes, "scenario.stop": self.window.end}
 
 
 def replay_request(
@@ -168,20 +128,9 @@ def prepared_replay(
     UsageError
         If the recording cannot follow what is changed.
     """
-    changes = request.all_changes
     swaps = request.swaps
-    experiment = rebuilt(
-        source,
-        resources,
-        changes,
-        request.block,
-        allow_code=request.allow_code,
-        rerun=request.rerun,
-        components=request.components,
-        swaps=swaps,
-        unpacked=unpacked,
-    )
-    check_changes(experiment, recorded_document(source), changes, swaps)
+    experiment = rebuilt(source, resources, request, unpacked)
+    check_changes(experiment, recorded_document(source), request.all_changes, swaps)
     designs = valid_designs(experiment, source, replaced=swaps.paths)
     copied = experiment.recorded
     experiment.graph.take_solutions(source, copied)

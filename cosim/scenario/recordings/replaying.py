@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from contextlib import ExitStack
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of
 from cosim.core.recording import CompleteRecording, SignalEvent
 from cosim.core.signals import Interface
-from cosim.errors import LogError, ScenarioError, UsageError, flag, listing, nearest, quoted
+from cosim.errors import LogError, ScenarioError, UsageError, flag, listing, nearest, option, quoted
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
@@ -30,12 +30,13 @@ from cosim.scenario.record import MEANS, CodeRecord, component_metadata, compone
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
-from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps, replay_changes
+from cosim.scenario.recordings.replay_changes import NO_SWAPS, Swaps, replay_changes
 from cosim.scenario.recordings.rerunning import add_recorded_reports, fmu_paths, rerun_specs
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.replayed_part import ReplayedPart
+    from cosim.scenario.recordings.window import ReplayWindow
 
 
 def texts_in(value: Any) -> set[str]:
@@ -51,16 +52,57 @@ def texts_in(value: Any) -> set[str]:
     return texts
 
 
+@dataclass(frozen=True, slots=True)
+class ReplayRequest:
+    """How a log is to be replayed.
+
+    Parameters
+    ----------
+    changes : mapping of dotted key to value
+    swaps : Swaps
+    components : tuple of str or None
+        The only ones to compute; None: all that can be.
+    window : ReplayWindow or None
+        What is recorded of it; None: all.
+    allow_code : bool
+        Whether the code of users' classes may run that the log names, and that of its FMUs.
+    rerun : bool
+        Whether plants are computed, too.
+    block : int or None
+        Communication steps in a block.
+    """
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    swaps: Swaps = NO_SWAPS
+    components: tuple[str, ...] | None = None
+    window: ReplayWindow | None = None
+    allow_code: bool = False
+    block: int | None = None
+    rerun: bool = False
+
+    @property
+    def all_changes(self) -> Mapping[str, Any]:
+        """The changes, and the end of the window.
+
+        Raises
+        ------
+        UsageError
+            If both say where the replay ends.
+        """
+        if self.window is None:
+            return self.changes
+        if "scenario.stop" in self.changes:
+            raise UsageError(f"expected {option('set', 'scenario.stop')} or a window, got both")
+        return {**self.changes, "scenario.stop": self.window.end}
+
+
+AS_RECORDED: Final = ReplayRequest()
+
+
 def rebuilt(
     source: CompleteRecording,
     resources: ExitStack,
-    wanted: Mapping[str, Any] = NO_CHANGES,
-    block: int | None = None,
-    *,
-    allow_code: bool = False,
-    rerun: bool = False,
-    components: Sequence[str] | None = None,
-    swaps: Swaps = NO_SWAPS,
+    request: ReplayRequest = AS_RECORDED,
     unpacked: UnpackedFmus | None = None,
 ) -> Experiment:
     """Build the scenario of a log again, with its recorded components; only the log is needed.
@@ -70,19 +112,9 @@ def rebuilt(
     source : CompleteRecording
     resources : ExitStack
         Closes what was opened.
-    wanted : mapping of dotted key to value, optional
-        Changes; whether the recorded components allow them is for :func:`check_changes`.
-    block : int, optional
-        Fixed number of communication steps in a block.
-    allow_code : bool
-        Compute the components of user's classes that the log names, which runs their code. What
-        ``wanted`` names may always run.
-    rerun : bool
-        Compute plants too: by their models, and with ``allow_code`` by the FMUs that the run had.
-    components : sequence of str, optional
-        The only ones to compute; the others are taken from the log. None: all that can be.
-    swaps : Swaps
-        Components to replace by others, which are computed.
+    request : ReplayRequest
+        What is changed or computed; whether the recorded components allow changes is for
+        :func:`check_changes`. What these name may always run its code.
     unpacked : UnpackedFmus, optional
         Where FMUs are unpacked and loaded for all builds of a process.
 
@@ -97,6 +129,8 @@ def rebuilt(
         With every problem of the changed scenario.
     """
     check_whole(source)
+    wanted = request.all_changes
+    swaps = request.swaps
     changes = replay_changes(source, wanted)
     document = swaps.applied(recorded_document(source)).with_changes(changes)
     scenario, problems = read(document, parse)
@@ -104,18 +138,18 @@ def rebuilt(
         # recorded ports have the scenario's names: a map need not fit changed connections
         problems = [(key, text) for key, text in problems if not is_map_key(key)]
     named = texts_in(wanted) | texts_in(swaps.tables(document))
-    specs = _with_code(scenario.specs, named, allow_code=allow_code)
+    specs = _with_code(scenario.specs, named, allow_code=request.allow_code)
     fmus_again: Mapping[str, RecordedFmu] = {}
-    if rerun:
-        again = rerun_specs(source, specs, swaps.paths, allow_code=allow_code)
+    if request.rerun:
+        again = rerun_specs(source, specs, swaps.paths, allow_code=request.allow_code)
         fmus_again = recorded_fmus(source, fmu_paths(again), resources)
         specs |= again
     specs |= {name: specs[name].with_code() for name in swaps.paths if name in specs}
     scenario = replace(scenario, specs=specs)
-    left_out = () if components is None else _left_out(scenario, components)
+    left_out = () if request.components is None else _left_out(scenario, request.components)
     part = None
     if partial_of(source.channels) is not None:
-        part = _part(source, scenario, left_out, components or ())
+        part = _part(source, scenario, left_out, request.components or ())
         left_out = tuple(name for name in part.copied if scenario.specs[name].computable)
     runs = scenario if part is None else part.scenario
     load_rows(source, _recorded_in(source, runs, left_out))
@@ -130,12 +164,12 @@ def rebuilt(
             unpacked=unpacked,
         ),
         problems=problems,
-        block=block,
+        block=request.block,
         replaced=_replaced(source, swaps.paths),
         beside=scenario,
     )
     experiment = _compared(builder, source, swaps.paths)
-    if rerun:
+    if request.rerun:
         add_recorded_reports(experiment, source)
     if part is not None:
         _add_absent(experiment, part)

@@ -38,13 +38,12 @@ from cosim.scenario.recordings.recording import (
     check_target,
 )
 from cosim.scenario.recordings.replay_request import (
-    ReplayRequest,
     check_replay_target,
     prepared_replay,
     record_replay,
     replay_request,
 )
-from cosim.scenario.recordings.replaying import designs_anew
+from cosim.scenario.recordings.replaying import ReplayRequest, designs_anew
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
