@@ -299,12 +299,18 @@ def _extent(
     if found.extent:
         yield found.extent
     theta = f"{component}.theta"
-    if about.method != OUTPUT_ERROR or not has_signal(recording, theta):
+    if found.problem or about.method != OUTPUT_ERROR or not has_signal(recording, theta):
+        return  # no term has a parameter
+    rows = as_columns(recording[theta])
+    if len(rows) and np.isfinite(rows[-1]).all():
         return
-    has_value = any(parameter.value is not None for parameter in found.parameters)
-    if has_value and not np.isfinite(as_columns(recording[theta])[-1:]).all():
-        cause = "no fit during the run led to one; the fit after the run did"
-        yield f"{theta} itself has no value at the end: {cause}"
+    end = recording.end_ns / 1e9
+    cause = "no fit during the run led to one; the fit after the run did"
+    if end < about.start_time:
+        cause = f"the run ends at {end:g} s, before the identification start time"
+    elif all(parameter.value is None for parameter in found.parameters):
+        return  # the verdicts say why
+    yield f"{theta} itself has no value at the end: {cause}"
 
 
 def noise_text(found: record.IdentifierVerdicts) -> str:
