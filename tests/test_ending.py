@@ -454,7 +454,7 @@ def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatc
         code, err = call(*command, folder)
         assert (code, "cannot be created" in err) == (2, True), err
     code, err = call(*command, "file")
-    assert (code, "expected a folder for 2 logs, got 'file'" in err) == (2, True), err
+    assert (code, "expected a folder for the logs, got 'file'" in err) == (2, True), err
     code, err = call(*command, "x.png", "--plot", "x.png")
     assert (code, "is the path of the log" in err) == (2, True), err
     assert os.listdir(tmp_path / "logs") == ["a.mcap"]

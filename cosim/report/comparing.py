@@ -5,7 +5,7 @@ A run that fails is an outcome like the others, with its reason.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
@@ -23,23 +23,21 @@ from cosim.arguments import (
     truth_argument,
 )
 from cosim.arrays import Vector, as_columns
-from cosim.core.port import named_ports
+from cosim.core.port import named_ports, split_element
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorders import Memory
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.files import file_type
-from cosim.log import Log
+from cosim.log import Log, open_log
 from cosim.report.recorded_rows import difference, stacked_rows_of
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.context import Origins
-from cosim.scenario.building.parsing import Scenario, read
-from cosim.scenario.document.document import Document, component_in, short
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.document import component_in, short
 from cosim.scenario.document.swaps import (
     PortNames,
     component_table,
-    is_map_key,
     marked_path,
+    port_names,
 )
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
@@ -80,9 +78,7 @@ def _targets(
         folder = path_argument("out", out)
         if file_type(folder) is not None or (folder.exists() and not folder.is_dir()):
             found = quoted(str(out))
-            raise UsageError(
-                f"{option('out')}: expected a folder for {len(names)} logs, got {found}"
-            )
+            raise UsageError(f"{option('out')}: expected a folder for the logs, got {found}")
         logs = [folder / f"{name}.mcap" for name in names]
     for log in logs:
         check(log)
@@ -244,9 +240,10 @@ def compare(
     of_others = {key: changes[key] for key in changes if component_in(short(key)) != component}
     common = loaded.edit(set=of_others)  # a problem of all plants is raised once
     document = loaded.document.with_changes(changes)
-    documents = [document.with_swaps({component: path}) for path in paths]
+    maps = _maps_by_path(component, paths, mapping_argument("map", map))
     plants: list[tuple[Scenario | None, str]] = []
-    for swapped in _mapped(documents, component, mapping_argument("map", map)):
+    for path in paths:
+        swapped = document.with_swaps({component: path}, maps[path])
         plants.append(_attempt(partial(loaded.parse, swapped)))
     if all(plant is None for plant, _ in plants):
         raise UsageError("\n".join(dict.fromkeys(error for _, error in plants)))
@@ -305,41 +302,69 @@ def _alternatives(swap: Mapping[str, Sequence[str | Path]], *, base: bool) -> tu
     return component, listed
 
 
-def _mapped(
-    documents: Sequence[Document], component: str, maps: Mapping[str, PortNames]
-) -> list[Document]:
-    """Return the alternatives, each with the entries of a map that are for it.
+def _maps_by_path(
+    component: str, paths: Sequence[str], maps: Mapping[str, PortNames]
+) -> dict[str, dict[str, PortNames]]:
+    """Return for each alternative the entries whose names are ports of it.
+
+    What else may be wrong with them is the outcome of its run.
 
     Raises
     ------
     UsageError
-        If an entry is for none of them.
+        If a name is none of a port of any.
     """
-    mapped = list(documents)
-    refused: dict[str, None] = {}
-    for port, names in maps.items():
-        problems = []
-        for i, document in enumerate(documents):
-            problem = _map_problem(document.with_swaps({}, {port: names}), component)
-            problems.append(problem)
-            if not problem:
-                mapped[i] = mapped[i].with_swaps({}, {port: names})
-        if all(problems):
-            refused |= dict.fromkeys(f"{option('map', port)}: {problem}" for problem in problems)
-    if refused:
-        raise UsageError("\n".join(refused))
-    return mapped
+    if not maps:
+        return {path: {} for path in paths}  # without a look into the files
+    listed = {port: port_names(names) for port, names in maps.items()}
+    mapped = list(chain.from_iterable(listed.values()))
+    ports = {path: _ports(component, path, mapped) for path in paths}
+    known = list(dict.fromkeys(chain.from_iterable(ports.values())))
+    problems = []
+    for port, names in listed.items():
+        for name in names:
+            if not _is_port(name, known):
+                problem = f"no alternative has a port {name!r}; {nearest(name, known)}"
+                problems.append(f"{option('map', port)}: {problem}")
+    if problems:
+        raise UsageError("\n".join(problems))
+    return {
+        path: {
+            port: maps[port]
+            for port, names in listed.items()
+            if all(_is_port(name, ports[path]) for name in names)
+        }
+        for path in paths
+    }
 
 
-def _map_problem(document: Document, component: str) -> str:
-    """Return why a component cannot be built with its map; empty: it can. Nothing of it runs."""
-    scenario, problems = read(document, parse)
-    with ExitStack() as resources:
-        builder = Builder(scenario, resources, Origins(describes=True), problems=problems)
-    for key, text in builder.problems:
-        if is_map_key(key) or key[:2] == ("components", component):
-            return text
-    return ""
+def _is_port(name: str, ports: Collection[str]) -> bool:
+    """Return whether a name is that of a port, or of elements of one."""
+    return name in ports or split_element(name)[0] in ports
+
+
+def _ports(component: str, path: str, mapped: Sequence[str]) -> list[str]:
+    """Return the ports of an alternative; none where it cannot be read: its run says why.
+
+    Of an MCAP of another tool these are the mapped fields of its topics.
+    """
+    from cosim.fmi.reading.model_description import read
+    from cosim.log.foreign.topics import read_channels
+    from cosim.scenario.data_files.field_file import field_data
+
+    table = component_table(component, path)
+    try:
+        if table["kind"] == "fmu":
+            return [one.name for one in read(table["path"]).description.interface.signals]
+        if table["kind"] == "recording":
+            channel = open_log(table["log"]).channels.get(component)
+            return [] if channel is None else list(channel.by_name)
+        if file_type(table["path"]) == "log":
+            topics = tuple(channel.topic for channel in read_channels(Path(table["path"])))
+            return [name for name in mapped if name.lstrip('"').startswith(topics)]
+        return [signal.name for signal in field_data(Path(table["path"])).signals]
+    except CosimError:
+        return []
 
 
 # --- estimators ---

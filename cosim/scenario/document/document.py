@@ -91,6 +91,13 @@ def short(key: str) -> str:
     return f"{first}{dot}{rest}"
 
 
+def _shown(key: str) -> str:
+    """Return the short form of a key as it is written: ``actions[0].at`` of ``actions.0.at``."""
+    first, _, rest = key.partition(".")
+    number, dot, inner = rest.partition(".")
+    return f"{ACTIONS}[{number}]{dot}{inner}" if first == ACTIONS and rest else key
+
+
 def component_in(key: str) -> str | None:
     """Return the component that a dotted key is about; None: it is in another table."""
     first, _, rest = key.partition(".")
@@ -283,9 +290,9 @@ def _set_inside(holder: Any, parts: list[str], value: Any, place: Key) -> Key:
     if not inner:
         holder[key] = deepcopy(value)  # a later edit may reach into it
         return place
-    if isinstance(holder, dict) and key not in holder and not inner[0].startswith("["):
-        holder[key] = {}
     there = holder.get(key) if isinstance(holder, dict) else holder[key]
+    if isinstance(holder, dict) and not inner[0].startswith("[") and not isinstance(there, dict):
+        there = holder[key] = {}  # in the place of one value for all, such as a unit
     return _set_inside(there, inner, value, place)
 
 
@@ -514,7 +521,10 @@ class Document:
             except UsageError as error:
                 place = (_SET, key)
                 problems.append((place, str(error)))
-            edits[place] = option("set", key)
+            edits[place] = option("set", _shown(key))
+            if isinstance(value, Mapping):  # whose keys may be parts of ports
+                outer, last = place[:-1], place[-1]
+                edits |= {(*outer, f"{last}.{inner}"): edits[place] for inner in value}
         problems += _flatten(tree)  # again, for the tables that were set
         return tree, problems, edits
 

@@ -38,27 +38,36 @@ def written(key: Key) -> str:
 def key_lines(text: str) -> dict[Key, int]:
     """Return the lines of the tables and keys of a text, from 1.
 
-    What is inside a value has the line of its key.
+    Elements of a list over several lines have the lines that they begin in; what else is inside a
+    value has the line of its key.
     """
     lines: dict[Key, int] = {}
     counts: dict[Key, int] = {}  # of the tables in arrays of them
     table: Key = ()
+    value: Key = ()  # the key whose value is read
     depth = 0  # of the brackets that are open
+    element = 0  # of the outermost list
     bare = _LITERALS.sub(lambda match: re.sub(r"[^\n]", "_", match[0]), text)
-    for number, (line, outside) in enumerate(
-        zip(text.split("\n"), bare.split("\n"), strict=True), start=1
-    ):
-        if depth == 0 and outside.lstrip().startswith("["):
+    pairs = zip(text.split("\n"), bare.split("\n"), strict=True)
+    for number, (line, outside) in enumerate(pairs, start=1):
+        content = outside.strip()
+        if depth == 0 and content.startswith("["):
             table = _path(line)
-            if outside.lstrip().startswith("[["):
+            lines.setdefault(_with_port(table), number)
+            if content.startswith("[["):
                 counts[table] = counts.get(table, -1) + 1
                 table = (*table, counts[table])
-            lines.setdefault(_with_port(table), number)
+                lines[table] = number
             continue
         if depth == 0 and "=" in outside:
-            key = (*table, *_path(f"{line[: outside.index('=')]}= 0"))
-            lines.setdefault(_with_port(key), number)
-        depth += sum(map(outside.count, "[{")) - sum(map(outside.count, "]}"))
+            value = _with_port((*table, *_path(f"{line[: outside.index('=')]}= 0")))
+            lines.setdefault(value, number)
+            element = 0
+        elif depth == 1 and content and content[0] != "]":
+            lines.setdefault((*value, element), number)
+        for mark in re.findall(r"[\[\]{},]", outside):
+            element += mark == "," and depth == 1
+            depth += (mark in "[{") - (mark in "]}")
     return lines
 
 

@@ -341,7 +341,7 @@ def test_an_unknown_action_cannot_be_set(write):
         cosim.run(write(), set={"actions.7.at": 1.0})
     with pytest.raises(
         ScenarioError,
-        match=r"set\['actions\.0\.at'\]: actions has no element '0'; none is available",
+        match=r"set\['actions\[0\]\.at'\]: actions has no element '0'; none is available",
     ):
         cosim.run(write(""), set={"actions.0.at": 1.0})
 

@@ -148,6 +148,25 @@ def test_names_of_ports_and_variables_stay_names(tmp_path):
         cosim.load(path).set({"plant.start.level[0]": 2.0})
 
 
+def test_a_table_takes_the_place_of_one_value_for_all():
+    """Units by port, where the file has one unit; so it is in logs of before."""
+    edited = cosim.load("pair").set({"load.unit.y": "N.m"})
+    assert tables(edited)["components"]["load"]["unit"] == {"y": "N.m"}
+
+
+def test_a_part_that_an_edit_gives_twice_is_blamed_on_the_edit(tmp_path):
+    """Whatever the parts of its key are in the file."""
+    path = tmp_path / "x.toml"
+    path.write_text(
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
+        'actions = [{ at = 0.5, set = { "g.K" = 2.0 } }]\n'
+        'components = { g = { kind = "gain", K = 1.0 }, u = { kind = "constant", value = 1.0 } }\n'
+        'connections = { "g.u" = "u.y" }\n'
+    )
+    with pytest.raises(ScenarioError, match=r"set\['actions\[0\]\.set\.g'\]: .*given twice"):
+        cosim.load(path).set({"actions[0].set.g": {"K": 3.0}})
+
+
 def test_an_action_is_found_by_either_spelling(tmp_path):
     """``actions[0]`` is ``actions.0``; a replay refuses both."""
     path = tmp_path / "x.toml"
