@@ -108,7 +108,6 @@ class Builder:
         self.problems = list(problems)
         self._origins = origins
         self._block = block
-        self._resources = resources
         invalid = self._check_times()
         self.context = ScenarioBuildContext(beside or scenario, resources, origins, invalid)
         self.components: dict[str, Component] = {}

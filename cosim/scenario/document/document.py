@@ -228,18 +228,21 @@ def _set(tree: dict[str, Any], key: str, value: Any) -> Key:
             raise UsageError(f"unknown component {first!r}; {suggestion}")
         first, rest = COMPONENTS, [first, *rest]
     elif first == ACTIONS and rest:
+        if rest[1:2] == ["set"] and len(rest) > 2:
+            rest[2:] = [_setting(".".join(rest[2:]))]
         rest[0] = f"[{rest[0]}]"
         tree.setdefault(ACTIONS, [])
-    table = tree if first == ACTIONS else tree.setdefault(first, {})
-    if not isinstance(table, dict):  # the schema of the file names that
-        return (first,)
-    if first in PORTS:
+    elif first in PORTS:
         rest = [".".join(rest)]
-        table[rest[0]] = deepcopy(value)
-        return (first, *rest)
-    if first == ACTIONS:
-        return _set_inside(tree, [ACTIONS, *rest], value, ())
-    return _set_inside(table, rest, value, (first,))
+    if first != ACTIONS and not isinstance(tree.setdefault(first, {}), dict):
+        return (first,)  # the schema of the file names that
+    return _set_inside(tree, [first, *rest], value, ())
+
+
+def _setting(key: str) -> str:
+    """Return a key that an action sets, which is always that of a component, in its short form."""
+    rest = key.removeprefix(f"{COMPONENTS}.")
+    return rest if "." in rest else key
 
 
 def _is_in_table(tree: Mapping[str, Any], name: str, path: list[str]) -> bool:
@@ -277,16 +280,10 @@ def _set_inside(holder: Any, parts: list[str], value: Any, place: Key) -> Key:
         name, *indices = parts_of(part)
         # the tables inside a component's have names such as ``start = { "x[0]" = 1.0 }``
         is_name = len(place) == 3 and place[0] == COMPONENTS and name not in holder
-        if indices and not is_name:
+        if indices and not (is_name or _has_ports(place)):
             split = [name, *(f"[{index}]" for index in indices), *inner]
             return _set_inside(holder, split, value, place)
     place = (*place, key)
-    is_setting = place[0] == ACTIONS and place[2:] == ("set",)
-    if is_setting and inner and isinstance(holder.get(key), dict):
-        holder = holder[key]  # whose keys are those of components, with dots
-        key = ".".join(inner).removeprefix(f"{COMPONENTS}.")
-        place = (*place, key)
-        inner = []
     if not inner:
         holder[key] = deepcopy(value)  # a later edit may reach into it
         return place
@@ -294,6 +291,16 @@ def _set_inside(holder: Any, parts: list[str], value: Any, place: Key) -> Key:
     if isinstance(holder, dict) and not inner[0].startswith("[") and not isinstance(there, dict):
         there = holder[key] = {}  # in the place of one value for all, such as a unit
     return _set_inside(there, inner, value, place)
+
+
+def _has_ports(place: Key) -> bool:
+    """Return whether the keys of a table are those of components, with dots."""
+    match place:
+        case (str(name),):
+            return name in PORTS
+        case (first, int(), "set"):
+            return first == ACTIONS
+    return False
 
 
 def _index(items: Any, index: str, place: Key) -> int:
@@ -311,10 +318,10 @@ def _index(items: Any, index: str, place: Key) -> int:
     return int(index)
 
 
-def _flatten(tree: dict[str, Any]) -> list[Problem]:
+def _flatten(tree: dict[str, Any], edits: dict[Key, str]) -> list[Problem]:
     """Write the ports of a scenario's tables as one dotted key each.
 
-    ``plant.u = ...`` and ``"plant.u" = ...`` mean the same.
+    ``plant.u = ...`` and ``"plant.u" = ...`` mean the same. What a key was edited by goes along.
     """
     holders: list[tuple[Any, str, Key]] = [(tree, name, (name,)) for name in PORTS]
     for name, table in table_of(tree, "swap").items():
@@ -331,10 +338,10 @@ def _flatten(tree: dict[str, Any]) -> list[Problem]:
             pairs = {key: value}
             if isinstance(value, dict) and "." not in key:
                 pairs = {f"{key}.{inner}": item for inner, item in value.items()}
-            for written_port, item in pairs.items():
-                port = written_port
-                if place[0] == ACTIONS and written_port.count(".") > 1:
-                    port = written_port.removeprefix(f"{COMPONENTS}.")
+            for dotted, item in pairs.items():
+                port = _setting(dotted) if place[0] == ACTIONS else dotted
+                if (*place, key) in edits:
+                    edits[*place, port] = edits[*place, key]
                 if port in flat:
                     problems.append(((*place, port), _given_twice(f"'{port}'", str(place[0]))))
                 flat[port] = item
@@ -509,7 +516,7 @@ class Document:
         """Return the tables, the problems of edits, and by what a key was edited."""
         tree = self._parsed()
         edits: dict[Key, str] = {}
-        problems = _flatten(tree)
+        problems = _flatten(tree, edits)
         if self.swapped:
             problems += replace_components(tree, self.swaps)
             edits |= {("swap", name): option("swap", name) for name in self.swaps}
@@ -522,10 +529,7 @@ class Document:
                 place = (_SET, key)
                 problems.append((place, str(error)))
             edits[place] = option("set", _shown(key))
-            if isinstance(value, Mapping):  # whose keys may be parts of ports
-                outer, last = place[:-1], place[-1]
-                edits |= {(*outer, f"{last}.{inner}"): edits[place] for inner in value}
-        problems += _flatten(tree)  # again, for the tables that were set
+        problems += _flatten(tree, edits)  # again, for the tables that were set
         return tree, problems, edits
 
     def _parsed(self) -> dict[str, Any]:

@@ -138,7 +138,7 @@ def _label(
         if one[:1] == ("swap",) and one in lines:
             return f"{source}:{lines[one]}: {name}"
     place = next((f"{source}:{lines[one]}" for one in outer if one in lines), source)
-    inside = sorted(edit for one, edit in edits.items() if key and one[: len(key)] == key)
+    inside = sorted({edit for one, edit in edits.items() if key and one[: len(key)] == key})
     if len(inside) > _MOST_EDITS:
         inside[_MOST_EDITS:] = [f"{len(inside) - _MOST_EDITS} more"]
     if inside:

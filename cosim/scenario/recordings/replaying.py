@@ -152,17 +152,19 @@ def rebuilt(
         part = _part(source, scenario, left_out, request.components or ())
         left_out = tuple(name for name in part.copied if scenario.specs[name].computable)
     runs = scenario if part is None else part.scenario
-    load_rows(source, _recorded_in(source, runs, left_out))
+    origins = Origins(
+        recording=source if part is None else part.recording,
+        named=named,
+        left_out=left_out,
+        fmus_again=fmus_again,
+        unpacked=unpacked,
+    )
+    copied = [name for name, spec in runs.specs.items() if origins.copies(name, spec)]
+    load_rows(source, [name for name in copied if name in source.channels])
     builder = Builder(
         runs,
         resources,
-        Origins(
-            recording=source if part is None else part.recording,
-            named=named,
-            left_out=left_out,
-            fmus_again=fmus_again,
-            unpacked=unpacked,
-        ),
+        origins,
         problems=problems,
         block=request.block,
         replaced=_replaced(source, swaps.paths),
@@ -354,15 +356,6 @@ def _why_recorded(spec: Kind) -> str:
     if spec.code is not None:
         return f"{flag('allow_code')} allows its code to run"
     return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of the log"
-
-
-def _recorded_in(
-    source: CompleteRecording, scenario: Scenario, left_out: Collection[str]
-) -> list[str]:
-    """Return the components of a scenario that are taken from a log, as far as it has them."""
-    specs = scenario.specs
-    recorded = [name for name in specs if not specs[name].computable or name in left_out]
-    return [name for name in recorded if name in source.channels]
 
 
 def valid_designs(

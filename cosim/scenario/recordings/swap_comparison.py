@@ -98,14 +98,6 @@ def build_swapped(
     return comparison.experiment(), comparison.reports
 
 
-def replaced_interfaces(
-    scenario: Scenario, unpacked: UnpackedFmus | None = None
-) -> dict[str, Interface]:
-    """Return the interfaces of the components that swaps replaced, where they are known."""
-    before, _ = _replaced_components(scenario, unpacked)
-    return {name: part.component.interface for name, part in before.items()}
-
-
 @dataclass(frozen=True)
 class _InitialSignals:
     """Inputs and outputs of a component at initialization, by port."""
