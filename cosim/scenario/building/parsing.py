@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -24,9 +24,8 @@ from cosim.scenario.document.swaps import (
     PortNames,
     RecordedInput,
     ports_in,
+    record_inputs,
     resolve_maps,
-    swapped_components,
-    with_recorded_inputs,
 )
 from cosim.scenario.kinds import KINDS, Kind
 
@@ -121,13 +120,11 @@ class Scenario:
     @property
     def unfollowed(self) -> dict[str, list[str]]:
         """Inputs that the file connects, by component, of those that follow none."""
+        outputs = [recorded.port for recorded in self.recorded_inputs]
         inputs: dict[str, list[str]] = {}
-        recorded = [recorded.port for recorded in self.recorded_inputs]
         for to in ports_in(self.file.connections):
             spec = self.specs.get(to.component)
-            if to in recorded:
-                continue
-            if spec is not None and not spec.follows_inputs:
+            if spec is not None and not spec.follows_inputs and to not in outputs:
                 inputs.setdefault(to.component, []).append(to.name)
         return inputs
 
@@ -232,27 +229,27 @@ def read(
     ScenarioError
         If the text is no TOML.
     """
-    tree, problems = document.tree()
-    file, file_problems, invalid = _validate_tables(tree)
-    valid_tree = without(tree, invalid)
-    maps, map_problems = resolve_maps(valid_tree, document.maps)
-    foreign = document.foreign_kinds
-    specs, component_problems = _validate_components(file.components, foreign)
+    tables = document.tables()
+    file, file_problems, invalid = _validate_tables(tables.tree)
+    tree = without(tables.tree, invalid)
+    maps, map_problems = resolve_maps(tree, document.maps)
+    specs, component_problems = _validate_components(file.components, document.foreign_kinds)
     written, connection_problems = _connections(file)
-    followed = _followed(specs, written)
-    replaced = _replaced(document, specs, swapped_components(tree) if document.swapped else ())
-    connections, implied, given_twice = _with_implied(replaced, followed)
-    without_inputs = [name for name, spec in specs.items() if not spec.follows_inputs]
-    maps, connections, recorded_inputs, input_problems = with_recorded_inputs(
-        without_inputs, maps, connections, written
-    )
-    map_problems += input_problems
+    recorded = {name for name, spec in specs.items() if not spec.follows_inputs}
+    followed = {to: written[to] for to in written if to.component not in recorded}
+    # what takes the place of another component has its inputs
+    originals = {n: tables.replaced[n] for n in tables.replaced.keys() & specs.keys() - recorded}
+    replaced, _ = _validate_components(originals, document.foreign_kinds)
+    connections, implied, given_twice = _with_implied({**specs, **replaced}, followed)
+    inputs: list[RecordedInput] = []
+    for name in specs:
+        if name in recorded and name in maps:
+            maps[name], named, input_problems = record_inputs(maps[name], connections, written)
+            inputs += named
+            map_problems += input_problems
     connection_problems += given_twice
-    for key, _ in connection_problems:
-        invalid.add(key)
+    invalid.update(key for key, _ in connection_problems)
     actions, action_problems = _validate_actions(file.actions)
-    problems += file_problems + map_problems + component_problems + connection_problems
-    problems += action_problems
     scenario = Scenario(
         document,
         file,
@@ -260,13 +257,14 @@ def read(
         connections,
         implied,
         maps,
-        valid_tree,
+        tree,
         parse,
         frozenset(invalid),
         actions,
-        recorded_inputs=tuple(recorded_inputs),
+        tuple(inputs),
     )
-    return scenario, problems
+    problems = [*tables.problems, *file_problems, *map_problems, *component_problems]
+    return scenario, [*problems, *connection_problems, *action_problems]
 
 
 def _validate_actions(
@@ -279,13 +277,12 @@ def _validate_actions(
         key: Key = ("actions", number)
         try:
             action = ActionTable.model_validate(table)
+            own = [((*key, *inner), text) for inner, text in action.problems()]
         except ValidationError as error:
-            problems += problems_of(error, ActionTable, table, key)
-            continue
-        own = [((*key, *inner), text) for inner, text in action.problems()]
-        problems += own
+            own = problems_of(error, ActionTable, table, key)
         if not own:
             actions[number] = action
+        problems += own
     return actions, problems
 
 
@@ -295,38 +292,32 @@ def _validate_tables(tree: Mapping[str, Any]) -> tuple[File, list[Problem], set[
         return File.model_validate(tree), [], set()
     except ValidationError as error:
         problems = problems_of(error, File, tree, ())
-        invalid = _invalid_keys(error, tree)
+        details = error.errors(include_url=False, include_input=False)
+    invalid: set[Key] = set()
+    for item in details:
+        table = item["loc"][0]
+        if len(item["loc"]) > 1 and isinstance(tree.get(str(table)), dict):
+            invalid.add(item["loc"][:2])
+            continue
+        invalid.add((table,))
+        if item["type"] == "extra_forbidden":
+            # probably a table under another name, so that nothing is known of that one
+            meant = get_close_matches(str(table), File.model_fields, n=1, cutoff=0.5)
+            invalid |= {(name,) for name in meant if name not in tree}
     valid = without(tree, invalid)
     valid["scenario"] = {**STAND_INS, **valid.get("scenario", {})}
     valid.setdefault("components", {})
     return File.model_validate(valid), problems, invalid
 
 
-def _invalid_keys(error: ValidationError, tree: Mapping[str, Any]) -> set[Key]:
-    """Return the tables that are wrong, and the entries of the others that are."""
-    invalid: set[Key] = set()
-    for details in error.errors(include_url=False, include_input=False):
-        location = details["loc"]
-        if len(location) > 1 and isinstance(tree.get(str(location[0])), dict):
-            invalid.add(location[:2])
-        elif details["type"] == "extra_forbidden":
-            # probably a table under another name, so that nothing is known of that one
-            meant = get_close_matches(str(location[0]), File.model_fields, n=1, cutoff=0.5)
-            invalid |= {(location[0],), *((name,) for name in meant if name not in tree)}
-        else:
-            invalid.add(location[:1])
-    return invalid
-
-
 def without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]:
     """Return tables without some of them, and without entries of others."""
     valid: dict[str, Any] = {}
     for name, table in tree.items():
-        if (name,) in invalid:
-            continue
-        valid[name] = table
-        if isinstance(table, dict):
-            valid[name] = {key: table[key] for key in table if (name, key) not in invalid}
+        if (name,) not in invalid:
+            valid[name] = table
+            if isinstance(table, dict):
+                valid[name] = {key: table[key] for key in table if (name, key) not in invalid}
     return valid
 
 
@@ -363,9 +354,9 @@ def _with_meant_keys(
         name, *inner = details["loc"]
         if details["type"] == "extra_forbidden" and not inner:
             known = [field.alias or key for key, field in kind.model_fields.items()]
-            close = get_close_matches(str(name), [key for key in known if key not in table], n=1)
-            if close:
-                meant[close[0]] = meant.pop(str(name))
+            missing = [key for key in known if key not in table]
+            for close in get_close_matches(str(name), missing, n=1):
+                meant[close] = meant.pop(str(name))
     return meant
 
 
@@ -383,44 +374,14 @@ def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
     from cosim.scenario.kinds.installed_kinds import installed_classes
     from cosim.scenario.kinds.user_component import InstalledKind
 
-    if isinstance(kind, str) and kind in foreign:
+    if isinstance(kind, str) and (kind in foreign or kind in installed_classes()):
         return InstalledKind
-    installed = installed_classes()
-    if isinstance(kind, str) and kind in installed:
-        return InstalledKind
-    names = [*KINDS, *(name for name in installed if name not in KINDS)]
+    names = list(dict.fromkeys([*KINDS, *installed_classes()]))
     if "kind" not in table:
         raise TableProblems([((), f"'kind' is missing; available: {', '.join(names)}")])
     if not isinstance(kind, str):
         raise TableProblems([(("kind",), f"expected a string, got {quoted(kind)}")])
-    text = f"unknown kind {quoted(kind)}; {nearest(kind, names)}"
-    raise TableProblems([(("kind",), text)])
-
-
-def _replaced(
-    document: Document, specs: Mapping[str, Kind], swapped: Iterable[str]
-) -> Mapping[str, Kind]:
-    """Return the specs with those that swaps replaced: what takes their place has their inputs."""
-    names = [name for name in swapped if name in specs]
-    names = [name for name in names if specs[name].follows_inputs]
-    if not names:
-        return specs
-    tree, _ = document.unswapped().tree()
-    tables = {name: tree["components"][name] for name in names}
-    originals, _ = _validate_components(tables, document.foreign_kinds)
-    return {**specs, **originals}
-
-
-def _followed(
-    specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
-) -> dict[Port, Connection]:
-    """Return the connections without those to components that follow no inputs."""
-    followed = {}
-    for to, connection in connections.items():
-        spec = specs.get(to.component)
-        if spec is None or spec.follows_inputs:
-            followed[to] = connection
-    return followed
+    raise TableProblems([(("kind",), f"unknown kind {quoted(kind)}; {nearest(kind, names)}")])
 
 
 def _with_implied(

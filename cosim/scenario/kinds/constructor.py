@@ -30,7 +30,7 @@ from pydantic import Field, StrictStr, ValidationError, create_model
 from cosim.core.arguments import checked_components
 from cosim.core.contracts import Component
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.document.problems import TableProblems, described, problems_of
+from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import (
     Flag,
     Number,
@@ -132,7 +132,7 @@ def _read_constructor(user_class: UserClass) -> _Constructor:
         schema = _schema(parameter, user_class)
         is_required = parameter.default is inspect.Parameter.empty
         default = ... if is_required else None
-        description = described(schema)
+        description = inspect.formatannotation(parameter.annotation)
         fields[field] = (schema, Field(default, alias=parameter.name, description=description))
     model = create_model("Parameters", __base__=TomlTable, **fields)
     return _Constructor(names, annotations, model)

@@ -285,7 +285,7 @@ CASES = {
     ),
     "wrong type": (
         'at = 1.0\nsignal = "x.u"\noffset = "much"',
-        r"actions\[0\]\.offset: expected a number or a list of numbers, got 'much'",
+        r"actions\[0\]\.offset: expected a number or a list, got 'much'",
     ),
 }
 

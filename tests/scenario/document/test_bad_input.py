@@ -89,7 +89,7 @@ CASES = {
     ),
     "connection that is none": (
         [('"plant.u" = "u.y"', '"plant.u" = 3')],
-        r"connections\.plant\.u: expected a string or a list of strings or a table, got 3",
+        r"connections\.plant\.u: expected a string or a list or a table, got 3",
     ),
     "connection with an unknown key": (
         [('"plant.u" = "u.y"', '"plant.u" = { from = "u.y", gian = 2.0 }')],
