@@ -17,7 +17,7 @@ from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
 from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.scenario.building.build import describe
 from cosim.scenario.document.document import find
-from cosim.scenario.kinds.base import Sampling
+from cosim.scenario.kinds.values import Sampling
 
 # what an input has within a communication step: in words, and color and dashes of its arrow
 COURSES: Final[Mapping[str, tuple[str, str, str]]] = {

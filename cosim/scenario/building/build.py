@@ -23,14 +23,6 @@ from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.feedthrough import find_feedthrough
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import AlgebraicLoopError, CosimError, GraphError, RollbackError, UsageError
-from cosim.scenario.building.context import (
-    TABLES_ALONE,
-    DependsOnInvalid,
-    NotImported,
-    Origins,
-    ScenarioBuildContext,
-    clock_of,
-)
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import (
     as_in_run,
@@ -40,7 +32,6 @@ from cosim.scenario.building.graph_checks import (
     jump_problems,
     substep_tolerance,
 )
-from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.building.stopping import check_until, until_warnings
 from cosim.scenario.document.document import Document
@@ -48,8 +39,16 @@ from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import BuildContext, clock_of
+from cosim.scenario.kinds.build_record import (
+    TABLES_ALONE,
+    DependsOnInvalid,
+    NotImported,
+    Origins,
+)
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.models import form_problems
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ class Builder:
         self._origins = origins
         self._block = block
         invalid = self._check_times()
-        self.context = ScenarioBuildContext(beside or scenario, resources, origins, invalid)
+        self.context = BuildContext(beside or scenario, resources, origins, invalid)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self.given_states: dict[str, GivenStates] = {}
@@ -146,7 +145,7 @@ class Builder:
         checks: dict[str, Callable[[], object]] = {
             "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
-            "stop": lambda: clock_of(self.scenario),
+            "stop": lambda: clock_of(self.scenario.file.scenario),
             "substeps": lambda: check_substeps(settings),
         }
         unknown: set[Key] = set()
@@ -500,7 +499,9 @@ class Builder:
     def _recorded_names(self) -> tuple[str, ...]:
         """Return the components that are taken from the recording."""
         specs = self.scenario.specs.items()
-        return tuple(name for name, spec in specs if self._origins.copies(name, spec))
+        return tuple(
+            name for name, spec in specs if self._origins.copies(name, computable=spec.computable)
+        )
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""

@@ -24,11 +24,11 @@ from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted
 from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design, encode_design
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Problem
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import BuildContext
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
@@ -70,7 +70,7 @@ class SettingBuilder:
     Parameters
     ----------
     scenario : Scenario
-    context : ScenarioBuildContext
+    context : BuildContext
         In which the components of the run were built.
     components : mapping of name to Component
         Those of them that are right.
@@ -79,7 +79,7 @@ class SettingBuilder:
     def __init__(
         self,
         scenario: Scenario,
-        context: ScenarioBuildContext,
+        context: BuildContext,
         components: Mapping[str, Component],
     ) -> None:
         self._components = components

@@ -11,10 +11,11 @@ from cosim.core.port import Port
 from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
+from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.scenario.kinds.values import ImpliedConnection
 from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.disturbances.distinguishable import check_distinguishable
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant

@@ -28,11 +28,10 @@ from cosim.scenario.kinds.base import (
     BuildContext,
     Kind,
     LinearKind,
-    LinearSystem,
     PeriodicKind,
-    Sampling,
 )
 from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.values import LinearSystem, Sampling
 from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
@@ -109,7 +108,7 @@ class DescriptorKind(PlantKind, LinearKind):
             context.warn(name, inaccuracy)
         component = ModelExchange(instance, solver=self.solver)
         context.add_metadata(name, component.metadata)
-        context.add_states(name, component)
+        context.model_exchange[name] = component
         return component
 
     def description(

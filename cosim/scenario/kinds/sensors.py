@@ -23,7 +23,13 @@ from cosim.scenario.document.schema import (
     StepTime,
     Whole,
 )
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    PeriodicKind,
+    PortUnits,
+    unit_of,
+)
+from cosim.scenario.kinds.values import Sampling
 
 EACH = ", one number or one per element"
 

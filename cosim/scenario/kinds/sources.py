@@ -36,7 +36,7 @@ from cosim.scenario.document.schema import (
     matrix,
 )
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
+from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import (
     check_continuous,
     check_sampled,
@@ -45,6 +45,7 @@ from cosim.scenario.kinds.jumps import (
 )
 from cosim.scenario.kinds.table_keys import TableKeys
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
+from cosim.scenario.kinds.values import ImpliedConnection
 
 if TYPE_CHECKING:
     from cosim.blocks.modulated_source import Modulation

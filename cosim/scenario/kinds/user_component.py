@@ -73,7 +73,7 @@ class PythonKind(UserKind):
         return self.class_
 
     def build(self, name: str, context: BuildContext) -> Component:
-        user_class = context.user_class(name, self.class_)
+        user_class = context.user_class(name, self.code, self.class_)
         return construct(name, user_class, self.parameters)
 
 
@@ -92,5 +92,5 @@ class InstalledKind(UserKind):
     def build(self, name: str, context: BuildContext) -> Component:
         installed = installed_class(self.kind)
         package = installed.distribution
-        user_class = context.user_class(name, installed.class_name, package=package)
+        user_class = context.user_class(name, self.code, installed.class_name, package)
         return construct(name, user_class, self.parameters)

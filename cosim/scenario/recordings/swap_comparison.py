@@ -25,12 +25,12 @@ from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.context import Origins
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.build_record import Origins
 from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.recordings.port_comparison import (
     ComparedComponent,
