@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import cached_property, partial
@@ -31,7 +31,6 @@ from cosim.scenario.document.places import Key
 from cosim.scenario.document.schema import AnyUnit, File, Settings, StepTime, TomlTable
 from cosim.scenario.document.swaps import MapEntry, ports_in
 from cosim.scenario.kinds.build_record import TABLES_ALONE, DependsOnInvalid, Origins
-from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.loading import CodeLoading
 from cosim.scenario.kinds.models import LETTERS, system_of, system_of_file
 from cosim.scenario.kinds.values import (
@@ -40,15 +39,13 @@ from cosim.scenario.kinds.values import (
     LinearSystem,
     Sampling,
     Spectrum,
+    StepDependence,
 )
 from cosim.scenario.record import component_record, recorded_models
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.blocks.field_data import FieldData
-    from cosim.blocks.renaming import Renaming
-    from cosim.fmi.component import Fmu
-    from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.exporting.specifications import Exportable
 
 T = TypeVar("T")
@@ -167,83 +164,9 @@ class Kind(TomlTable):
         return True
 
     @property
-    def draws_every_step(self) -> bool:
-        """Whether it draws random numbers at every communication step: another step, others."""
-        return False
-
-    @property
-    def jumps_at_points(self) -> bool:
-        """Whether it is known to jump at communication points alone, whatever the step is.
-
-        So does what has its instants from its table, as a period, or from what drives it.
-        """
-        return True
-
-    @property
-    def divided_times(self) -> tuple[float, ...]:
-        """Times [s] of its table that need not be whole communication steps.
-
-        Its error depends on the part of a step that they leave over.
-        """
-        return ()
-
-    def decided(
-        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: StepNs
-    ) -> Mapping[str, Any]:
-        """Return the table with what the communication step has decided.
-
-        With a smaller step it is the same then: an instant of a communication point, for example.
-
-        Parameters
-        ----------
-        table : Mapping
-            Of the component, as the scenario has it.
-        metadata : Mapping
-            That it has recorded while it was built.
-        step_ns : int
-            Communication step [ns] that it was built with.
-        """
-        return table
-
-    def samples_of(self, output: str) -> str | None:
-        """Return the output with another output's samples at times of their own; None: none."""
-        return None
-
-    @property
-    def samples_at_points(self) -> bool:
-        """Whether samples are of communication points, at most one of each."""
-        return True
-
-    def most_in_a_step(self, name: str, context: BuildContext) -> int:
-        """Return for how many samples in a communication step there is a place; 0: none."""
-        return 0
-
-    def late_steps(self, context: BuildContext) -> int:
-        """Return how many communication steps after its instant a sample may come."""
-        return 0
-
-    @property
-    def models(self) -> tuple[str, ...]:
-        """The models that a component is made of which is not computable."""
-        return ()
-
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
-        """Return warnings about what will be right but costly or poor.
-
-        Parameters
-        ----------
-        name : str
-            Of the component.
-        context : BuildContext
-            That it was built in.
-        held : mapping of input name to bool
-            Whether the input keeps its value over a communication step.
-        h : float
-            Communication step [s].
-        """
-        return []
+    def step_dependence(self) -> StepDependence:
+        """What another communication step changes, beside the error of the step."""
+        return StepDependence()
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
         """Return how far an output lags behind what it estimates [s], as far as that is known."""
@@ -253,24 +176,9 @@ class Kind(TomlTable):
         """Return what the table says of the signal that drives the component, if anything."""
         return None
 
-    def period_steps(self, name: str, step_ns: StepNs) -> int:
-        """Return the sample period in communication steps of ``step_ns``; 1 where there is none."""
-        return 1
-
-    def with_period(self, component: Component, n: int) -> Component:
-        """Return the component with its sample period of ``n`` communication steps."""
-        return component
-
-    def sampling(self, n: int) -> Sampling | None:
-        """Return when it takes its inputs, with a period of ``n`` steps; None: at every step."""
-        return None
-
-    def recorded_period(self, n: int) -> int:
-        """Return which rows the log keeps, one in so many, with a period of ``n`` steps."""
-        return n
-
-    def tunable_parameters(self, name: str, context: BuildContext) -> Sequence[str]:
-        """Return the keys that may be set in a run, which have a number or a row of numbers."""
+    @property
+    def tunable_parameters(self) -> Sequence[str]:
+        """The keys that may be set in a run, which have a number or a row of numbers."""
         keys = []
         for key in self.tunable:
             value = getattr(self, key)
@@ -278,10 +186,6 @@ class Kind(TomlTable):
             if all(isinstance(number, int | float) for number in row):
                 keys.append(key)
         return keys
-
-    def tuned_fmu(self, name: str, context: BuildContext) -> Fmu | None:
-        """Return the FMU whose parameters are set in place; None: there is none."""
-        return None
 
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
@@ -299,34 +203,9 @@ class Kind(TomlTable):
         """
         return {}
 
-    def renamings(self, interface: Interface, given: Sequence[Renaming]) -> Sequence[Renaming]:
-        """Return the renamings of a swap, and those that follow from them.
-
-        Parameters
-        ----------
-        interface : Interface
-            Of the component.
-        given : sequence of Renaming
-        """
-        return given
-
     @abstractmethod
     def build(self, name: str, context: BuildContext) -> Component:
         """Build the component."""
-
-    def description(
-        self, name: str, context: BuildContext
-    ) -> tuple[InterfaceType, Description] | None:
-        """Return interface type and description of the FMI instance that it drives, if any."""
-        return None
-
-    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
-        """Return the component near its initial state; None: it is not linear."""
-        return None
-
-    def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
-        """Return the initial states of which a run may keep a part only; None: there are none."""
-        return None
 
 
 class PeriodicKind(Kind):
@@ -338,6 +217,7 @@ class PeriodicKind(Kind):
     )
 
     def period_steps(self, name: str, step_ns: StepNs) -> int:
+        """Return the sample period in communication steps; 1 where there is none."""
         if self.period is None:
             return 1
         return whole_steps(self.period, step_ns, f"period of {name!r}")
@@ -361,6 +241,14 @@ class PeriodicKind(Kind):
             Communication steps in a period; 1 also where ``period`` is None.
         """
 
+    def sampling(self, n: int) -> Sampling | None:
+        """Return when it takes its inputs, with a period of ``n`` steps; None: at every step."""
+        return None
+
+    def recorded_period(self, n: int) -> int:
+        """Return which rows the log keeps, one in so many, with a period of ``n`` steps."""
+        return n
+
 
 class ExportableKind(Kind):
     """A component that can be exported as an FMU."""
@@ -370,7 +258,15 @@ class ExportableKind(Kind):
         """Return the model that an FMU is made of."""
 
 
-class LinearKind(ExportableKind):
+class LinearNearStart(ABC):
+    """It is linear near its initial state, or may be."""
+
+    @abstractmethod
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
+        """Return the component near its initial state; None: it is not linear."""
+
+
+class LinearKind(ExportableKind, LinearNearStart):
     """A component that is a linear model, which an exact solver steps."""
 
     @abstractmethod

@@ -44,6 +44,7 @@ from cosim.scenario.kinds.base import (
     PeriodicKind,
     Wiring,
 )
+from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.kinds.identification_source import (
     IdentifierSource,
     ObserverSource,
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
     from cosim.theory.estimators.least_squares import Recovery
 
 
-class IdentifierKind(PeriodicKind, ExportableKind):
+class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
     """Identification of theta by output error, least squares, or other methods."""
 
     ports: ClassVar[str] = (

@@ -29,7 +29,8 @@ from cosim.scenario.document.schema import (
     Whole,
     matrix,
 )
-from cosim.scenario.kinds.base import BuildContext, ExportableKind, Wiring
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, LinearNearStart, Wiring
+from cosim.scenario.kinds.capabilities import Advising, DecidedByStep, HasGivenStates
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.kinds.plants import StartFields, check_foreign_initial
@@ -111,7 +112,9 @@ class DesignedObserver(NamedTuple):
     design: observer.ObserverDesign
 
 
-class UnknownInputObserverKind(ExportableKind):
+class UnknownInputObserverKind(
+    ExportableKind, Advising, DecidedByStep, HasGivenStates, LinearNearStart
+):
     """Unknown-input observer with reconstruction of the disturbance delta."""
 
     ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q, or x, delta, z, q of a general model"

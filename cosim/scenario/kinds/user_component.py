@@ -22,6 +22,7 @@ from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.constructor import construct
 from cosim.scenario.kinds.installed_kinds import installed_class
 from cosim.scenario.kinds.user_code import class_name_parts
+from cosim.scenario.kinds.values import StepDependence
 
 
 def _check_class_name(name: str) -> str:
@@ -42,8 +43,8 @@ class UserKind(Kind):
     ports: ClassVar[str] = "those of the class"
 
     @property
-    def jumps_at_points(self) -> bool:
-        return False
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(jumps_at_points=False)
 
     @property
     def computable(self) -> bool:

@@ -74,6 +74,27 @@ class Sampling:
     holds: bool
 
 
+@dataclass(frozen=True, slots=True)
+class StepDependence:
+    """What another communication step changes of a component, beside the error of the step.
+
+    Parameters
+    ----------
+    draws : bool
+        It draws random numbers at every communication step: another step, others.
+    jumps_at_points : bool
+        It is known to jump at communication points alone, whatever the step is. So does what has
+        its instants from its table, as a period, or from what drives it.
+    times : tuple of float
+        Times [s] of its table that need not be whole communication steps: its error depends on the
+        part of a step that they leave over.
+    """
+
+    draws: bool = False
+    jumps_at_points: bool = True
+    times: tuple[float, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpliedConnection:
     """A connection that [connections] does not write, for it follows from what the file does.
