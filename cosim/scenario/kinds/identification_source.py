@@ -17,10 +17,12 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.instants import step_seconds
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.document.schema import Number, TomlTable
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.capabilities import HasSamples
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorKind
+from cosim.scenario.kinds.values import ImpliedConnection
 from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.observers.observer import identification_start_time
 from cosim.theory.reconstruction.filters import ConsistentFilter, FirstOrderFilter
@@ -199,6 +201,12 @@ class IdentifierSource:
 
     # --- samples of y ---
 
+    @property
+    def _samplers(self) -> dict[str, HasSamples]:
+        """What drives the input with the samples of y."""
+        drivers = self._context.drivers(Port(self.identifier, "samples"))
+        return {name: kind for name, kind in drivers.items() if isinstance(kind, HasSamples)}
+
     def most_samples(self) -> int:
         """Return how many samples of y are taken in a step; 0: y at the communication points.
 
@@ -207,12 +215,11 @@ class IdentifierSource:
         UsageError
             If y has values between samples, and these do not reach the identifier.
         """
-        context = self._context
-        drivers = context.drivers(Port(self.identifier, "samples"))
-        most = [kind.most_in_a_step(name, context) for name, kind in drivers.items()]
+        samplers = self._samplers.items()
+        most = [kind.most_in_a_step(name, self._context) for name, kind in samplers]
         if any(most):
             return max(most)
-        sampled = _sampled_behind(Port(self.identifier, "y"), context)
+        sampled = _sampled_behind(Port(self.identifier, "y"), self._context)
         if sampled is not None:
             raise UsageError(
                 f"y is interpolated between the samples of {sampled!r}; expected y directly from "
@@ -223,13 +230,11 @@ class IdentifierSource:
 
     def samples_at_points(self) -> bool:
         """Return whether all samples of y are of communication points."""
-        drivers = self._context.drivers(Port(self.identifier, "samples"))
-        return all(kind.samples_at_points for kind in drivers.values())
+        return all(kind.samples_at_points for kind in self._samplers.values())
 
     def late_steps(self) -> int:
         """Return how many communication steps after its instant a sample of y may come."""
-        drivers = self._context.drivers(Port(self.identifier, "samples"))
-        return max((kind.late_steps(self._context) for kind in drivers.values()), default=0)
+        return max((kind.late_steps(self._context) for kind in self._samplers.values()), default=0)
 
 
 def sample_connections(
@@ -256,8 +261,8 @@ def sample_connections(
     timed_by = None
     for source in y.sources:
         spec = specs.get(source.component)
-        signal = None if spec is None else spec.samples_of(source.signal)
-        if spec is None or signal is None:
+        signal = spec.samples_of(source.signal) if isinstance(spec, HasSamples) else None
+        if not isinstance(spec, HasSamples) or signal is None:
             sources.append(source)
             continue
         is_alone = all(other.component == source.component for other in y.sources)
@@ -280,11 +285,11 @@ def _sampled_behind(to: Port, context: BuildContext) -> str | None:
 
     None: there is none.
     """
-    for name, spec in context.behind(to).items():
-        if spec.is_recorded and not spec.samples_at_points:
+    for name, kind in context.behind(to).items():
+        if kind.is_recorded and isinstance(kind, HasSamples) and not kind.samples_at_points:
             return name
     for name, kind in context.drivers(to).items():
-        if kind.most_in_a_step(name, context):
+        if isinstance(kind, HasSamples) and kind.most_in_a_step(name, context):
             return name
     return None
 

@@ -16,7 +16,7 @@ from cosim.core.recording import Recording
 from cosim.documents import plain
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
-from cosim.scenario.kinds.base import Spectrum
+from cosim.scenario.kinds.values import Spectrum
 from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.scenario.record import Reconstruction
 from cosim.theory.observers import observer

@@ -37,13 +37,11 @@ from cosim.scenario.kinds.alphas import (
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
-    ImpliedConnection,
     Kind,
-    KnownSignal,
-    Spectrum,
     Wiring,
 )
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
+from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal, Spectrum
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
