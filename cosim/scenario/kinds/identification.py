@@ -53,10 +53,9 @@ from cosim.scenario.kinds.identification_source import (
 )
 from cosim.scenario.kinds.identification_start import StartTable, start_time
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant, bounds_of
-from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
-from cosim.scenario.kinds.variants import foreign_keys
+from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.theory.disturbances import regression
 from cosim.theory.estimators import defaults
 from cosim.theory.estimators.rayleigh import rayleigh_constants
