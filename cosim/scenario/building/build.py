@@ -23,14 +23,6 @@ from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.feedthrough import find_feedthrough
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import AlgebraicLoopError, CosimError, GraphError, RollbackError, UsageError
-from cosim.scenario.building.context import (
-    TABLES_ALONE,
-    DependsOnInvalid,
-    NotImported,
-    Origins,
-    ScenarioBuildContext,
-    clock_of,
-)
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import (
     as_in_run,
@@ -40,7 +32,6 @@ from cosim.scenario.building.graph_checks import (
     jump_problems,
     substep_tolerance,
 )
-from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.building.stopping import check_until, until_warnings
 from cosim.scenario.document.document import Document
@@ -48,12 +39,23 @@ from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, clock_of
+from cosim.scenario.kinds.build_record import (
+    TABLES_ALONE,
+    DependsOnInvalid,
+    NotImported,
+    Origins,
+)
+from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.models import form_problems
+from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
+    from cosim.blocks.renaming import Renaming
 
 
 class Builder:
@@ -84,6 +86,8 @@ class Builder:
         Of those of them whose ports are renamed.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
+    periods : dict of component name to int
+        Communication steps between the rows that their log channels keep.
     unknown : set of str
         Components of which nothing but the table is known, as nothing of their code runs here.
 
@@ -109,13 +113,13 @@ class Builder:
         self._origins = origins
         self._block = block
         invalid = self._check_times()
-        self.context = ScenarioBuildContext(beside or scenario, resources, origins, invalid)
+        self.context = BuildContext(beside or scenario, resources, origins, invalid)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
         self._replaced = replaced or {}
-        self._periods: dict[str, int] = {}  # steps between the rows that their log channels keep
+        self.periods: dict[str, int] = {}
         self._invalid: set[str] = set()  # components whose connections are not checked
         self._cause: Exception | None = None  # what the first component raised that was not built
         self._check_models()
@@ -146,7 +150,7 @@ class Builder:
         checks: dict[str, Callable[[], object]] = {
             "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
-            "stop": lambda: clock_of(self.scenario),
+            "stop": lambda: clock_of(self.scenario.file.scenario),
             "substeps": lambda: check_substeps(settings),
         }
         unknown: set[Key] = set()
@@ -211,14 +215,11 @@ class Builder:
         self.context.begin(name)
         try:
             component = self._component(name, spec)
-            period = spec.period_steps(name, self.context.step_ns)
-            if name in self._origins.left_out:
-                component = self._recording_of(name, spec, component, period)
-            self.components[name] = spec.with_period(component, period)
-            self._periods[name] = spec.recorded_period(period)
-            given = spec.given_states(name, self.context)
-            if given is not None:
-                self.given_states[name] = given
+            self.components[name] = self._with_period(name, spec, component)
+            if isinstance(spec, HasGivenStates):
+                given = spec.given_states(name, self.context)
+                if given is not None:
+                    self.given_states[name] = given
         except DependsOnInvalid:
             pass
         except NotImported:
@@ -232,6 +233,16 @@ class Builder:
             self.problems.append((("components", name), str(error)))
         except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
             self.problems.append((("components", name), out_of_range(error)))
+
+    def _with_period(self, name: str, spec: Kind, component: Component) -> Component:
+        """Return a component with its sample period, or its recording if it is left out."""
+        period = self.periods[name] = 1
+        if isinstance(spec, PeriodicKind):
+            period = spec.period_steps(name, self.context.step_ns)
+            self.periods[name] = spec.recorded_period(period)
+        if name in self._origins.left_out:
+            component = self._recording_of(name, spec, component, self.periods[name])
+        return spec.with_period(component, period) if isinstance(spec, PeriodicKind) else component
 
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""
@@ -249,8 +260,8 @@ class Builder:
     def _component(self, name: str, spec: Kind) -> Component:
         recording = self._origins.recording
         if recording is not None and not spec.computable:
-            for model in spec.models:
-                self.context.model(model)  # what it was made of: a replay cannot change that
+            if isinstance(spec, DescriptorKind):
+                self.context.model(spec.model)  # what it was made of: a replay cannot change that
             record = component_record(recording, name)
             if record.lags:
                 self.context.add_metadata(name, {"lags": record.lags})
@@ -276,8 +287,10 @@ class Builder:
         recording = self._origins.recording
         assert recording is not None, "only a replay leaves components out"
         outputs = component.interface.outputs
-        has_samples = any(spec.samples_of(signal.name) for signal in outputs)
-        if has_samples and spec.recorded_period(period) > 1:
+        has_samples = isinstance(spec, HasSamples) and any(
+            spec.samples_of(signal.name) for signal in outputs
+        )
+        if has_samples and period > 1:
             raise UsageError(
                 f"cannot be substituted from the log, which has a row only every {period} "
                 "communication steps and no marks of missing samples; recompute it, too"
@@ -292,7 +305,9 @@ class Builder:
         from cosim.blocks.renaming import resolve
 
         given = [entry.renaming for entry in entries]
-        renamings = spec.renamings(component.interface, given)
+        renamings: Sequence[Renaming] = given
+        if isinstance(spec, RenamesMore):
+            renamings = spec.renamings(component.interface, given)
         replaced = self._replaced.get(name)
         self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
         for entry in entries:
@@ -500,7 +515,9 @@ class Builder:
     def _recorded_names(self) -> tuple[str, ...]:
         """Return the components that are taken from the recording."""
         specs = self.scenario.specs.items()
-        return tuple(name for name, spec in specs if self._origins.copies(name, spec))
+        return tuple(
+            name for name, spec in specs if self._origins.copies(name, computable=spec.computable)
+        )
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""
@@ -532,6 +549,8 @@ class Builder:
 
     def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
         """Return the warnings of a component that knows what drives it."""
+        if not isinstance(spec, Advising):
+            return []
         inputs = self.components[name].interface.input_columns()
         held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
         return spec.advice(name, self.context, held=held, h=self.clock.h)
@@ -571,7 +590,7 @@ class Builder:
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
             means=[name for name, spec in specs.items() if self._gets_means(name, spec)],
-            periods=self._periods,
+            periods=self.periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,
         )

@@ -24,11 +24,12 @@ from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted
 from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design, encode_design
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Problem
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind
+from cosim.scenario.kinds.capabilities import TunedInPlace
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
@@ -70,7 +71,7 @@ class SettingBuilder:
     Parameters
     ----------
     scenario : Scenario
-    context : ScenarioBuildContext
+    context : BuildContext
         In which the components of the run were built.
     components : mapping of name to Component
         Those of them that are right.
@@ -79,7 +80,7 @@ class SettingBuilder:
     def __init__(
         self,
         scenario: Scenario,
-        context: ScenarioBuildContext,
+        context: BuildContext,
         components: Mapping[str, Component],
     ) -> None:
         self._components = components
@@ -89,7 +90,7 @@ class SettingBuilder:
 
     def is_fmu(self, name: str) -> bool:
         """Return whether the parameters of a component are those of an FMU, set in place."""
-        return self._specs[name].tuned_fmu(name, self._context) is not None
+        return isinstance(self._specs[name], TunedInPlace)
 
     def action(self, name: str, values: Mapping[str, Any]) -> Action:
         """Return what sets parameters of a component.
@@ -104,10 +105,10 @@ class SettingBuilder:
         """
         spec = self._specs[name]
         self._check_names(name, spec, values)
-        fmu = spec.tuned_fmu(name, self._context)
-        if fmu is not None:
+        if isinstance(spec, TunedInPlace):
             from cosim.fmi.driving.tuning import check_tuning  # where there is an FMU
 
+            fmu = spec.tuned_fmu(name, self._context)
             _check_starts(values)
             return FmuSetting(name, fmu, check_tuning(fmu.description, values))
         _check_values(spec, values)
@@ -129,7 +130,11 @@ class SettingBuilder:
         return self.action(name, plain)
 
     def _check_names(self, name: str, spec: Kind, values: Mapping[str, Any]) -> None:
-        known = spec.tunable_parameters(name, self._context)
+        known = spec.tunable_parameters
+        if isinstance(spec, TunedInPlace):
+            from cosim.fmi.driving.tuning import tunable_parameters  # where there is an FMU
+
+            known = tunable_parameters(spec.tuned_fmu(name, self._context).description)
         problems: list[Problem] = []
         for key in values:
             if not key:
@@ -176,6 +181,8 @@ class SettingBuilder:
         context = self._context.beside(scenario, name)
         component = spec.build(name, context)
         component = with_units(component, spec.units_of(component.interface))
+        if not isinstance(spec, PeriodicKind):
+            return component
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
 
 

@@ -17,10 +17,10 @@ from cosim.core.contracts import Component
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Swap
 from cosim.errors import UsageError, listing
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.swaps import component_table
 from cosim.scenario.kinds import KINDS
+from cosim.scenario.kinds.base import BuildContext
 
 if TYPE_CHECKING:
     from cosim.fmi.driving.model_exchange import ModelExchange
@@ -55,7 +55,7 @@ class SwapBuilder:
     Parameters
     ----------
     scenario : Scenario
-    context : ScenarioBuildContext
+    context : BuildContext
         In which the components of the run were built; takes what is opened.
     components : mapping of name to Component
     """
@@ -63,7 +63,7 @@ class SwapBuilder:
     def __init__(
         self,
         scenario: Scenario,
-        context: ScenarioBuildContext,
+        context: BuildContext,
         components: Mapping[str, Component],
     ) -> None:
         self._scenario = scenario

@@ -25,11 +25,12 @@ from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
     LinearKind,
-    LinearSystem,
     PortUnits,
     Wiring,
     unit_of,
 )
+from cosim.scenario.kinds.capabilities import Advising
+from cosim.scenario.kinds.values import LinearSystem
 
 # --- without memory ---
 
@@ -133,7 +134,7 @@ class LimitKind(ExportableKind):
         return DiscreteModel(interface, kernel, 0, "a limit is not differentiable")
 
 
-class SwitchKind(ExportableKind):
+class SwitchKind(ExportableKind, Advising):
     """y = u1 where control >= threshold, else u2."""
 
     ports: ClassVar[str] = "u1, u2, control -> y"

@@ -27,9 +27,11 @@ from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.native.numerics.jumps import depends_on_time, jumps, jumps_with_signals
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
+from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind
+from cosim.scenario.kinds.capabilities import Advising
 from cosim.scenario.kinds.jumps import check_continuous, check_sampled
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
+from cosim.scenario.kinds.values import ImpliedConnection, StepDependence
 
 EXPRESSION_WAY_OUT = (
     "set discrete = true, or use a continuous form, such as max(0, t - 1) for (t - 1)*step(t - 1)"
@@ -115,7 +117,7 @@ class ChirpKind(Kind):
         return source.chirp(**self.given(), unit=self.unit_name)
 
 
-class ExpressionKind(Kind):
+class ExpressionKind(Kind, Advising):
     """y = expressions in t and in signals of other components."""
 
     ports: ClassVar[str] = "[u1], [u2], ... -> y"
@@ -148,11 +150,13 @@ class ExpressionKind(Kind):
         return not self._signals
 
     @property
-    def jumps_at_points(self) -> bool:
+    def step_dependence(self) -> StepDependence:
         if self._signals:
-            return not any(jumps_with_signals(text) for text in self._texts)
-        all_jumps = chain.from_iterable(map(jumps, self._texts))
-        return all(jump.instant is not None for jump in all_jumps)
+            at_points = not any(map(jumps_with_signals, self._texts))
+        else:
+            all_jumps = chain.from_iterable(map(jumps, self._texts))
+            at_points = all(jump.instant is not None for jump in all_jumps)
+        return StepDependence(jumps_at_points=at_points)
 
     @property
     def hands_on_lag(self) -> bool:
@@ -219,8 +223,8 @@ class NoiseKind(PeriodicKind):
     size: Size = Field(1, description="number of elements")
 
     @property
-    def draws_every_step(self) -> bool:
-        return self.period is None and self.deviation > 0.0
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(draws=self.period is None and self.deviation > 0.0)
 
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Sampled(component, n)

@@ -53,6 +53,7 @@ from cosim.scenario.document.schema import (
 )
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.user_code import UserClass, class_name_parts, in_words
+from cosim.scenario.kinds.values import StepDependence
 
 GROUP: Final = "cosim.components"
 _SCALARS: Final[Mapping[Any, Any]] = {
@@ -86,8 +87,8 @@ class UserKind(Kind):
     ports: ClassVar[str] = "those of the class"
 
     @property
-    def jumps_at_points(self) -> bool:
-        return False
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(jumps_at_points=False)
 
     @property
     def computable(self) -> bool:
@@ -117,7 +118,7 @@ class PythonKind(UserKind):
         return self.class_
 
     def build(self, name: str, context: BuildContext) -> Component:
-        user_class = context.user_class(name, self.class_)
+        user_class = context.user_class(name, self.code, self.class_)
         return construct(name, user_class, self.parameters)
 
 
@@ -136,7 +137,7 @@ class InstalledKind(UserKind):
     def build(self, name: str, context: BuildContext) -> Component:
         installed = installed_class(self.kind)
         package = installed.distribution
-        user_class = context.user_class(name, installed.class_name, package=package)
+        user_class = context.user_class(name, self.code, installed.class_name, package)
         return construct(name, user_class, self.parameters)
 
 
