@@ -203,7 +203,7 @@ CASES = {
     ),
     "not tunable": (
         'set = { "x.initial" = 1.0 }',
-        r"set\.x\.initial: 'x' has no tunable parameter 'initial'; tunable: time_constant$",
+        r"set\.x\.initial: 'x' has no tunable parameter 'initial'; available: time_constant$",
     ),
     "unknown parameter": (
         'set = { "pid.gian" = 1.0 }',
@@ -261,7 +261,7 @@ CASES = {
     ),
     "matrix that is not tunable": (
         'set = { "k.A" = [[1.0]] }',
-        r"set\.k\.A: 'k' has no tunable parameter 'A'; none is tunable$",
+        r"set\.k\.A: 'k' has no tunable parameter 'A'; none is available$",
     ),
     "what the table leaves out": (
         'set = { "pid.tracking_time" = 1.0 }',

@@ -1,0 +1,790 @@
+"""The actions of a scenario: checked against its components before the run, and made ready for it.
+
+An input has one override or fault at a time. A later action takes the place of the earlier one;
+two at one instant would contradict each other, and a release needs something to be released.
+
+Where parameters are set the state stays, and what follows from them is computed anew, before the
+run: a component of cosim's own is built and designed once more, with the new values, and takes over
+the state. Its design is recorded, and a replay takes it from there. Those of an FMU are set in it.
+
+A component is swapped for an FMU that goes on from its continuous states. Both are for model
+exchange, where these have names, by which they are handed over. What else an FMU remembers, its
+discrete states, begins anew, with an event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
+
+import numpy as np
+from pydantic import ValidationError
+
+from cosim.blocks.declared import Declared, with_units
+from cosim.core.clock import whole_steps
+from cosim.core.conditions import Condition
+from cosim.core.contracts import Component, Design, Stopped
+from cosim.core.graph import Graph
+from cosim.core.port import Port
+from cosim.core.recording import Recording, SignalEvent
+from cosim.core.signals import FaultKind, Interface
+from cosim.core.stages.overrides import checked_values
+from cosim.core.stepping.actions import (
+    AT_CONDITION,
+    NO_VARIANTS,
+    ActedOn,
+    Action,
+    ConditionalAction,
+    Injection,
+    Override,
+    Release,
+    Setting,
+    Swap,
+    TimedAction,
+)
+from cosim.core.stepping.fault_injection import faults_of
+from cosim.core.stepping.jumps import ParameterValues
+from cosim.core.structure.ports import ConnectionEnd, Ports, layout_of
+from cosim.errors import (
+    ClockError,
+    CosimError,
+    GraphError,
+    LogError,
+    RunError,
+    UsageError,
+    listing,
+    nearest,
+    quoted,
+)
+from cosim.instants import StepNs
+from cosim.log.contents.metadata import decode_design, encode_design
+from cosim.native.numerics.expression import compile_condition
+from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.document.places import Key, Problem
+from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.document.swaps import component_table
+from cosim.scenario.kinds import KINDS, Kind
+from cosim.scenario.kinds.base import AnyKind
+from cosim.scenario.kinds.plants import FmuKind
+
+if TYPE_CHECKING:
+    from cosim.fmi.component import Fmu
+    from cosim.fmi.driving.model_exchange import ModelExchange
+
+SETTINGS: Final = "cosim.settings"  # record of the log: designs by time and component
+RANDOM: Final = ("noise", "drop")  # effects that have a seed
+
+
+class ActionChecker:
+    """Checks the actions of a scenario, all of them, and makes those that are right.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    context : ScenarioBuildContext
+        In which the components of the run were built. Where it describes, parameters that are set
+        and components that are swapped are not looked at.
+    components : mapping of name to Component
+        Those that are right.
+    unknown : set of str
+        Components that are not: actions on them are not checked.
+
+    Attributes
+    ----------
+    timed : list of TimedAction
+    reactions : list of ConditionalAction
+    problems : list of Problem
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        context: ScenarioBuildContext,
+        components: Mapping[str, Component],
+        unknown: Set[str],
+    ) -> None:
+        self._scenario = scenario
+        self._context = context
+        self._components = components
+        self._unknown = unknown
+        self._clock = context.clock
+        self._ports = Ports(layout_of(components))
+        self._changes: dict[int, tuple[int, int]] = {}  # last action and point, by column
+        self._overridden: set[int] = set()  # columns
+        self._undecided: set[int] = set()  # columns that change at conditions
+        self._at_conditions: dict[int, list[Action]] = {}  # by number
+        self.timed: list[TimedAction] = []
+        self.problems: list[Problem] = []
+        self._points = self._find_points()
+        if not context.origins.describes:
+            self._set_parameters()
+            self._swap_components()
+        self._change_inputs()
+        self.reactions: list[ConditionalAction] = []
+        for number, own in sorted(self._at_conditions.items()):
+            when = scenario.actions[number].when or ""
+            self.reactions.append(ConditionalAction(when, tuple(own)))
+
+    def _add(self, number: int, key: Key, problem: str) -> None:
+        self.problems.append((("actions", number, *key), problem))
+
+    def _find_points(self) -> dict[int, int]:
+        """Return the communication points of actions by their numbers.
+
+        At a condition: a negative number, the same one for equal conditions.
+        """
+        points = {}
+        conditions: dict[str, int] = {}
+        for number, action in self._scenario.actions.items():
+            if action.at is not None:
+                try:
+                    points[number] = self._point(action.at)
+                except ClockError as error:
+                    self._add(number, ("at",), str(error).removeprefix("at: "))
+                continue
+            assert action.when is not None, "validated before"
+            problem = condition_problem(
+                action.when, self._components, self._unknown, self._clock.step_ns
+            )
+            if problem is None:
+                points[number] = conditions.setdefault(action.when, -1 - number)
+            else:
+                self._add(number, ("when",), problem)
+        return points
+
+    def _point(self, at: float) -> int:
+        """Return the communication point of an instant [s].
+
+        Raises
+        ------
+        ClockError
+            If it is none, or none of the run before its end.
+        """
+        clock = self._clock
+        index = clock.steps_until(at, "at")
+        if index < 0:
+            raise ClockError(
+                f"expected a time >= {clock.start_time} s (start of the run), got {at} s"
+            )
+        if index >= clock.steps:
+            raise ClockError(
+                f"expected a time < {clock.stop} s (end of the run), got {at} s; the last step "
+                "begins before the end"
+            )
+        return index
+
+    def _take(self, number: int, action: Action) -> None:
+        """Take an action that is right."""
+        index = self._points[number]
+        if index < 0:
+            self._at_conditions.setdefault(number, []).append(action)
+        else:
+            self.timed.append(TimedAction(index, action))
+
+    def _is_right(self, name: str) -> bool:
+        """Return whether a component is right.
+
+        Raises
+        ------
+        GraphError
+            If there is none of that name.
+        """
+        if name not in self._components and name not in self._unknown:
+            raise GraphError(f"there is no component {name!r}; {nearest(name, self._components)}")
+        return name not in self._unknown
+
+    # --- components ---
+
+    def _set_parameters(self) -> None:
+        """Make what sets parameters: of a component all those of one instant together."""
+        together: dict[tuple[int, str], dict[str, tuple[int, str, Any]]] = {}
+        for number, index in self._points.items():
+            for text, value in (self._scenario.actions[number].set or {}).items():
+                name, _, parameter = text.partition(".")
+                own = together.setdefault((index, name), {})
+                other, *_ = own.setdefault(parameter, (number, text, value))
+                if other != number:
+                    problem = (
+                        f"is also set by actions[{other}] at the same instant; remove one of the "
+                        "two"
+                    )
+                    self._add(number, ("set", text), problem)
+        builder = SettingBuilder(self._scenario, self._context, self._components)
+        firsts = {place: next(iter(own.values())) for place, own in together.items()}
+        for (index, name), own in sorted(together.items(), key=lambda item: item[0][0]):
+            first = firsts[index, name]
+            values = {parameter: value for parameter, (_, _, value) in own.items()}
+            others = [
+                firsts[point, other][0]
+                for point, other in together
+                if other == name and point != index and min(point, index) < 0
+            ]
+            try:
+                if not self._is_right(name):
+                    continue
+                if min(others, default=first[0]) < first[0] and not builder.is_fmu(name):
+                    raise GraphError(
+                        f"{name!r} is also set by actions[{min(others)}], in an order that depends "
+                        "on a condition; set it in one action, or at fixed times"
+                    )
+                self._take(first[0], builder.action(name, values))
+            except TableProblems as error:
+                for key, problem in error.problems:
+                    number, text, _ = own.get(str(key[0]), first) if key else first
+                    self._add(number, ("set", text), problem)
+            except (CosimError, ValueError) as error:
+                self._add(first[0], ("set", first[1]), str(error))
+
+    def _swap_components(self) -> None:
+        """Make what swaps components: each once, and not set beside it."""
+        changed: dict[str, int] = {}
+        for number in self._points:
+            for text in self._scenario.actions[number].set or {}:
+                changed.setdefault(text.partition(".")[0], number)
+        for number in self._points:
+            for name, path in (self._scenario.actions[number].swap or {}).items():
+                try:
+                    if not self._is_right(name):
+                        continue
+                    if name in changed:
+                        raise GraphError(
+                            f"{name!r} is also changed by actions[{changed[name]}]; expected one "
+                            "action"
+                        )
+                    changed[name] = number
+                    interface = self._components[name].interface
+                    self._take(number, _swap(self._scenario, self._context, name, path, interface))
+                except (CosimError, ValueError) as error:
+                    self._add(number, ("swap", name), str(error))
+
+    # --- inputs ---
+
+    def _change_inputs(self) -> None:
+        """Make what happens to inputs, in the order of time.
+
+        Those at conditions first: what they may have done decides what others may release.
+        """
+        for number in sorted(self._points, key=lambda number: (self._points[number], number)):
+            table = self._scenario.actions[number]
+            for text in table.signals:
+                try:
+                    self._change_input(number, table, text)
+                except TableProblems as error:
+                    for key, problem in error.problems:
+                        self._add(number, key, problem)
+                except CosimError as error:
+                    self._add(number, ("signal",), str(error))
+
+    def _change_input(self, number: int, table: ActionTable, text: str) -> None:
+        """Make what an action does to one signal.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input, another action has changed it at the same instant, or there
+            is nothing to release.
+        TableProblems
+            If the values of the table do not fit the input.
+        """
+        port = Port.parse(text)
+        if port.component in self._unknown:
+            return
+        end = self._input(port)
+        index = self._points[number]
+        action = self._action_on(end, table, text)
+        columns = range(end.columns.start, end.columns.stop)
+        for column in columns:
+            other, point = self._changes.get(column, (number, None))
+            if point == index and other == number:
+                raise GraphError(f"'{end.port}' is listed twice")
+            if point == index:
+                raise GraphError(
+                    f"'{end.port}' is also changed by actions[{other}] at the same instant; "
+                    "remove one of the two, or choose another time"
+                )
+        if index < 0:
+            self._undecided.update(columns)
+        is_undecided = not self._undecided.isdisjoint(columns)
+        self._changes |= dict.fromkeys(columns, (number, index))
+        if not isinstance(action, Release):
+            self._overridden.update(columns)
+        elif is_undecided:
+            action = Release(text, is_needed=False)
+        elif not self._overridden.issuperset(columns):
+            raise GraphError(
+                f"'{end.port}' is not overridden as a whole at that time; override it in an "
+                "earlier action, or remove the release"
+            )
+        if isinstance(action, Release):
+            self._overridden.difference_update(columns)
+        self._take(number, action)
+
+    def _input(self, port: Port) -> ConnectionEnd:
+        """Return an input, or elements of it.
+
+        Raises
+        ------
+        GraphError
+            If there is none; of an output, with the inputs that it drives.
+        """
+        try:
+            return self._ports.input(port)
+        except GraphError as error:
+            driven = []
+            for to, connection in self._scenario.connections.items():
+                if any(source.whole == port.whole for source in connection.sources):
+                    driven.append(str(to))
+            if not driven:
+                raise
+            raise GraphError(f"{error}; '{port.whole}' drives {listing(driven)}") from error
+
+    def _action_on(self, end: ConnectionEnd, table: ActionTable, to: str) -> Action:
+        """Return what happens to an input.
+
+        Raises
+        ------
+        TableProblems
+            If the values of the table do not fit the input.
+        """
+        effect = table.effects[0]
+        if effect == "release":
+            return Release(to)
+        value: Any = getattr(table, effect)
+        try:
+            if effect == "drop" and value is True:
+                value = 1.0
+            elif effect == "delay":
+                value = float(self._late_steps(value))
+            values = list(value) if isinstance(value, tuple) else [value] * end.size
+            if effect == "override":
+                return Override(to, tuple(checked_values(to, values, end)))
+            if len(values) != end.size:
+                raise GraphError(
+                    f"expected {end.size} values (one per element) or a single one, got "
+                    f"{len(values)}"
+                )
+            seed = [float(table.seed or 0)] if effect in RANDOM else []
+            parameters: list[float] = []
+            for element in [] if effect == "freeze" else values:
+                parameters += [element, *seed]
+            kind = cast(FaultKind, effect)
+            faults_of(end, kind, parameters)
+        except CosimError as error:
+            problem = str(error).removeprefix(f"{effect}: ")
+            raise TableProblems([((effect,), problem)]) from error
+        return Injection(to, kind, tuple(parameters))
+
+    def _late_steps(self, delay: float) -> int:
+        """Return a delay [s] in communication steps.
+
+        Raises
+        ------
+        CosimError
+            If it is no whole number of them, from 1 on.
+        """
+        if delay < self._clock.h:
+            raise UsageError(
+                f"expected at least one communication step ({self._clock.step} s), got {delay} s"
+            )
+        return whole_steps(delay, self._clock.step_ns, "delay")
+
+
+# --- parameters that are set ---
+
+
+@dataclass(frozen=True, slots=True)
+class FmuSetting:
+    """Tunable parameters of an FMU are set.
+
+    Parameters
+    ----------
+    name : str
+        Of its component.
+    fmu : Fmu
+    settings : mapping of parameter to values
+    """
+
+    name: str
+    fmu: Fmu
+    settings: ParameterValues
+    variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
+    transfers: ClassVar[bool] = False
+
+    def perform(self, simulation: ActedOn) -> None:
+        """Set them; the outputs follow."""
+        try:
+            self.fmu.tune(simulation.t, self.settings)
+        except RunError as error:
+            raise Stopped(np.empty((0, 0)), str(error)).at(self.name, simulation.t) from error
+        simulation.change(self.name, self.settings)
+
+
+class SettingBuilder:
+    """Makes actions of the parameters that are set, in the order of time.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    context : ScenarioBuildContext
+        In which the components of the run were built.
+    components : mapping of name to Component
+        Those of them that are right.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        context: ScenarioBuildContext,
+        components: Mapping[str, Component],
+    ) -> None:
+        self._components = components
+        self._scenario = scenario
+        self._context = context
+        self._specs = dict(scenario.specs)  # as they are at the time reached
+
+    def is_fmu(self, name: str) -> bool:
+        """Return whether the parameters of a component are those of an FMU, set in place."""
+        return isinstance(self._specs[name], FmuKind)
+
+    def action(self, name: str, values: Mapping[str, Any]) -> Action:
+        """Return what sets parameters of a component.
+
+        Raises
+        ------
+        TableProblems
+            If one cannot be set, with those that can, or a value does not fit; their keys are
+            parameters.
+        CosimError
+            If the component cannot be built with them.
+        """
+        spec = self._specs[name]
+        problems = list(self._problems(name, spec, values))
+        if problems:
+            raise TableProblems(problems)
+        if isinstance(spec, FmuKind):
+            from cosim.fmi.driving.tuning import check_tuning  # where there is an FMU
+
+            try:
+                starts = _changed(spec, {"start": dict(values)}).start
+            except TableProblems as error:
+                raise TableProblems([(key[1:], text) for key, text in error.problems]) from error
+            fmu = self._context.opened(name)
+            return FmuSetting(name, fmu, check_tuning(fmu.description, starts))
+        self._check_readers(name)
+        spec = _changed(spec, values)
+        component = self._component(name, spec)
+        if component.interface != self._components[name].interface:
+            raise UsageError(
+                f"the new values change the signals or the direct feedthrough of {name!r}; "
+                "expected values of the same sizes that keep both"
+            )
+        self._specs[name] = spec
+        numbers = {key: tuple(map(float, _row(value))) for key, value in values.items()}
+        return Setting(name, component, numbers)
+
+    def recorded(self, name: str, values: ParameterValues) -> Action:
+        """Return what set parameters of a component in a recorded run."""
+        plain: dict[str, Any] = {}
+        for key, own in values.items():
+            current = getattr(self._specs[name], key, None)
+            if isinstance(current, bool):
+                plain[key] = bool(own[0])
+            else:
+                is_row = isinstance(current, tuple) or len(own) != 1
+                plain[key] = list(own) if is_row else own[0]
+        return self.action(name, plain)
+
+    def _problems(self, name: str, spec: Kind, values: Mapping[str, Any]) -> Iterator[Problem]:
+        """Yield what is wrong with the names of parameters, and with the types of their values."""
+        known = spec.tunable_parameters(name, self._context)
+        for key, value in values.items():
+            if not key:
+                text = f"expected a tunable parameter of {name!r}, got none; {nearest(key, known)}"
+                yield (key,), text
+            elif key not in known and key in spec.tunable:
+                text = (
+                    f"expected a number or a list of numbers for {key!r} in the table of {name!r}"
+                )
+                yield (key,), text
+            elif key not in known:
+                text = f"{name!r} has no tunable parameter {key!r}; {nearest(key, known)}"
+                yield (key,), text
+            elif not isinstance(spec, FmuKind):
+                expected = _expected(getattr(spec, key), value)
+                if expected:
+                    yield (key,), f"expected {expected}, got {quoted(value)}"
+
+    def _check_readers(self, name: str) -> None:
+        """Check that no other component is designed on what is set.
+
+        Raises
+        ------
+        UsageError
+            If one is.
+        """
+        readers = []
+        for other, tables in self._context.reads.items():
+            if f"components.{name}" in tables and other not in ("", name):
+                readers.append(other)
+        if readers:
+            raise UsageError(
+                f"{name!r} cannot change during the run: {listing(readers)} is derived from its "
+                "table"
+            )
+
+    def _component(self, name: str, spec: Kind) -> Component:
+        """Build a component with other parameters, in a context of its own."""
+        scenario = replace(self._scenario, specs={**self._specs, name: spec})
+        context = self._context.beside(scenario, name)
+        component = spec.build(name, context)
+        component = with_units(component, spec.units_of(component.interface))
+        return spec.with_period(component, spec.period_steps(name, context.step_ns))
+
+
+def _expected(current: Any, value: Any) -> str:
+    """Return what is expected in the place of a value: true or false where the table has that.
+
+    Nothing if it is such a value.
+    """
+    if isinstance(current, bool):
+        return "" if isinstance(value, bool) else "true or false"
+    for number in _row(value):
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            return "a number or a list of numbers"
+    return ""
+
+
+def _row(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _changed(spec: AnyKind, values: Mapping[str, Any]) -> AnyKind:
+    """Return a table with other values.
+
+    Raises
+    ------
+    TableProblems
+        If one does not fit.
+    """
+    table = {**spec.model_dump(exclude_unset=True, by_alias=True), **values}
+    try:
+        return type(spec).model_validate(table)
+    except ValidationError as error:
+        raise TableProblems(problems_of(error, type(spec), table, ())) from error
+
+
+def recorded_settings(
+    builder: SettingBuilder, events: Sequence[SignalEvent], copied: Sequence[str]
+) -> dict[tuple[int, str], Action]:
+    """Return what sets the parameters in a replay, by time [ns] and component.
+
+    Parameters
+    ----------
+    builder : SettingBuilder
+    events : sequence of SignalEvent
+        Of the recorded run, in the order of time.
+    copied : sequence of str
+        Components that are taken from the recording.
+
+    Raises
+    ------
+    LogError
+        If an event does not fit the scenario.
+    """
+    values: dict[tuple[int, str], dict[str, tuple[float, ...]]] = {}
+    for event in events:
+        if event.cause == "set":
+            port = Port.parse(event.signal)
+            if port.component not in copied:
+                values.setdefault((event.time_ns, port.component), {})[port.name] = event.values
+    actions = {}
+    for (time_ns, name), own in values.items():
+        try:
+            actions[time_ns, name] = builder.recorded(name, own)
+        except (UsageError, KeyError) as error:
+            where = f"{name!r} at t = {time_ns / 1e9} s"
+            raise LogError(f"the recorded event of {where} does not match: {error}") from error
+    return actions
+
+
+def prepare_settings(
+    graph: Graph,
+    step_ns: StepNs,
+    settings: Mapping[tuple[int, str], Action],
+    recorded: Mapping[str, Design],
+) -> dict[str, str]:
+    """Prepare the components that take the places of others; return their designs for the log.
+
+    Parameters
+    ----------
+    graph : Graph
+    step_ns : int
+        Communication step [ns].
+    settings : mapping of (int, str) to Action
+        By time [ns] and component; ``AT_CONDITION`` where the time is not known.
+    recorded : mapping of record to Design
+        Those to use instead of computing them.
+
+    Raises
+    ------
+    GraphError, AssumptionError
+        If one cannot take the place of the other, or not be designed.
+    """
+    designs = {}
+    for (time_ns, name), action in settings.items():
+        for component in action.variants.values():
+            key = f"{time_ns} {name}"
+            taken = recorded.get(key) or recorded.get(f"{AT_CONDITION} {name}") or {}
+            design = graph.prepare_variant(
+                name, component, step_ns, taken, transfers=action.transfers
+            )
+            designs[key] = encode_design(design)
+    return designs
+
+
+def recorded_designs(recording: Recording) -> dict[str, Design]:
+    """Return the designs of a log of the components that took the places of others.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    try:
+        records = recording.metadata.get(SETTINGS, {})
+        return {key: decode_design(text) for key, text in records.items()}
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(f"{SETTINGS} of {recording.label} is damaged: {error}") from error
+
+
+# --- components that are swapped ---
+
+
+@dataclass(frozen=True, slots=True)
+class StateTransfer:
+    """Hands continuous states over by their names.
+
+    Parameters
+    ----------
+    source, target : ModelExchange
+    """
+
+    source: ModelExchange
+    target: ModelExchange
+
+    def take(self) -> dict[str, float]:
+        """Return the states of the source by name."""
+        values = self.source.states().tolist()
+        return dict(zip(self.source.state_names, values, strict=True))
+
+    def give(self, state: Mapping[str, float]) -> None:
+        """Set the states of the target."""
+        x = np.array([state[name] for name in self.target.state_names])
+        self.target.continue_from(x)
+
+
+def _swap(
+    scenario: Scenario, context: ScenarioBuildContext, name: str, path: str, place: Interface
+) -> Swap:
+    """Return what swaps a component, whose interface is ``place``.
+
+    Raises
+    ------
+    UsageError
+        If states cannot be handed over, or the FMU does not fit into its place.
+    CosimError
+        If the FMU cannot be opened.
+    """
+    begin = f"the state of {name!r} cannot be transferred"
+    source = context.model_exchange.get(name)
+    if source is None or not source.state_names:
+        raise UsageError(
+            f"{begin}: it has no named continuous states; expected a plant, or a model exchange "
+            "FMU (FMI 2 or 3)"
+        )
+    table = component_table(name, path)
+    spec = KINDS[table["kind"]].model_validate(table)
+    beside = context.beside(replace(scenario, specs={**scenario.specs, name: spec}), name)
+    component = spec.build(name, beside)
+    target = beside.model_exchange.get(name)
+    if target is None:
+        raise UsageError(
+            f"{begin} to {path}, which has no named continuous states; expected a model exchange "
+            "FMU"
+        )
+    if sorted(source.state_names) != sorted(target.state_names):
+        raise UsageError(
+            f"{begin} to {path}: expected the states {listing(source.state_names)}, got "
+            f"{listing(target.state_names) or 'none'}"
+        )
+    _check_place(name, path, place, component.interface)
+    context.fmus[f"{name} ({path})"] = beside.fmus[name]
+    return Swap(name, Declared(component, place), path, StateTransfer(source, target))
+
+
+def _check_place(name: str, path: str, place: Interface, other: Interface) -> None:
+    """Check that a component fits into the place of another one, as it is wired and ordered.
+
+    Raises
+    ------
+    UsageError
+        If it does not.
+    """
+    begin = f"{path} cannot replace {name!r}"
+    for kind in ("inputs", "outputs"):
+        needed = [(signal.name, signal.size, signal.type) for signal in getattr(place, kind)]
+        found = [(signal.name, signal.size, signal.type) for signal in getattr(other, kind)]
+        if needed != found:
+            raise UsageError(
+                f"{begin}: expected the {kind} {listing([name for name, *_ in needed])}, with the "
+                "same sizes and types, in this order"
+            )
+    for output in place.outputs:
+        more = set(other.feeds(output.name)) - set(place.feeds(output.name))
+        if more:
+            raise UsageError(
+                f"{begin}: {output.name} has direct feedthrough from {listing(sorted(more))}, "
+                "which the execution order does not allow for"
+            )
+    if place.rollback and not other.rollback:
+        raise UsageError(
+            f"{path} cannot save its state, but {name!r} can; expected an FMU with the capability "
+            "canGetAndSetFMUstate"
+        )
+
+
+# --- conditions ---
+
+
+def condition_problem(
+    text: str, components: Mapping[str, Component], unknown: Set[str], step_ns: StepNs
+) -> str | None:
+    """Return what is wrong with a condition; None: nothing is known to be.
+
+    Parameters
+    ----------
+    text : str
+    components : mapping of component name to Component
+    unknown : set of str
+        Components whose signals are not known.
+    step_ns : int
+        Communication step [ns].
+    """
+    try:
+        signals = compile_condition(text).program.signals
+        if unknown.isdisjoint(map(_component_of, signals)):
+            Condition(text, layout_of(dict(components)), step_ns)
+    except UsageError as error:
+        return str(error)
+    return None
+
+
+def _component_of(name: str) -> str:
+    """Return the component of a signal; the name itself where it has none."""
+    try:
+        return Port.parse(name).component
+    except CosimError:
+        return name
