@@ -120,8 +120,7 @@ class ActionChecker:
         self.problems: list[Problem] = []
         self._points = self._find_points()
         if not context.origins.describes:
-            self._set_parameters()
-            self._swap_components()
+            self._change_components()
         self._change_inputs()
         self.reactions: list[ConditionalAction] = []
         for number, own in sorted(self._at_conditions.items()):
@@ -138,6 +137,7 @@ class ActionChecker:
         """
         points = {}
         conditions: dict[str, int] = {}
+        step_ns = self._clock.step_ns
         for number, action in self._scenario.actions.items():
             if action.at is not None:
                 try:
@@ -146,9 +146,7 @@ class ActionChecker:
                     self._add(number, ("at",), str(error).removeprefix("at: "))
                 continue
             assert action.when is not None, "validated before"
-            problem = condition_problem(
-                action.when, self._components, self._unknown, self._clock.step_ns
-            )
+            problem = condition_problem(action.when, self._components, self._unknown, step_ns)
             if problem is None:
                 points[number] = conditions.setdefault(action.when, -1 - number)
             else:
@@ -165,15 +163,13 @@ class ActionChecker:
         """
         clock = self._clock
         index = clock.steps_until(at, "at")
+        expected = ""
         if index < 0:
-            raise ClockError(
-                f"expected a time >= {clock.start_time} s (start of the run), got {at} s"
-            )
-        if index >= clock.steps:
-            raise ClockError(
-                f"expected a time < {clock.stop} s (end of the run), got {at} s; the last step "
-                "begins before the end"
-            )
+            expected = f">= {clock.start_time} s (start of the run)"
+        elif index >= clock.steps:
+            expected = f"< {clock.stop} s (end of the run; the last step begins before)"
+        if expected:
+            raise ClockError(f"expected a time {expected}, got {at} s")
         return index
 
     def _take(self, number: int, action: Action) -> None:
@@ -184,81 +180,104 @@ class ActionChecker:
         else:
             self.timed.append(TimedAction(index, action))
 
-    def _is_right(self, name: str) -> bool:
-        """Return whether a component is right.
+    # --- components ---
+
+    def _change_components(self) -> None:
+        """Make what sets parameters of components, or swaps them, in the order of time."""
+        changes = list(self._changes_of_components())
+        builder = SettingBuilder(self._scenario, self._context, self._components)
+        for change in sorted(changes, key=lambda change: change.index):
+            name = change.name
+            if name in self._unknown:
+                continue
+            try:
+                if name not in self._components:
+                    known = nearest(name, self._components)
+                    raise GraphError(f"there is no component {name!r}; {known}")
+                self._check_alone(change, changes, is_fmu=builder.is_fmu(name))
+                if change.values is None:
+                    self._take(change.number, self._swap(change))
+                else:
+                    self._take(change.number, builder.action(name, change.values))
+            except TableProblems as error:
+                for key, problem in error.problems:
+                    self._add(change.number, change.key(*map(str, key[:1])), problem)
+            except (CosimError, ValueError) as error:
+                self._add(change.number, change.key(), str(error))
+
+    def _changes_of_components(self) -> Iterator[_Change]:
+        """Yield what the actions do to components, in the order of the file."""
+        for number, index in self._points.items():
+            action = self._scenario.actions[number]
+            values: dict[str, dict[str, Any]] = {}
+            for text, value in (action.set or {}).items():
+                name, _, parameter = text.partition(".")
+                values.setdefault(name, {})[parameter] = value
+            for name in (*values, *(action.swap or {})):
+                yield _Change(index, number, name, values.get(name))
+
+    def _check_alone(self, change: _Change, others: Sequence[_Change], *, is_fmu: bool) -> None:
+        """Check that no action before it in the file changes the same component.
+
+        Parameters are set at several fixed times; those of an FMU, which are set in it, whenever.
 
         Raises
         ------
         GraphError
-            If there is none of that name.
+            If one does.
         """
-        if name not in self._components and name not in self._unknown:
-            raise GraphError(f"there is no component {name!r}; {nearest(name, self._components)}")
-        return name not in self._unknown
+        for other in others:
+            if other.name != change.name or other.number >= change.number:
+                continue
+            reason = ""
+            if other.index == change.index:
+                reason = " at the same instant"
+            elif min(other.index, change.index) < 0 and not is_fmu:
+                reason = ", in an order that depends on a condition"
+            if reason or change.values is None or other.values is None:
+                raise GraphError(
+                    f"{change.name!r} is also changed by actions[{other.number}]{reason}; expected "
+                    "one action"
+                )
 
-    # --- components ---
+    def _swap(self, change: _Change) -> Swap:
+        """Return what swaps a component.
 
-    def _set_parameters(self) -> None:
-        """Make what sets parameters: of a component all those of one instant together."""
-        together: dict[tuple[int, str], dict[str, tuple[int, str, Any]]] = {}
-        for number, index in self._points.items():
-            for text, value in (self._scenario.actions[number].set or {}).items():
-                name, _, parameter = text.partition(".")
-                own = together.setdefault((index, name), {})
-                other, *_ = own.setdefault(parameter, (number, text, value))
-                if other != number:
-                    problem = (
-                        f"is also set by actions[{other}] at the same instant; remove one of the "
-                        "two"
-                    )
-                    self._add(number, ("set", text), problem)
-        builder = SettingBuilder(self._scenario, self._context, self._components)
-        firsts = {place: next(iter(own.values())) for place, own in together.items()}
-        for (index, name), own in sorted(together.items(), key=lambda item: item[0][0]):
-            first = firsts[index, name]
-            values = {parameter: value for parameter, (_, _, value) in own.items()}
-            others = [
-                firsts[point, other][0]
-                for point, other in together
-                if other == name and point != index and min(point, index) < 0
-            ]
-            try:
-                if not self._is_right(name):
-                    continue
-                if min(others, default=first[0]) < first[0] and not builder.is_fmu(name):
-                    raise GraphError(
-                        f"{name!r} is also set by actions[{min(others)}], in an order that depends "
-                        "on a condition; set it in one action, or at fixed times"
-                    )
-                self._take(first[0], builder.action(name, values))
-            except TableProblems as error:
-                for key, problem in error.problems:
-                    number, text, _ = own.get(str(key[0]), first) if key else first
-                    self._add(number, ("set", text), problem)
-            except (CosimError, ValueError) as error:
-                self._add(first[0], ("set", first[1]), str(error))
-
-    def _swap_components(self) -> None:
-        """Make what swaps components: each once, and not set beside it."""
-        changed: dict[str, int] = {}
-        for number in self._points:
-            for text in self._scenario.actions[number].set or {}:
-                changed.setdefault(text.partition(".")[0], number)
-        for number in self._points:
-            for name, path in (self._scenario.actions[number].swap or {}).items():
-                try:
-                    if not self._is_right(name):
-                        continue
-                    if name in changed:
-                        raise GraphError(
-                            f"{name!r} is also changed by actions[{changed[name]}]; expected one "
-                            "action"
-                        )
-                    changed[name] = number
-                    interface = self._components[name].interface
-                    self._take(number, _swap(self._scenario, self._context, name, path, interface))
-                except (CosimError, ValueError) as error:
-                    self._add(number, ("swap", name), str(error))
+        Raises
+        ------
+        UsageError
+            If states cannot be handed over, or the FMU does not fit into its place.
+        CosimError
+            If the FMU cannot be opened.
+        """
+        name = change.name
+        path = (self._scenario.actions[change.number].swap or {})[name]
+        begin = f"the state of {name!r} cannot be transferred"
+        source = self._context.model_exchange.get(name)
+        if source is None or not source.state_names:
+            raise UsageError(
+                f"{begin}: it has no named continuous states; expected a plant, or a model "
+                "exchange FMU (FMI 2 or 3)"
+            )
+        table = component_table(name, path)
+        specs = {**self._scenario.specs, name: KINDS[table["kind"]].model_validate(table)}
+        context = self._context.beside(replace(self._scenario, specs=specs), name)
+        component = specs[name].build(name, context)
+        target = context.model_exchange.get(name)
+        if target is None:
+            raise UsageError(
+                f"{begin} to {path}, which has no named continuous states; expected a model "
+                "exchange FMU"
+            )
+        if sorted(source.state_names) != sorted(target.state_names):
+            raise UsageError(
+                f"{begin} to {path}: expected the states {listing(source.state_names)}, got "
+                f"{listing(target.state_names) or 'none'}"
+            )
+        place = self._components[name].interface
+        _check_place(name, path, place, component.interface)
+        self._context.fmus[f"{name} ({path})"] = context.fmus[name]
+        return Swap(name, Declared(component, place), path, StateTransfer(source, target))
 
     # --- inputs ---
 
@@ -392,7 +411,36 @@ class ActionChecker:
         return whole_steps(delay, self._clock.step_ns, "delay")
 
 
-# --- parameters that are set ---
+# --- components that are changed ---
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """What an action does to a component.
+
+    Parameters
+    ----------
+    index : int
+        Its communication point; negative: at a condition.
+    number : int
+        Of the action.
+    name : str
+        Of the component.
+    values : dict of parameter to value, or None
+        None: it is swapped.
+    """
+
+    index: int
+    number: int
+    name: str
+    values: dict[str, Any] | None
+
+    def key(self, parameter: str | None = None) -> Key:
+        """Return where it stands in its action; without a parameter the first one."""
+        if self.values is None:
+            return "swap", self.name
+        parameter = parameter if parameter in self.values else next(iter(self.values))
+        return "set", f"{self.name}.{parameter}" if parameter else self.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -660,9 +708,6 @@ def recorded_designs(recording: Recording) -> dict[str, Design]:
         raise LogError(f"{SETTINGS} of {recording.label} is damaged: {error}") from error
 
 
-# --- components that are swapped ---
-
-
 @dataclass(frozen=True, slots=True)
 class StateTransfer:
     """Hands continuous states over by their names.
@@ -684,45 +729,6 @@ class StateTransfer:
         """Set the states of the target."""
         x = np.array([state[name] for name in self.target.state_names])
         self.target.continue_from(x)
-
-
-def _swap(
-    scenario: Scenario, context: ScenarioBuildContext, name: str, path: str, place: Interface
-) -> Swap:
-    """Return what swaps a component, whose interface is ``place``.
-
-    Raises
-    ------
-    UsageError
-        If states cannot be handed over, or the FMU does not fit into its place.
-    CosimError
-        If the FMU cannot be opened.
-    """
-    begin = f"the state of {name!r} cannot be transferred"
-    source = context.model_exchange.get(name)
-    if source is None or not source.state_names:
-        raise UsageError(
-            f"{begin}: it has no named continuous states; expected a plant, or a model exchange "
-            "FMU (FMI 2 or 3)"
-        )
-    table = component_table(name, path)
-    spec = KINDS[table["kind"]].model_validate(table)
-    beside = context.beside(replace(scenario, specs={**scenario.specs, name: spec}), name)
-    component = spec.build(name, beside)
-    target = beside.model_exchange.get(name)
-    if target is None:
-        raise UsageError(
-            f"{begin} to {path}, which has no named continuous states; expected a model exchange "
-            "FMU"
-        )
-    if sorted(source.state_names) != sorted(target.state_names):
-        raise UsageError(
-            f"{begin} to {path}: expected the states {listing(source.state_names)}, got "
-            f"{listing(target.state_names) or 'none'}"
-        )
-    _check_place(name, path, place, component.interface)
-    context.fmus[f"{name} ({path})"] = beside.fmus[name]
-    return Swap(name, Declared(component, place), path, StateTransfer(source, target))
 
 
 def _check_place(name: str, path: str, place: Interface, other: Interface) -> None:

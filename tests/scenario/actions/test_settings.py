@@ -239,21 +239,21 @@ CASES = {
     ),
     "twice": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
-        r"actions\[1\]\.set\.g\.K: is also set by actions\[0\] at the same instant",
+        r"actions\[1\]\.set\.g\.K: 'g' is also changed by actions\[0\] at the same instant; ",
     ),
     "before or after a condition": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }',
-        r"actions\[1\]\.set\.g\.K: 'g' is also set by actions\[0\], .*condition",
+        r"actions\[1\]\.set\.g\.K: 'g' is also changed by actions\[0\], .*condition",
     ),
     "at two conditions": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 2"\nset = { "g.K" = 3.0 }',
-        r"actions\[2\]\.set\.g\.K: 'g' is also set by actions\[1\], .*condition",
+        r"actions\[2\]\.set\.g\.K: 'g' is also changed by actions\[1\], .*condition",
     ),
     "twice at one condition": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 3.0 }',
-        r"actions\[2\]\.set\.g\.K: is also set by actions\[1\] at the same instant",
+        r"actions\[2\]\.set\.g\.K: 'g' is also changed by actions\[1\] at the same instant; ",
     ),
     "no parameter": (
         'set = { "g" = 1.0 }',
