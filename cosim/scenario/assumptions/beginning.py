@@ -15,10 +15,10 @@ from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.coupling import CouplingReport, coupling_reports
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.document.places import Problem
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.initial_states import change_text, changed_states
 
 BEGINNING: Final = "beginning of the run"

@@ -12,7 +12,7 @@ from cosim.errors import AssumptionError
 from cosim.native.numerics.householder import triangle
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.identification_start import start_time

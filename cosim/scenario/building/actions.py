@@ -60,14 +60,13 @@ from cosim.errors import (
 from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.native.numerics.expression import compile_condition
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.document.swaps import component_table
 from cosim.scenario.kinds import KINDS, Kind
-from cosim.scenario.kinds.base import AnyKind
+from cosim.scenario.kinds.base import AnyKind, BuildContext, PeriodicKind
 from cosim.scenario.kinds.plants import FmuKind
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ class ActionChecker:
     Parameters
     ----------
     scenario : Scenario
-    context : ScenarioBuildContext
+    context : BuildContext
         In which the components of the run were built. Where it describes, parameters that are set
         and components that are swapped are not looked at.
     components : mapping of name to Component
@@ -102,7 +101,7 @@ class ActionChecker:
     def __init__(
         self,
         scenario: Scenario,
-        context: ScenarioBuildContext,
+        context: BuildContext,
         components: Mapping[str, Component],
         unknown: Set[str],
     ) -> None:
@@ -476,7 +475,7 @@ class SettingBuilder:
     Parameters
     ----------
     scenario : Scenario
-    context : ScenarioBuildContext
+    context : BuildContext
         In which the components of the run were built.
     components : mapping of name to Component
         Those of them that are right.
@@ -485,7 +484,7 @@ class SettingBuilder:
     def __init__(
         self,
         scenario: Scenario,
-        context: ScenarioBuildContext,
+        context: BuildContext,
         components: Mapping[str, Component],
     ) -> None:
         self._components = components
@@ -547,7 +546,11 @@ class SettingBuilder:
 
     def _problems(self, name: str, spec: Kind, values: Mapping[str, Any]) -> Iterator[Problem]:
         """Yield what is wrong with the names of parameters, and with the types of their values."""
-        known = spec.tunable_parameters(name, self._context)
+        known = spec.tunable_parameters
+        if isinstance(spec, FmuKind):
+            from cosim.fmi.driving.tuning import tunable_parameters  # where there is an FMU
+
+            known = tunable_parameters(self._context.opened(name).description)
         for key, value in values.items():
             if not key:
                 text = f"expected a tunable parameter of {name!r}, got none; {nearest(key, known)}"
@@ -589,6 +592,8 @@ class SettingBuilder:
         context = self._context.beside(scenario, name)
         component = spec.build(name, context)
         component = with_units(component, spec.units_of(component.interface))
+        if not isinstance(spec, PeriodicKind):
+            return component
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
 
 

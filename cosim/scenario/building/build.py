@@ -43,16 +43,7 @@ from cosim.errors import (
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.actions import ActionChecker, condition_problem
-from cosim.scenario.building.context import (
-    TABLES_ALONE,
-    DependsOnInvalid,
-    NotImported,
-    Origins,
-    ScenarioBuildContext,
-    clock_of,
-)
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
@@ -60,13 +51,24 @@ from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.document.schema import File, Settings
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, clock_of
+from cosim.scenario.kinds.build_record import (
+    TABLES_ALONE,
+    DependsOnInvalid,
+    NotImported,
+    Origins,
+)
+from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.models import form_problems
+from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
 from cosim.units import Unit, conversion
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
+    from cosim.blocks.renaming import Renaming
 
 
 class Builder:
@@ -91,7 +93,7 @@ class Builder:
     Attributes
     ----------
     problems : list of Problem
-    context : ScenarioBuildContext
+    context : BuildContext
         In which the components were built.
     components : mapping of name to Component
         Those that could be built.
@@ -99,6 +101,8 @@ class Builder:
         Of those of them whose ports are renamed.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
+    periods : dict of component name to int
+        Communication steps between the rows that their log channels keep.
     unknown : set of str
         Components of which nothing but the table is known, as nothing of their code runs here.
 
@@ -125,12 +129,12 @@ class Builder:
         self._block = block
         self._replaced = replaced or {}
         invalid = self._check_times()
-        self.context = ScenarioBuildContext(beside or scenario, resources, origins, invalid)
+        self.context = BuildContext(beside or scenario, resources, origins, invalid)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
-        self._periods: dict[str, int] = {}  # steps between the rows that their log channels keep
+        self.periods: dict[str, int] = {}
         self._cause: Exception | None = None  # of the first problem that was raised
         recording = origins.recording
         self._declared: Mapping[str, Channel] = {}  # all that a recorded run had
@@ -168,7 +172,7 @@ class Builder:
         checks: dict[str, Callable[[], object]] = {
             "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
-            "stop": lambda: clock_of(self.scenario),
+            "stop": lambda: clock_of(settings),
             "substeps": lambda: substep_tolerance(settings),
         }
         unknown: set[Key] = set()
@@ -246,14 +250,11 @@ class Builder:
         place = ("components", name)
         try:
             component = self._component(name, spec)
-            period = spec.period_steps(name, self.context.step_ns)
-            if name in self._origins.left_out:
-                component = self._recording_of(name, spec, component, period)
-            self.components[name] = spec.with_period(component, period)
-            self._periods[name] = spec.recorded_period(period)
-            given = spec.given_states(name, self.context)
-            if given is not None:
-                self.given_states[name] = given
+            self.components[name] = self._with_period(name, spec, component)
+            if isinstance(spec, HasGivenStates):
+                given = spec.given_states(name, self.context)
+                if given is not None:
+                    self.given_states[name] = given
         except DependsOnInvalid:
             pass
         except NotImported:
@@ -270,8 +271,8 @@ class Builder:
     def _component(self, name: str, spec: Kind) -> Component:
         recording = self._origins.recording
         if recording is not None and not spec.computable:
-            for model in spec.models:
-                self.context.model(model)  # what it was made of: a replay cannot change that
+            if isinstance(spec, DescriptorKind):
+                self.context.model(spec.model)  # what it was made of: a replay cannot change that
             record = component_record(recording, name)
             if record.lags:
                 self.context.add_metadata(name, {"lags": record.lags})
@@ -292,7 +293,9 @@ class Builder:
         from cosim.blocks.renaming import resolve
 
         given = [entry.renaming for entry in entries]
-        renamings = spec.renamings(component.interface, given)
+        renamings: Sequence[Renaming] = given
+        if isinstance(spec, RenamesMore):
+            renamings = spec.renamings(component.interface, given)
         replaced = self._replaced.get(name)
         self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
         for entry in entries:
@@ -303,26 +306,33 @@ class Builder:
                 self._wrong.add(name)
         return Renamed(component, self.port_maps[name])
 
-    def _recording_of(self, name: str, spec: Kind, component: Component, period: int) -> Component:
-        """Return the recording of a component that is left out.
+    def _with_period(self, name: str, spec: Kind, component: Component) -> Component:
+        """Return a component with its sample period, or its recording if it is left out.
 
         It was built all the same: others may rest on what it is made of, and the log tells of it.
 
         Raises
         ------
         UsageError
-            If the log lacks one of its outputs.
+            If it is left out, and the log lacks one of its outputs.
         """
-        recording = self._origins.recording
-        assert recording is not None, "only a replay leaves components out"
-        outputs = component.interface.outputs
-        has_samples = any(spec.samples_of(signal.name) for signal in outputs)
-        if has_samples and spec.recorded_period(period) > 1:
-            raise UsageError(
-                f"cannot be substituted from the log, which has a row only every {period} "
-                "communication steps and no marks of missing samples; recompute it, too"
-            )
-        return Replay(recording, name)
+        period = self.periods[name] = 1
+        if isinstance(spec, PeriodicKind):
+            period = spec.period_steps(name, self.context.step_ns)
+            self.periods[name] = spec.recorded_period(period)
+        if name in self._origins.left_out:
+            recording = self._origins.recording
+            assert recording is not None, "only a replay leaves components out"
+            outputs = [signal.name for signal in component.interface.outputs]
+            has_samples = isinstance(spec, HasSamples) and any(map(spec.samples_of, outputs))
+            if has_samples and self.periods[name] > 1:
+                raise UsageError(
+                    "cannot be substituted from the log, which has a row only every "
+                    f"{self.periods[name]} communication steps and no marks of missing samples; "
+                    "recompute it, too"
+                )
+            component = Replay(recording, name)
+        return spec.with_period(component, period) if isinstance(spec, PeriodicKind) else component
 
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""
@@ -470,7 +480,7 @@ class Builder:
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
             means=means,
-            periods=self._periods,
+            periods=self.periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,
         )
@@ -506,7 +516,8 @@ class Builder:
         for name, text in self._warnings(graph):
             self.context.warn(name, text)
         specs = self.scenario.specs.items()
-        recorded = tuple(name for name, spec in specs if self._origins.copies(name, spec))
+        copies = self._origins.copies
+        recorded = tuple(n for n, spec in specs if copies(n, computable=spec.computable))
         clock = self.clock
         performed = [(clock.grid.stamp(timed.index), timed.action) for timed in self._actions]
         for reaction in self._reactions:
@@ -584,6 +595,8 @@ class Builder:
 
     def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
         """Return the warnings of a component that knows what drives it."""
+        if not isinstance(spec, Advising):
+            return []
         inputs = self.components[name].interface.input_columns()
         held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
         return spec.advice(name, self.context, held=held, h=self.clock.h)

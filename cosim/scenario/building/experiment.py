@@ -16,8 +16,8 @@ from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
 from cosim.instants import step_value
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.record import ReplayOrigin
@@ -48,7 +48,7 @@ class Experiment:
     scenario : Scenario
     graph : Graph
     clock : Clock
-    built : ScenarioBuildContext
+    built : BuildContext
         What the components were built in: what was read, opened and recorded for that.
     truth : mapping of estimate to its truth
         What the report compares.
@@ -93,7 +93,7 @@ class Experiment:
     scenario: Scenario
     graph: Graph
     clock: Clock
-    built: ScenarioBuildContext
+    built: BuildContext
     truth: Mapping[str, Any]
     port_maps: Mapping[str, PortMap]
     identified: Mapping[str, IdentifiedPlant]

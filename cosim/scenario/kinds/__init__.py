@@ -64,8 +64,6 @@ of its kinds is asked for.
   inputs.
 * ``tunable`` names keys with numbers that an action may set in a run. A component that is built
   with other values then goes on from the state that ``save`` returned of the first one.
-* ``advice`` returns warnings that depend on what drives the inputs, ``linear_system`` the matrices
-  that a report of a swap compares.
 
 More bases, in :mod:`cosim.scenario.kinds.base`:
 
@@ -74,6 +72,8 @@ More bases, in :mod:`cosim.scenario.kinds.base`:
 * ``LinearKind`` needs ``linear_model`` instead of ``build``. It can be exported as an FMU.
 * ``ExportableKind`` needs ``build``, and ``exportable``, which returns the model that the FMU is
   made of.
+* What only some kinds can do, such as warnings that depend on what drives the inputs, has a base
+  each in :mod:`cosim.scenario.kinds.capabilities`.
 '''
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from cosim.scenario.document.schema import (
     matrix,
 )
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, PortUnits, Wiring, unit_of
+from cosim.scenario.kinds.capabilities import Advising
 
 
 class SumKind(ExportableKind):
@@ -122,7 +123,7 @@ LATE = (
 )
 
 
-class SwitchKind(ExportableKind):
+class SwitchKind(ExportableKind, Advising):
     """y = u1 where control >= threshold, else u2."""
 
     ports: ClassVar[str] = "u1, u2, control -> y"

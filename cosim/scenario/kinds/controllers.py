@@ -33,9 +33,9 @@ from cosim.scenario.kinds.base import (
     ExportableKind,
     LinearKind,
     PeriodicKind,
-    Sampling,
     Wiring,
 )
+from cosim.scenario.kinds.values import Sampling
 
 
 class SampledKind(PeriodicKind):

@@ -21,11 +21,11 @@ from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
     LinearKind,
-    LinearSystem,
     PortUnits,
     Wiring,
     unit_of,
 )
+from cosim.scenario.kinds.values import LinearSystem
 
 
 class LagKind(LinearKind):

@@ -32,14 +32,16 @@ from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_sa
 from cosim.scenario.data_files.table import FieldForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
+from cosim.scenario.kinds.capabilities import DecidedByStep, HasSamples, RenamesMore
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.table_keys import TableKeys
+from cosim.scenario.kinds.values import StepDependence
 
 MOST_SAMPLES: Final = 1000  # in one communication step
 FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
-class FieldDataKind(TableKeys, PlantKind):
+class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore):
     """Recorded samples of a table or of an MCAP of another tool, at their own times."""
 
     ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
@@ -107,8 +109,8 @@ class FieldDataKind(TableKeys, PlantKind):
     )
 
     @property
-    def jumps_at_points(self) -> bool:
-        return False
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(jumps_at_points=False)
 
     @property
     def follows_inputs(self) -> bool:

@@ -40,12 +40,11 @@ from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
-    ImpliedConnection,
     Kind,
     PeriodicKind,
     Wiring,
-    shared_connections,
 )
+from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.kinds.identification_source import (
     IdentifierSource,
     ObserverSource,
@@ -56,6 +55,7 @@ from cosim.scenario.kinds.identified_plant import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
+from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.theory.disturbances import regression
 from cosim.theory.estimators import defaults
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from cosim.theory.estimators.least_squares import Recovery
 
 
-class IdentifierKind(PeriodicKind, ExportableKind):
+class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
     """Identification of theta by output error, least squares, or other methods."""
 
     ports: ClassVar[str] = (
@@ -267,7 +267,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             window=math.inf if self.window is None else self.window,
             forgetting=math.inf if self.forgetting is None else self.forgetting,
         )
-        context.add_identified(source.identifier, identified)
+        context.identified[source.identifier] = identified
         return identified
 
     # --- methods on the regression ---

@@ -11,10 +11,12 @@ from cosim.core.port import Port
 from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.capabilities import HasSamples
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.scenario.kinds.values import ImpliedConnection
 from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.disturbances.distinguishable import check_distinguishable
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
@@ -156,7 +158,7 @@ class IdentifierSource:
         """
         context = self._context
         drivers = context.drivers(Port(self.identifier, "samples"))
-        most = [kind.most_in_a_step(name, context) for name, kind in drivers.items()]
+        most = [_most_in_a_step(name, kind, context) for name, kind in drivers.items()]
         if any(most):
             return max(most)
         sampled = _sampled_behind(Port(self.identifier, "y"), context)
@@ -171,12 +173,13 @@ class IdentifierSource:
     def samples_at_points(self) -> bool:
         """Return whether all samples of y are of communication points."""
         drivers = self._context.drivers(Port(self.identifier, "samples"))
-        return all(kind.samples_at_points for kind in drivers.values())
+        return all(map(_samples_at_points, drivers.values()))
 
     def late_steps(self) -> int:
         """Return how many communication steps after its instant a sample of y may come."""
         drivers = self._context.drivers(Port(self.identifier, "samples"))
-        return max((kind.late_steps(self._context) for kind in drivers.values()), default=0)
+        sampled = [kind for kind in drivers.values() if isinstance(kind, HasSamples)]
+        return max((kind.late_steps(self._context) for kind in sampled), default=0)
 
 
 class ObserverSource:
@@ -294,8 +297,8 @@ def _sampled_outputs(y: Connection, specs: Mapping[str, Kind]) -> tuple[list[Por
     timed_by = None
     for source in y.sources:
         spec = specs.get(source.component)
-        signal = None if spec is None else spec.samples_of(source.signal)
-        if spec is None or signal is None:
+        signal = spec.samples_of(source.signal) if isinstance(spec, HasSamples) else None
+        if not isinstance(spec, HasSamples) or signal is None:
             sources.append(source)
             continue
         is_alone = all(other.component == source.component for other in y.sources)
@@ -321,9 +324,17 @@ def _sampled_behind(to: Port, context: BuildContext) -> str | None:
     None: there is none.
     """
     for name, spec in context.behind(to).items():
-        if spec.is_recorded and not spec.samples_at_points:
+        if spec.is_recorded and not _samples_at_points(spec):
             return name
     for name, kind in context.drivers(to).items():
-        if kind.most_in_a_step(name, context):
+        if _most_in_a_step(name, kind, context):
             return name
     return None
+
+
+def _samples_at_points(kind: Kind) -> bool:
+    return not isinstance(kind, HasSamples) or kind.samples_at_points
+
+
+def _most_in_a_step(name: str, kind: Kind, context: BuildContext) -> int:
+    return kind.most_in_a_step(name, context) if isinstance(kind, HasSamples) else 0

@@ -29,13 +29,8 @@ from cosim.scenario.document.schema import (
     Whole,
     matrix,
 )
-from cosim.scenario.kinds.base import (
-    BuildContext,
-    ExportableKind,
-    LinearSystem,
-    Spectrum,
-    Wiring,
-)
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, LinearNearStart, Wiring
+from cosim.scenario.kinds.capabilities import Advising, DecidedByStep, HasGivenStates
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.kinds.plants import StartFields, check_foreign_initial
@@ -54,6 +49,7 @@ from cosim.scenario.kinds.reconstruction import (
     plain_reconstruction,
     recorded_noise,
 )
+from cosim.scenario.kinds.values import LinearSystem, Spectrum
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.theory.observers import observer
 from cosim.theory.observers.assumptions import plain_modes
@@ -116,7 +112,9 @@ class DesignedObserver(NamedTuple):
     design: observer.ObserverDesign
 
 
-class UnknownInputObserverKind(ExportableKind):
+class UnknownInputObserverKind(
+    ExportableKind, Advising, DecidedByStep, HasGivenStates, LinearNearStart
+):
     """Unknown-input observer with reconstruction of the disturbance delta."""
 
     ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q, or x, delta, z, q of a general model"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -28,11 +28,12 @@ from cosim.scenario.kinds.base import (
     BuildContext,
     Kind,
     LinearKind,
-    LinearSystem,
+    LinearNearStart,
     PeriodicKind,
-    Sampling,
 )
+from cosim.scenario.kinds.capabilities import HasDescription, HasGivenStates, TunedInPlace
 from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.values import LinearSystem, Sampling, StepDependence
 from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
@@ -73,7 +74,7 @@ class PlantKind(Kind):
         return self._is_allowed
 
 
-class DescriptorKind(PlantKind, LinearKind):
+class DescriptorKind(PlantKind, LinearKind, HasDescription, HasGivenStates):
     """Plant of a descriptor model: E x' = A x + Bu u + Bd delta, y = C x + Du u + Dd delta.
 
     Where the model has n_a its states are x_a and x_b, else x.
@@ -93,10 +94,6 @@ class DescriptorKind(PlantKind, LinearKind):
     )
     solver: str = Field("exact", description=f"solver: {', '.join(SOLVERS)}")
 
-    @property
-    def models(self) -> tuple[str, ...]:
-        return (self.model,)
-
     def build(self, name: str, context: BuildContext) -> Component:
         from cosim.fmi.driving.model_exchange import ModelExchange
         from cosim.fmi.generated import GeneratedInstance
@@ -109,12 +106,10 @@ class DescriptorKind(PlantKind, LinearKind):
             context.warn(name, inaccuracy)
         component = ModelExchange(instance, solver=self.solver)
         context.add_metadata(name, component.metadata)
-        context.add_states(name, component)
+        context.model_exchange[name] = component
         return component
 
-    def description(
-        self, name: str, context: BuildContext
-    ) -> tuple[InterfaceType, Description] | None:
+    def description(self, name: str, context: BuildContext) -> tuple[InterfaceType, Description]:
         from cosim.fmi.generated import GeneratedInstance
 
         instance = GeneratedInstance.of(self.linear_model(name, context), name)
@@ -174,7 +169,7 @@ def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> No
         raise UsageError(f"{name}: the model {model!r} {form}; expected {needed}")
 
 
-class FmuKind(PlantKind, PeriodicKind):
+class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart, TunedInPlace):
     """An FMU of FMI 1.0, 2.0 or 3.0."""
 
     ports: ClassVar[str] = "those of the FMU"
@@ -225,8 +220,8 @@ class FmuKind(PlantKind, PeriodicKind):
     )
 
     @property
-    def jumps_at_points(self) -> bool:
-        return self.period is not None
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(jumps_at_points=self.period is not None)
 
     def with_period(self, component: Component, n: int) -> Component:
         hold = self.input_interpolation == "zero-order"
@@ -257,17 +252,10 @@ class FmuKind(PlantKind, PeriodicKind):
         )
         return context.fmu(name, self.path, options)
 
-    def tunable_parameters(self, name: str, context: BuildContext) -> Sequence[str]:
-        from cosim.fmi.driving.tuning import tunable_parameters
-
-        return tunable_parameters(context.opened(name).description)
-
     def tuned_fmu(self, name: str, context: BuildContext) -> Fmu:
         return context.opened(name)
 
-    def description(
-        self, name: str, context: BuildContext
-    ) -> tuple[InterfaceType, Description] | None:
+    def description(self, name: str, context: BuildContext) -> tuple[InterfaceType, Description]:
         fmu = context.opened(name)
         return fmu.interface_type, fmu.description
 

@@ -34,12 +34,11 @@ from cosim.scenario.kinds.alphas import (
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
-    ImpliedConnection,
     Kind,
-    Spectrum,
     Wiring,
 )
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
+from cosim.scenario.kinds.values import ImpliedConnection, Spectrum
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha

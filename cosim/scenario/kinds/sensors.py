@@ -23,12 +23,19 @@ from cosim.scenario.document.schema import (
     StepTime,
     Whole,
 )
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    PeriodicKind,
+    PortUnits,
+    unit_of,
+)
+from cosim.scenario.kinds.capabilities import HasSamples
+from cosim.scenario.kinds.values import Sampling, StepDependence
 
 EACH = ", one number or one per element"
 
 
-class SensorKind(PeriodicKind):
+class SensorKind(PeriodicKind, HasSamples):
     """y = u with delay, jitter, bias, noise, limits, quantization, dropouts, in this order."""
 
     ports: ClassVar[str] = "u -> y, valid, y_samples, sample_times"
@@ -88,8 +95,10 @@ class SensorKind(PeriodicKind):
         return component
 
     @property
-    def divided_times(self) -> tuple[float, ...]:
-        return (self.delay,)
+    def step_dependence(self) -> StepDependence:
+        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,)
+        is_random = any(noise) or bool(self.jitter) or self.dropout is not None
+        return StepDependence(draws=is_random and self.period is None, times=(self.delay,))
 
     def sampling(self, n: int) -> Sampling | None:
         return None if self.period is None else Sampling(n, 0, True)
@@ -101,12 +110,6 @@ class SensorKind(PeriodicKind):
 
     def samples_of(self, output: str) -> str | None:
         return samples_of(output) if output == "y" and self._offers_samples else None
-
-    @property
-    def draws_every_step(self) -> bool:
-        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,)
-        is_random = any(noise) or bool(self.jitter) or self.dropout is not None
-        return is_random and self.period is None
 
     @property
     def samples_at_points(self) -> bool:

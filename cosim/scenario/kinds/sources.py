@@ -36,7 +36,8 @@ from cosim.scenario.document.schema import (
     matrix,
 )
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
+from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind
+from cosim.scenario.kinds.capabilities import Advising
 from cosim.scenario.kinds.jumps import (
     check_continuous,
     check_sampled,
@@ -45,6 +46,7 @@ from cosim.scenario.kinds.jumps import (
 )
 from cosim.scenario.kinds.table_keys import TableKeys
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
+from cosim.scenario.kinds.values import ImpliedConnection, StepDependence
 
 if TYPE_CHECKING:
     from cosim.blocks.modulated_source import Modulation
@@ -162,7 +164,7 @@ class ChirpKind(Kind):
         )
 
 
-class ExpressionKind(Kind):
+class ExpressionKind(Kind, Advising):
     """y = expressions in t and in signals of other components."""
 
     ports: ClassVar[str] = "[u1], [u2], ... -> y"
@@ -195,11 +197,13 @@ class ExpressionKind(Kind):
         return not self._signals
 
     @property
-    def jumps_at_points(self) -> bool:
+    def step_dependence(self) -> StepDependence:
         if self._signals:
-            return not any(jumps_with_signals(text) for text in self._texts)
-        all_jumps = chain.from_iterable(map(jumps, self._texts))
-        return all(jump.instant is not None for jump in all_jumps)
+            at_points = not any(jumps_with_signals(text) for text in self._texts)
+        else:
+            all_jumps = chain.from_iterable(map(jumps, self._texts))
+            at_points = all(jump.instant is not None for jump in all_jumps)
+        return StepDependence(jumps_at_points=at_points)
 
     @property
     def hands_on_lag(self) -> bool:
@@ -346,8 +350,8 @@ class NoiseKind(PeriodicKind):
     size: Size = Field(1, description="number of elements")
 
     @property
-    def draws_every_step(self) -> bool:
-        return self.period is None and self.deviation > 0.0
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(draws=self.period is None and self.deviation > 0.0)
 
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Sampled(component, n)

@@ -22,6 +22,7 @@ from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.constructor import construct
 from cosim.scenario.kinds.installed_kinds import installed_class
 from cosim.scenario.kinds.user_code import class_name_parts
+from cosim.scenario.kinds.values import StepDependence
 
 
 def _check_class_name(name: str) -> str:
@@ -42,8 +43,8 @@ class UserKind(Kind):
     ports: ClassVar[str] = "those of the class"
 
     @property
-    def jumps_at_points(self) -> bool:
-        return False
+    def step_dependence(self) -> StepDependence:
+        return StepDependence(jumps_at_points=False)
 
     @property
     def computable(self) -> bool:
@@ -73,7 +74,7 @@ class PythonKind(UserKind):
         return self.class_
 
     def build(self, name: str, context: BuildContext) -> Component:
-        user_class = context.user_class(name, self.class_)
+        user_class = context.user_class(name, self.code, self.class_)
         return construct(name, user_class, self.parameters)
 
 
@@ -92,5 +93,5 @@ class InstalledKind(UserKind):
     def build(self, name: str, context: BuildContext) -> Component:
         installed = installed_class(self.kind)
         package = installed.distribution
-        user_class = context.user_class(name, installed.class_name, package=package)
+        user_class = context.user_class(name, self.code, installed.class_name, package)
         return construct(name, user_class, self.parameters)

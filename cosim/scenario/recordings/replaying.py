@@ -20,11 +20,11 @@ from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.context import Origins, RecordedFmu
 from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import is_map_key
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.build_record import Origins, RecordedFmu
 from cosim.scenario.record import MEANS, CodeRecord, component_metadata, component_record
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
@@ -158,7 +158,11 @@ def rebuilt(
         fmus_again=fmus_again,
         unpacked=unpacked,
     )
-    copied = [name for name, spec in runs.specs.items() if origins.copies(name, spec)]
+    copied = [
+        name
+        for name, spec in runs.specs.items()
+        if origins.copies(name, computable=spec.computable)
+    ]
     load_rows(source, [name for name in copied if name in source.channels])
     builder = Builder(
         runs,
