@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cosim.arguments import mapping_argument, swap_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
@@ -32,17 +31,8 @@ from cosim.scenario.kinds import KINDS, Kind
 if TYPE_CHECKING:
     from cosim.scenario.session import Session
 
+AnyTable = TypeVar("AnyTable", bound=BaseModel)
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
-
-
-class Starter(Protocol):
-    """Starts a scenario."""
-
-    def __call__(
-        self, scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool
-    ) -> Session:
-        """Start it; parameters as of :meth:`Scenario.start`."""
-        ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,7 +77,7 @@ class Scenario:
     invalid: frozenset[Key] = frozenset()
     actions: Mapping[int, ActionTable] = field(default_factory=dict)
     recorded_inputs: tuple[RecordedInput, ...] = ()
-    starter: Starter | None = field(default=None, repr=False, compare=False)
+    starter: Callable[..., Session] | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<the scenario {self.name!r}: {len(self.specs)} components>"
@@ -230,26 +220,30 @@ def read(
         If the text is no TOML.
     """
     tables = document.tables()
-    file, file_problems, invalid = _validate_tables(tables.tree)
-    tree = without(tables.tree, invalid)
+    problems = list(tables.problems)
+    file, invalid = _validate_tables(tables.tree, problems)
+    tree = _without(tables.tree, invalid)
     maps, map_problems = resolve_maps(tree, document.maps)
-    specs, component_problems = _validate_components(file.components, document.foreign_kinds)
-    written, connection_problems = _connections(file)
-    recorded = {name for name, spec in specs.items() if not spec.follows_inputs}
-    followed = {to: written[to] for to in written if to.component not in recorded}
+    problems += map_problems
+    specs = _validate_components(file.components, document.foreign_kinds, problems)
+    written = _connections(file, problems)
+    recorded = [name for name, spec in specs.items() if not spec.follows_inputs]
+    connections = {to: written[to] for to in written if to.component not in recorded}
     # what takes the place of another component has its inputs
-    originals = {n: tables.replaced[n] for n in tables.replaced.keys() & specs.keys() - recorded}
-    replaced, _ = _validate_components(originals, document.foreign_kinds)
-    connections, implied, given_twice = _with_implied({**specs, **replaced}, followed)
+    originals = {n: tables.replaced[n] for n in specs if n in tables.replaced and n not in recorded}
+    replaced = _validate_components(originals, document.foreign_kinds, [])
+    implied = _add_implied({**specs, **replaced}, connections, problems)
     inputs: list[RecordedInput] = []
-    for name in specs:
-        if name in recorded and name in maps:
-            maps[name], named, input_problems = record_inputs(maps[name], connections, written)
-            inputs += named
-            map_problems += input_problems
-    connection_problems += given_twice
-    invalid.update(key for key, _ in connection_problems)
-    actions, action_problems = _validate_actions(file.actions)
+    for name in [name for name in recorded if name in maps]:
+        maps[name], own_inputs, input_problems = record_inputs(maps[name], connections, written)
+        inputs += own_inputs
+        problems += input_problems
+    invalid |= {key[:2] for key, _ in problems if key[:1] == ("connections",)}
+    actions: dict[int, ActionTable] = {}
+    for number, table in enumerate(file.actions):
+        action = _validated(ActionTable, table, ("actions", number), problems)
+        if action is not None:
+            actions[number] = action
     scenario = Scenario(
         document,
         file,
@@ -263,35 +257,28 @@ def read(
         actions,
         tuple(inputs),
     )
-    problems = [*tables.problems, *file_problems, *map_problems, *component_problems]
-    return scenario, [*problems, *connection_problems, *action_problems]
+    return scenario, problems
 
 
-def _validate_actions(
-    tables: Sequence[Mapping[str, Any]],
-) -> tuple[dict[int, ActionTable], list[Problem]]:
-    """Return the actions that are right by themselves, by their numbers, and the problems."""
-    actions: dict[int, ActionTable] = {}
-    problems: list[Problem] = []
-    for number, table in enumerate(tables):
-        key: Key = ("actions", number)
-        try:
-            action = ActionTable.model_validate(table)
-            own = [((*key, *inner), text) for inner, text in action.problems()]
-        except ValidationError as error:
-            own = problems_of(error, ActionTable, table, key)
-        if not own:
-            actions[number] = action
-        problems += own
-    return actions, problems
-
-
-def _validate_tables(tree: Mapping[str, Any]) -> tuple[File, list[Problem], set[Key]]:
-    """Return the file without what is wrong in it, the problems, and the keys that are wrong."""
+def _validated(
+    model: type[AnyTable], table: Any, key: Key, problems: list[Problem]
+) -> AnyTable | None:
+    """Return a table, which stands at a key; None: it is wrong, and ``problems`` has how."""
     try:
-        return File.model_validate(tree), [], set()
+        return model.model_validate(table)
+    except TableProblems as error:
+        problems += [((*key, *inner), text) for inner, text in error.problems]
     except ValidationError as error:
-        problems = problems_of(error, File, tree, ())
+        problems += problems_of(error, model, table, key)
+    return None
+
+
+def _validate_tables(tree: Mapping[str, Any], problems: list[Problem]) -> tuple[File, set[Key]]:
+    """Return the file without what is wrong in it, and the keys of that."""
+    try:
+        return File.model_validate(tree), set()
+    except ValidationError as error:
+        problems += problems_of(error, File, tree, ())
         details = error.errors(include_url=False, include_input=False)
     invalid: set[Key] = set()
     for item in details:
@@ -304,13 +291,12 @@ def _validate_tables(tree: Mapping[str, Any]) -> tuple[File, list[Problem], set[
             # probably a table under another name, so that nothing is known of that one
             meant = get_close_matches(str(table), File.model_fields, n=1, cutoff=0.5)
             invalid |= {(name,) for name in meant if name not in tree}
-    valid = without(tree, invalid)
+    valid = {"components": {}, **_without(tree, invalid)}
     valid["scenario"] = {**STAND_INS, **valid.get("scenario", {})}
-    valid.setdefault("components", {})
-    return File.model_validate(valid), problems, invalid
+    return File.model_validate(valid), invalid
 
 
-def without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]:
+def _without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]:
     """Return tables without some of them, and without entries of others."""
     valid: dict[str, Any] = {}
     for name, table in tree.items():
@@ -322,52 +308,43 @@ def without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]
 
 
 def _validate_components(
-    tables: Mapping[str, Any], foreign: Collection[str]
-) -> tuple[dict[str, Kind], list[Problem]]:
-    """Return the components' tables by name, and the problems of the others.
+    tables: Mapping[str, Any], foreign: Collection[str], problems: list[Problem]
+) -> dict[str, Kind]:
+    """Return the components' tables that are right, by name.
 
-    ``foreign`` are kinds beside the shipped ones that are known to be those of packages.
+    Where a key is misspelt, the table is taken as it was probably meant: what is connected to the
+    component is then checked, too. ``foreign`` are kinds beside the shipped ones that are known to
+    be those of packages.
     """
     specs: dict[str, Kind] = {}
-    problems: list[Problem] = []
     for name, table in tables.items():
         key: Key = ("components", name)
-        try:
-            kind = _kind(table, foreign)
-            specs[name] = kind.model_validate(table)
-        except TableProblems as error:
-            problems += [((*key, *inner), text) for inner, text in error.problems]
-        except ValidationError as error:
-            problems += problems_of(error, kind, table, key)
-            with suppress(ValidationError, TableProblems):
-                # what is connected to it is then checked, too
-                specs[name] = kind.model_validate(_with_meant_keys(error, kind, table))
-    return specs, problems
+        kind = _kind(table, foreign)
+        if isinstance(kind, str):
+            problems.append(((*key, "kind") if "kind" in table else key, kind))
+            continue
+        spec = _validated(kind, table, key, problems)
+        if spec is None:
+            spec = _validated(kind, _as_meant(kind, table), key, [])
+        if spec is not None:
+            specs[name] = spec
+    return specs
 
 
-def _with_meant_keys(
-    error: ValidationError, kind: type[Kind], table: Mapping[str, Any]
-) -> Mapping[str, Any]:
+def _as_meant(kind: type[Kind], table: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a component's table with the keys that were probably meant for unknown ones."""
+    known = [field.alias or name for name, field in kind.model_fields.items()]
     meant = dict(table)
-    for details in error.errors(include_url=False, include_input=False):
-        name, *inner = details["loc"]
-        if details["type"] == "extra_forbidden" and not inner:
-            known = [field.alias or key for key, field in kind.model_fields.items()]
-            missing = [key for key in known if key not in table]
-            for close in get_close_matches(str(name), missing, n=1):
-                meant[close] = meant.pop(str(name))
+    for key in table:
+        if key not in known:
+            missing = [name for name in known if name not in meant]
+            for close in get_close_matches(key, missing, n=1):
+                meant[close] = meant.pop(key)
     return meant
 
 
-def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
-    """Return the kind of a component's table.
-
-    Raises
-    ------
-    TableProblems
-        If it has none, or there is no such kind.
-    """
+def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind] | str:
+    """Return the kind of a component's table; a text: why there is none."""
     kind = table.get("kind")
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
@@ -377,48 +354,43 @@ def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
         return InstalledKind
     names = list(dict.fromkeys([*KINDS, *installed_classes()]))
     if "kind" not in table:
-        raise TableProblems([((), f"'kind' is missing; available: {', '.join(names)}")])
+        return f"'kind' is missing; available: {', '.join(names)}"
     if not isinstance(kind, str):
-        raise TableProblems([(("kind",), f"expected a string, got {quoted(kind)}")])
-    raise TableProblems([(("kind",), f"unknown kind {quoted(kind)}; {nearest(kind, names)}")])
+        return f"expected a string, got {quoted(kind)}"
+    return f"unknown kind {quoted(kind)}; {nearest(kind, names)}"
 
 
-def _with_implied(
-    specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
-) -> tuple[dict[Port, Connection], dict[Port, Port | None], list[Problem]]:
+def _add_implied(
+    specs: Mapping[str, Kind], connections: dict[Port, Connection], problems: list[Problem]
+) -> dict[Port, Port | None]:
     """Add the connections that kinds imply for inputs that [connections] leaves open.
 
     Returns
     -------
-    connections : dict of Port to Connection
-    origins : dict of Port to Port or None
-        Of each such input, also where the one that it follows has no connection either.
-    problems : list of Problem
-        Of inputs that are connected although their component's table says what drives them.
+    dict of Port to Port or None
+        The origin of each such input, also where the one that it follows has no connection either.
     """
     given = {port.whole: port for port in connections}
-    result = dict(connections)
+    written = dict(connections)
     origins: dict[Port, Port | None] = {}
-    problems: dict[Key, str] = {}
+    twice: dict[Port, str] = {}  # what drives it is in its component's table
     for name, spec in specs.items():
-        for to, implied in spec.implied_connections(name, connections, specs).items():
+        for to, implied in spec.implied_connections(name, written, specs).items():
             if to.whole not in given:
                 origins[to] = implied.origin
                 if implied.connection is not None:
-                    result[to] = implied.connection
+                    connections[to] = implied.connection
             elif implied.origin is None:
-                key = ("connections", str(given[to.whole]))
-                problems[key] = (
-                    f"'{to.whole}' has its source from the table of {name!r}; remove this "
-                    "connection"
-                )
-    return result, origins, list(problems.items())
+                twice[given[to.whole]] = name
+    for port, name in twice.items():
+        text = f"'{port.whole}' has its source from the table of {name!r}; remove this connection"
+        problems.append((("connections", str(port)), text))
+    return origins
 
 
-def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
-    """Return the connections by input, and their problems; a wrong gain leaves the sources."""
+def _connections(file: File, problems: list[Problem]) -> dict[Port, Connection]:
+    """Return the connections by input; a wrong gain leaves the sources."""
     connections: dict[Port, Connection] = {}
-    problems: list[Problem] = []
     for to, value in file.connections.items():
         try:
             port = Port.parse(to)
@@ -431,4 +403,4 @@ def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
                 connections[port] = Connection(value)
         except CosimError as error:
             problems.append((("connections", to), str(error)))
-    return connections, problems
+    return connections

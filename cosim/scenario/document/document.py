@@ -12,7 +12,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -29,15 +29,15 @@ from cosim.core.connections import ONE_SOURCE
 from cosim.errors import GraphError, ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import file_type, read_bounded
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.document.places import PORTS, Key, Problem, key_lines, report, written
+from cosim.scenario.document.places import PORTS, Key, Problem, report, written
 from cosim.scenario.document.swaps import (
     MAP,
     PortNames,
     Tables,
     WrittenPorts,
-    component_table,
     is_port_names,
     marked_path,
+    replace_components,
     table_of,
 )
 
@@ -51,7 +51,6 @@ TABLES: Final = ("scenario", "models", *PORTS, ACTIONS, "record")
 _NOT_COMPONENTS: Final = (*TABLES, "swap", COMPONENTS)  # none that a short key could begin with
 _SET: Final = "(set)"  # first part of the key of a problem with an edit, which stands in no file
 _TOO_DEEP: Final = f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
-_TOO_MANY_DIGITS: Final = "an integer has too many digits; expected at most 64 bits"
 _CLOSING: Final = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"'}
 _PART: Final = re.compile(r"([^\[\]]+)((?:\[[^\[\]]*\])+)")
 _INDEX: Final = re.compile(r"0|[1-9][0-9]{0,8}")
@@ -105,7 +104,7 @@ def parse_value(text: str) -> Any:
         If it is TOML, but nested too deep, or a number has too many digits.
     """
     try:
-        table = _tables(tomllib.loads, f"value = {text}")
+        table = plain(_read_toml(f"value = {text}"), -1)
     except UsageError as error:
         raise UsageError(f"{quoted(text)}: {error}") from error
     except tomllib.TOMLDecodeError:
@@ -168,25 +167,29 @@ def plain(value: Any, level: int = 0) -> Any:
     )
 
 
-def _tables(parse: Callable[[str], Tables], text: str) -> Tables:
-    """Return a copy of the tables of a text, which are within what a scenario may have.
+def _read_toml(text: str) -> Tables:
+    """Return the tables of a text.
 
     Raises
     ------
     UsageError
-        If they are not.
+        If they are nested too deep, or a number has too many digits.
     TOMLDecodeError
-        If the text is no TOML.
+        If it is no TOML.
     """
+    if _LONG_KEY.search(text):
+        raise UsageError(_TOO_DEEP)
     try:
-        tables: Tables = plain(parse(text), -1)
+        return tomllib.loads(text)
     except RecursionError as error:
         raise UsageError(_TOO_DEEP) from error
     except tomllib.TOMLDecodeError:
         raise
     except ValueError as error:  # of Python's int
-        raise UsageError(_TOO_MANY_DIGITS) from error
-    return tables
+        raise UsageError("an integer has too many digits; expected at most 64 bits") from error
+
+
+_parsed = lru_cache(maxsize=8)(_read_toml)  # a document and its edits share one text
 
 
 # --- edits ---
@@ -298,18 +301,11 @@ def _flatten(tree: Tables) -> list[Problem]:
             for dotted, item in pairs.items():
                 port = _setting(dotted) if place[0] == ACTIONS else dotted
                 if port in flat:
-                    problems.append(((*place, port), _given_twice(f"'{port}'", str(place[0]))))
+                    way_out = ONE_SOURCE if name == "connections" else "remove one"
+                    problems.append(((*place, port), f"'{port}' is given twice; {way_out}"))
                 flat[port] = item
         holder[name] = flat
     return problems
-
-
-def _given_twice(key: str, table: str) -> str:
-    """Return what to say of a key that a table of the scenario has twice, or of a table."""
-    if key.startswith("["):
-        return f"the table {key} is given twice; put its keys below one heading"
-    reasons = {"connections": ONE_SOURCE, "truth": "an estimate has one true value"}
-    return f"{key} is given twice; {reasons.get(table, 'remove one')}"
 
 
 # --- the text ---
@@ -464,12 +460,10 @@ class Document:
             if not isinstance(recorded.get(key), kind):
                 raise ValueError(f"{key}: got {quoted(recorded.get(key))}")
         swaps, maps = recorded["swaps"], recorded["maps"]
-        for name, path in swaps.items():
-            if not isinstance(path, str):
-                raise ValueError(f"{name!r}: expected a path, got {quoted(path)}")
-        for port, names in maps.items():
-            if not is_port_names(names):
-                raise ValueError(f"{port!r}: expected port names, got {quoted(names)}")
+        wrong = [(name, path) for name, path in swaps.items() if not isinstance(path, str)]
+        wrong += [(port, names) for port, names in maps.items() if not is_port_names(names)]
+        for key, value in wrong:
+            raise ValueError(f"{key!r}: expected a path, or port names, got {quoted(value)}")
         return Document(text, recorded["source"], folder, swaps, maps, recorded["changes"])
 
     def tree(self) -> tuple[Tables, list[Problem]]:
@@ -491,61 +485,39 @@ class Document:
         ScenarioError
             If the text is no TOML.
         """
-        tree = self._parsed()
+        try:
+            tree = plain(_parsed(self.text), -1)
+        except UsageError as error:
+            raise ScenarioError(f"{self.source}: {error}") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ScenarioError(self._syntax(str(error))) from error
         problems = _flatten(tree)
         edits: dict[str, str] = {}
-        replaced: dict[str, Any] = {}
-        components = table_of(tree, COMPONENTS)
-        swaps = {**table_of(tree, "swap"), **self.swaps} if self.swapped else {}
-        for name, entry in swaps.items():
-            swaps[name] = {"path": entry} if isinstance(entry, str) else entry
-            if name in self.swaps:
-                label = option("swap", name)
-                edits |= {f"swap.{name}": label, f"{COMPONENTS}.{name}": label}
-            path = table_of(swaps, name).get("path")
-            if not isinstance(path, str):
-                continue  # the schema names that
-            try:
-                if name not in components:
-                    raise UsageError(f"unknown component {name!r}; {nearest(name, components)}")
-                replaced[name] = components[name]
-                components[name] = component_table(name, path)
-            except UsageError as error:
-                problems.append((("swap", name), str(error)))
-        if swaps:
-            tree["swap"] = swaps
-        elif not self.swapped:
+        for name in self.swaps:
+            edits |= dict.fromkeys((f"swap.{name}", f"{COMPONENTS}.{name}"), option("swap", name))
+        for port in self.maps:
+            edits[written((MAP, port))] = option("map", port)
+        replaced = {}
+        if self.swapped:
+            replaced = replace_components(tree, self.swaps, problems)
+        else:
             tree.pop("swap", None)
         for key, value in self.changes.items():
-            try:
-                place = _set(tree, key, value)
-            except UsageError as error:
-                place = (_SET, key)
-                problems.append((place, str(error)))
             # as it is written: ``actions[0].at`` of ``actions.0.at``
-            edits[written(place)] = option(
-                "set", re.sub(rf"^{ACTIONS}\.(\w+)", rf"{ACTIONS}[\1]", key)
-            )
+            label = option("set", re.sub(rf"^{ACTIONS}\.(\w+)", rf"{ACTIONS}[\1]", key))
+            try:
+                edits[written(_set(tree, key, value))] = label
+            except UsageError as error:
+                problems.append(((_SET, key), str(error)))
+                edits[written((_SET, key))] = label
         problems += _flatten(tree)  # again, for the tables that were set
         return EditedTables(tree, problems, edits, replaced)
 
     def report(self, problems: Iterable[Problem]) -> ScenarioError:
         """Return one error with every problem at its place."""
         tables = self.tables()
-        edits = tables.edits
-        for port in self.maps:
-            edits[written((MAP, port))] = option("map", port)
-        return ScenarioError(report(problems, self.source, self.text, edits, tables.replaced))
-
-    def _parsed(self) -> Tables:
-        try:
-            if _LONG_KEY.search(self.text):
-                raise UsageError(_TOO_DEEP)
-            return _tables(_parse, self.text)
-        except UsageError as error:
-            raise ScenarioError(f"{self.source}: {error}") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ScenarioError(self._syntax(str(error))) from error
+        text = report(problems, self.source, self.text, tables.edits, tables.replaced)
+        return ScenarioError(text)
 
     def _syntax(self, message: str) -> str:
         """Return where a text is no TOML, and the way out."""
@@ -554,12 +526,10 @@ class Document:
             return f"{self.source}: not TOML: {message}"
         number = int(position[1])
         line = self.text.split("\n")[number - 1]
-        key = line.split("=")[0].strip()
+        key = re.split("[=#]", line)[0].strip()
         if "overwrite" in message or "twice" in message:
-            above = [(at, name) for name, at in key_lines(self.text).items() if at <= number]
-            _, name = max(above, key=lambda item: item[0], default=(0, ""))
-            text = _given_twice(key, name.partition(".")[0])
-            return f"{self.source}:{number}: {text}"
+            way_out = "put its keys below one heading" if line.startswith("[") else "remove one"
+            return f"{self.source}:{number}: {key} is given twice; {way_out}"
         if not (key.isascii() or '"' in key or "'" in key):
             message += "; keys with non-ASCII letters must be quoted"
         if re.search(r'"[^"]*\\', line):
@@ -567,11 +537,6 @@ class Document:
                 "; in double quotes a backslash begins an escape: write a path in single quotes"
             )
         return f"{self.source}:{number}: not TOML: {message}"
-
-
-@lru_cache(maxsize=8)  # a document and its edits share one text
-def _parse(text: str) -> Tables:
-    return tomllib.loads(text)
 
 
 # --- files ---

@@ -65,6 +65,38 @@ def table_of(tree: Mapping[str, Any], name: str) -> Tables:
     return table if isinstance(table, dict) else {}
 
 
+def replace_components(tree: Tables, paths: Mapping[str, str], problems: list[Problem]) -> Tables:
+    """Replace the tables of the swapped components; return those that were there.
+
+    Parameters
+    ----------
+    tree : dict
+        Tables of a scenario, changed here: [swap] has all swaps in the end.
+    paths : mapping of component name to path
+        Swaps from outside, which take the place of entries in [swap], their maps too.
+    problems : list of Problem
+        Gets those of the swaps.
+    """
+    replaced: Tables = {}
+    components = table_of(tree, "components")
+    swaps: Tables = {**table_of(tree, "swap"), **paths}
+    for name, entry in swaps.items():
+        swaps[name] = {"path": entry} if isinstance(entry, str) else entry
+        path = table_of(swaps, name).get("path")
+        if not isinstance(path, str):
+            continue  # the schema names that
+        try:
+            if name not in components:
+                raise UsageError(f"unknown component {name!r}; {nearest(name, components)}")
+            replaced[name] = components[name]
+            components[name] = component_table(name, path)
+        except UsageError as error:
+            problems.append((("swap", name), str(error)))
+    if swaps:
+        tree["swap"] = swaps
+    return replaced
+
+
 def component_table(name: str, path: str) -> Tables:
     """Return the table of the component that a path names.
 

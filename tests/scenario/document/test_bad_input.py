@@ -122,7 +122,7 @@ CASES = {
     ),
     "table given twice": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n[connections]')],
-        r"/mine\.toml:57: the table \[connections\] is given twice; put its keys below one",
+        r"/mine\.toml:57: \[connections\] is given twice; put its keys below one",
     ),
     "setting given twice": (
         [("step = 1e-3", "step = 1e-3\nstep = 2e-3")],
