@@ -3,10 +3,8 @@
 import json
 import os
 import re
-import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,14 +155,6 @@ def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(
     assert cosim.diff(logs[0], cosim.replay(tmp_path / "1000.mcap")).equal
 
 
-@pytest.mark.fast("pair", "academic", "closed-loop")
-def test_two_runs_have_one_content_hash(logged, tmp_path):
-    """The same scenario gives the same log content."""
-    name, _, log = logged
-    again = cosim.run(name, out=tmp_path / "again.mcap", set=fitting(name, COARSE))
-    assert again.results["content_hash"] == log.results["content_hash"]
-
-
 def test_replay_is_bit_exact(logged):
     """The recorded plant stands in the plant's place, and everything else is computed again.
 
@@ -174,50 +164,6 @@ def test_replay_is_bit_exact(logged):
     difference = cosim.diff(log, cosim.replay(path))
     assert difference.equal
     assert {row.status for row in difference.rows} == {"equal"}
-
-
-def can_run(instructions):
-    """Return whether this processor has an instruction set.
-
-    A forced BLAS kernel without it would be an illegal instruction.
-    """
-    known = Path("/proc/cpuinfo")
-    return not known.exists() or instructions in known.read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "core",
-    [
-        pytest.param(
-            "Haswell", marks=pytest.mark.skipif(not can_run("avx2"), reason="no AVX2 here")
-        ),
-        pytest.param(
-            "SkylakeX",
-            marks=[
-                pytest.mark.skipif(not can_run("avx512f"), reason="no AVX-512 here"),
-                pytest.mark.campaign,
-            ],
-        ),
-        pytest.param("Nehalem", marks=pytest.mark.campaign),
-    ],
-)
-def test_replay_is_bit_exact_with_another_blas(logged, core):
-    """BLAS kernels of other processors round differently.
-
-    Design-time results come from the log, so it does not matter.
-    """
-    _, path, _ = logged
-    done = subprocess.run(
-        [sys.executable, "-m", "cosim", "replay", str(path), "--verify"],
-        env={**os.environ, "OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": "2"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "equals the log bit for bit" in done.stdout
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -352,12 +298,6 @@ def test_a_log_of_something_else_is_refused(tmp_path):
         cosim.replay(path)
 
 
-def test_a_run_swaps_in_a_recorded_plant(recorded):
-    """A log is a component: in the plant's place it gives the recorded signals."""
-    again = cosim.run("academic", swap={"plant": recorded}, set=COARSE)
-    assert cosim.diff(open_log(recorded), again).equal
-
-
 def test_a_recorded_plant_with_another_step_is_refused(tmp_path):
     """Recorded rows exist at the recorded instants only."""
     path = tmp_path / "a.mcap"
@@ -366,11 +306,6 @@ def test_a_recorded_plant_with_another_step_is_refused(tmp_path):
         cosim.run(
             "academic", swap={"plant": path}, set={"scenario.stop": 0.1, "scenario.step": 2e-3}
         )
-
-
-def test_a_memory_run_equals_a_logged_run(recorded):
-    """Where the rows go does not change them."""
-    assert cosim.diff(open_log(recorded), cosim.run("academic", set=COARSE)).equal
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -512,31 +447,18 @@ def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
                 cosim.replay(path, set={key: value})
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
 def test_a_replay_allows_what_is_behind_its_recording(tmp_path, subtests):
-    for scenario, key, value in [
-        ("academic", "observer.filter_rate", 500.0),
-        ("academic", "identifier.offset", True),
-        ("academic", "connections.observer.u", {"from": "u.y", "gain": 2.0}),
-        ("closed-loop", "identifier.offset", True),
+    """And the values that the scenario has."""
+    path = log_of(tmp_path, "academic")
+    for key, value in [
+        ("observer.filter_rate", 500.0),
+        ("connections.observer.u", {"from": "u.y", "gain": 2.0}),
+        ("u.amplitude", 1.0),
     ]:
-        with subtests.test(scenario=scenario, key=key):
-            check_replay(log_of(tmp_path, scenario), key, value)
-
-
-@pytest.mark.usefixtures("without_verdicts")
-def test_a_replay_allows_what_changes_nothing(tmp_path, subtests):
-    """The values that the scenario has."""
-    for key, value in [("u.amplitude", 1.0), ("truth.observer.delta", "delta.y")]:
         with subtests.test(key=key):
-            check_replay(log_of(tmp_path, "academic"), key, value)
-
-
-def check_replay(path, key, value):
-    """Check that a replay with a change has the plant of its recording."""
-    again = cosim.replay(path, set={key: value})
-    assert np.array_equal(again["plant.y"], cosim.open_log(path)["plant.y"])
+            again = cosim.replay(path, set={key: value})
+            assert np.array_equal(again["plant.y"], cosim.open_log(path)["plant.y"])
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -701,19 +623,6 @@ def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
     ]
 
 
-def test_a_recorder_of_ones_own_is_left_where_a_component_cannot_be_prepared():
-    """As of a graph that is run: exp(A h) is infinite; messages up to there reach it."""
-    recorder = Extremes()
-    growing = {"kind": "transfer-function", "numerator": [1.0], "denominator": [1.0, -1e6]}
-    with pytest.raises(RunError, match=r"'bad': prepare: expected .*, got "):
-        cosim.run(
-            "academic",
-            recorder=recorder,
-            set={"components.bad": growing, "connections.bad.u": "u.y"},
-        )
-    assert recorder.calls == ["enter", ("error", "run"), "exit RunError"]
-
-
 def test_a_run_has_one_recorder(tmp_path):
     out = tmp_path / "a.mcap"
     with pytest.raises(UsageError, match=r"^recorder .* out$"):
@@ -723,26 +632,15 @@ def test_a_run_has_one_recorder(tmp_path):
         cosim.run("academic", recorder=Extremes(), notice=print)
 
 
-@pytest.mark.parametrize("in_memory", [True, False], ids=["memory", "log"])
 @pytest.mark.usefixtures("without_verdicts")
-def test_several_signals_of_a_recording_are_stacked(in_memory, tmp_path):
+def test_several_signals_of_a_recording_are_stacked():
     """Elements and slices too, of one component or several, where their instants are the same."""
-    changes = {"identifier.period": 0.01, "scenario.stop": 0.1}
-    out = None if in_memory else tmp_path / "a.mcap"
-    run = cosim.run("academic", set=changes, out=out)
+    run = cosim.run("academic", set={"identifier.period": 0.01, "scenario.stop": 0.1})
     stacked = run[["plant.x_a[1]", "observer.x_a", "plant.y"]]
     columns = [run["plant.x_a"][:, 1:], run["observer.x_a"], run["plant.y"][:, np.newaxis]]
     assert np.array_equal(stacked, np.hstack(columns))
-    assert run[["plant.y"]].shape == (101, 1)
-    with pytest.raises(
-        LogError,
-        match=r"'plant\.y' with 101 rows and 'identifier\.theta' with 11",
-    ):
+    with pytest.raises(LogError, match=r"'plant\.y' with 101 .* and 'identifier\.theta' with 11"):
         run[["plant.y", "identifier.theta"]]
-    with pytest.raises(LogError, match=r"did you mean 'x_a'|did you mean 'x_b'"):
-        run[["plant.y", "plant.x_c"]]
-    with pytest.raises(LogError, match=r"expected a signal name, or a list of names, got \[\]"):
-        run[[]]
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -777,14 +675,6 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
         )
     with pytest.raises(LogError, match="the log has no step to replay"):
         cosim.replay(empty)
-
-
-@pytest.mark.usefixtures("without_verdicts")
-def test_the_summary_counts_steps_not_rows():
-    """Whatever period the first component has."""
-    changes = {"identifier.period": 0.1, "scenario.stop": 1.0}
-    found = summarize(cosim.run("academic", set=changes))
-    assert (found.steps, found.end) == (1000, 1.0)
 
 
 def lagging(folder, start):
