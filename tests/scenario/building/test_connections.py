@@ -102,26 +102,6 @@ def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
     assert plain == {"from": "sensor.y", "gain": 2.0, "offset": -3.0, "unit": None}
 
 
-def test_a_table_has_the_units_of_its_first_line(tmp_path):
-    """Each column its own, the times too: 3 kN and 36 km/h at 50 ms are 3000 N and 10 m/s."""
-    (tmp_path / "f.csv").write_text("t [ms],force [kN],speed [km/h]\n0,1,0\n100,5,72\n")
-    text = """
-        scenario = { name = "a", stop = 0.1, step = 0.05 }
-        [components]
-        table = { kind = "table", file = "f.csv" }
-        lag = { kind = "lag", time_constant = 1.0, size = 2, unit = { u = ["N", "m/s"] } }
-        [connections]
-        "lag.u" = "table.y"
-    """
-    (tmp_path / "a.toml").write_text(text)
-    log = cosim.run(tmp_path / "a.toml")
-    assert log.signals["table.y"].unit == ("kN", "km/h")
-    assert log["lag.u"].tolist() == [[1e3, 0.0], [3e3, 10.0], [5e3, 20.0]]
-    (tmp_path / "f.csv").write_text("t [ms],force [kN],speed\n0,1,0\n100,5,72\n")
-    with pytest.raises(ScenarioError, match="'force' in kN, 'speed' in no unit"):
-        cosim.run(tmp_path / "a.toml")
-
-
 def test_info_shows_what_is_converted(units):
     """From which unit to which, and how."""
     rows = {row["to"]: row for row in describe_scenario(str(units))["connections"]}
