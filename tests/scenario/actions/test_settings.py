@@ -11,6 +11,7 @@ from cosim.core.recording import SignalEvent
 from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
+from cosim.scenario.running.replay import replays_of
 from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
@@ -111,6 +112,20 @@ def test_a_replay_sets_what_was_recorded(write, tmp_path):
     assert first == {"t": 1.0, "signal": "g.K", "cause": "set", "values": "3"}
     row = describe_scenario(str(write()))["actions"][0]
     assert (row["signal"], row["value"]) == ("g.K, x.time_constant", "3.0, 0.25")
+
+
+def test_designs_that_are_set_at_a_condition_are_verified(write, tmp_path):
+    """Those of the log against what they are computed to anew; another one is found."""
+    action = '[[actions]]\nwhen = "s.y > 1.5"\nset = { "x.time_constant" = 0.25 }\n'
+    log = cosim.run(write(action), out=tmp_path / "a.mcap")
+    replays = replays_of(log)
+    designs = replays.designs()
+    (name,) = [name for name in designs if name.endswith(" x")]
+    assert verify(log, cosim.replay(log), designs).passed
+    designs[name] = {key: 1.5 * values for key, values in designs[name].items()}
+    problems = verify(log, cosim.replay(log), designs).problems
+    assert problems
+    assert all(f"designs.{name}" in problem for problem in problems)
 
 
 OBSERVED = """
