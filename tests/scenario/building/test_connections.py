@@ -10,10 +10,8 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
-from cosim.fmi.reading.model_description import read
 from cosim.report.inspection import describe_scenario
 from cosim.scenario.exporting import export_component
-from cosim.units import base_unit
 from tests.scenario.fmu_edits import rewritten
 from tests.scenario.refusals import check_refused
 
@@ -135,18 +133,6 @@ unit = "mm"
 "plant.delta" = "zero.y"
 "readout.u" = "plant.y"
 """
-
-
-@pytest.mark.slow
-def test_an_exported_fmu_defines_its_units(units, tmp_path):
-    """Factor and offset too: the readout in degC is connected to K as the component is."""
-    path = tmp_path / "readout.fmu"
-    export_component(str(units), "readout", path)
-    interface = read(path).description.interface
-    assert [signal.base for signal in (*interface.inputs, *interface.outputs)] == [
-        base_unit("degC")
-    ] * 2
-    assert base_unit("degC").offset == 273.15
 
 
 def test_units_that_cannot_be_converted_are_refused(units):
