@@ -17,8 +17,13 @@ from cosim.log.mcap_file.paths import log_path
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.recordings.message_recorder import MessageRecorder
-from cosim.scenario.recordings.preparing import build_experiment
-from cosim.scenario.recordings.recording import Target, check_target, chosen_of, log_recorder
+from cosim.scenario.recordings.recording import (
+    Target,
+    build_experiment,
+    check_target,
+    chosen_of,
+    log_recorder,
+)
 from cosim.scenario.recordings.records import metadata_of
 from cosim.scenario.session import Opened, Session
 
