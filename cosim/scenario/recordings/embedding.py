@@ -21,9 +21,9 @@ from cosim.errors import FmuError, LogError, UsageError, flag, listing, quoted
 from cosim.files import read_bounded
 from cosim.log import Attachment, Log
 from cosim.log.reading.container import MOST_ATTACHED
-from cosim.scenario.building.context import RecordedFmu
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.build_record import RecordedFmu
 from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.record import (
     MEANS,

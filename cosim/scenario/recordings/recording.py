@@ -36,10 +36,10 @@ from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.native.fmi.process import report_log
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import Origins
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.build_record import Origins
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of
 
@@ -165,7 +165,7 @@ def build_experiment(
 
     experiment = with_loop_gains(with_reports(experiment, reports), rebuild)
     if experiment.settings:
-        from cosim.scenario.building.settings import prepare_settings  # few runs need it
+        from cosim.scenario.building.actions import prepare_settings  # few runs need it
 
         experiment.setting_designs = prepare_settings(
             experiment.graph, experiment.clock.step_ns, experiment.settings, {}

@@ -25,10 +25,9 @@ from cosim.documents import plain
 from cosim.errors import UnknownSignalError
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, ViewerPanel, layout_json, output_panels
+from cosim.scenario.building.actions import SETTINGS
 from cosim.scenario.building.build import asks_for_means
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.fingerprint import fingerprint
-from cosim.scenario.building.settings import SETTINGS
+from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.record import MEANS
 
 # Estimates that viewers show where no truth is given; of the others only some are beside these.

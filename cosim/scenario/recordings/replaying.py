@@ -22,12 +22,11 @@ from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.context import Origins, RecordedFmu
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.building.parsing import read
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.swaps import PortNames, component_table, is_map_key
+from cosim.scenario.kinds.build_record import Origins, RecordedFmu
 from cosim.scenario.record import (
     MEANS,
     CodeRecord,
@@ -156,7 +155,7 @@ def prepared_replay(
     if not (request.changes or request.swap):
         experiment.gains = recorded_loop_gains(source)
     if experiment.settings:
-        from cosim.scenario.building.settings import prepare_settings, recorded_designs
+        from cosim.scenario.building.actions import prepare_settings, recorded_designs
 
         recorded = recorded_designs(source).items()
         taken = {key: design for key, design in recorded if key.partition(" ")[2] in designs}
@@ -344,7 +343,7 @@ def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecord
     experiment.events = tuple(filter(happens, events))
     experiment.settings = {}
     if any(event.cause == "set" for event in experiment.events):
-        from cosim.scenario.building.settings import SettingBuilder, recorded_settings
+        from cosim.scenario.building.actions import SettingBuilder, recorded_settings
 
         making = SettingBuilder(experiment.scenario, builder.context, builder.components)
         experiment.settings = recorded_settings(making, experiment.events, experiment.recorded)
@@ -405,7 +404,7 @@ def designs_anew(experiment: Experiment) -> dict[str, Design]:
         if recorded and name not in experiment.recorded:
             anew[name] = experiment.graph.prepare_one(name, step_ns, {})
     if experiment.setting_designs:
-        from cosim.scenario.building.settings import prepare_settings
+        from cosim.scenario.building.actions import prepare_settings
 
         texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
         anew |= {key: decode_design(text) for key, text in texts.items()}

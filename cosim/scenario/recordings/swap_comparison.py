@@ -26,12 +26,14 @@ from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.context import Origins
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
-from cosim.scenario.kinds.base import LinearSystem
+from cosim.scenario.kinds.base import LinearNearStart
+from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.capabilities import HasDescription
+from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.recordings.port_comparison import (
     CAPABILITIES,
@@ -309,11 +311,10 @@ def _report(
 def _declared(builder: Builder, name: str) -> ComparedComponent:
     """Return what a component that was built declares."""
     spec = builder.scenario.specs[name]
-    described = spec.description(name, builder.context)
     interface = builder.components[name].interface
-    if described is None:
+    if not isinstance(spec, HasDescription):
         return ComparedComponent(interface, {"kind": spec.kind})
-    interface_type, description = described
+    interface_type, description = spec.description(name, builder.context)
     declared = description.capabilities[interface_type]
     steps = interface_type == "me"  # our solver takes any step and interpolates its inputs
     able = (
@@ -357,8 +358,11 @@ def _nominal(variable: Variable) -> Vector:
 
 def _linear_system(builder: Builder, name: str) -> LinearSystem | None:
     """Return a component near its initial state; None: it cannot be linearized."""
+    spec = builder.scenario.specs[name]
+    if not isinstance(spec, LinearNearStart):
+        return None
     try:
-        system = builder.scenario.specs[name].linear_system(name, builder.context)
+        system = spec.linear_system(name, builder.context)
     except (CosimError, ValueError):
         return None
     ports = builder.port_maps.get(name)
