@@ -16,8 +16,7 @@ from cosim.report.summary import summarize
 from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
-from cosim.scenario.running import replay
-from cosim.scenario.running.replay import LogReplays
+from cosim.scenario.running.replay import Replays
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 from tests.scenario.swapping.renamed import MAP, renamed
 
@@ -207,7 +206,7 @@ def test_an_interruption_is_no_outcome(folder, failing, monkeypatch):
     monkeypatch.setattr(comparing, "replay", interrupted)
     with pytest.raises(Interrupted):
         cosim.compare_estimators("academic", estimators="drem", set=SHORTEST)
-    monkeypatch.setattr(LogReplays, "record", interrupted)
+    monkeypatch.setattr(Replays, "record", interrupted)
     with pytest.raises(Interrupted):
         cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]})
     monkeypatch.setattr(comparing, "run", interrupted)
@@ -421,13 +420,13 @@ def test_the_log_is_opened_and_read_once(log, monkeypatch):
     sources = []
     rows = []
 
-    def recorded(source, *arguments, **options):
-        sources.append(source)
-        rows.append(source.rows("plant"))
-        return record_replay(source, *arguments, **options)
+    def recorded(replays, *arguments, **options):
+        sources.append(replays.source)
+        rows.append(replays.source.rows("plant"))
+        return record(replays, *arguments, **options)
 
-    record_replay = replay.record_replay
-    monkeypatch.setattr(replay, "record_replay", recorded)
+    record = Replays.record
+    monkeypatch.setattr(Replays, "record", recorded)
     cosim.replay_sweep(log.path, vary={"identifier.P0": [1e3, 1e6, 1e9]})
     assert len({id(source) for source in sources}) == 1
     assert all(np.shares_memory(rows[0], other) for other in rows[1:])
