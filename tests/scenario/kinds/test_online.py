@@ -328,7 +328,7 @@ def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
 
 
 NO_SENSE = [
-    ({"window": 0.0}, "window: expected a positive finite time, got 0.0 s"),
+    ({"window": 0.0}, r"identifier.window'\]: expected a number > 0, got 0.0"),
     ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),
     ({"window": 0.0151}, "window of 'identifier'"),
     ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, r"identifier: bounds of theta\[0\]: .*got \[0, -1\]"),
