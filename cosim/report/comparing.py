@@ -41,8 +41,7 @@ from cosim.scenario.document.swaps import (
     port_names,
 )
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
-from cosim.scenario.kinds.variants import foreign_keys
+from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import Progress, Target, check_target
 from cosim.scenario.running.combinations import check_varied, combination_text, combinations

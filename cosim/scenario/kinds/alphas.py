@@ -24,8 +24,7 @@ from cosim.native.numerics.expression import Program, compile_expression
 from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.document.schema import TomlTable
 from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.finite_values import check_finite, check_finite_values
-from cosim.scenario.kinds.jumps import check_continuous
+from cosim.scenario.kinds.jumps import check_continuous, check_finite, check_finite_values
 from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal
 
 ALPHA: Final = "alpha"  # the input

@@ -57,11 +57,10 @@ from cosim.scenario.kinds.identified_plant import (
     bounds_of,
     stated_covariance,
 )
-from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.reconstruction import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
-from cosim.scenario.kinds.variants import foreign_keys
+from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbed_plant import disturbed_plant
 from cosim.theory.estimators import defaults
