@@ -30,6 +30,7 @@ from cosim.scenario.kinds.base import (
     unit_of,
 )
 from cosim.scenario.kinds.capabilities import Advising
+from cosim.scenario.kinds.jumps import seen_late
 from cosim.scenario.kinds.values import LinearSystem
 
 # --- without memory ---
@@ -154,16 +155,9 @@ class SwitchKind(ExportableKind, Advising):
     ) -> list[str]:
         if held["control"]:
             return []
-        shown = "that shows at the second, an error of first order in the step"
-        if not self.discrete:
-            shown = (
-                "the jump becomes a ramp over that step, an error of first order in the step; a "
-                "discrete control jumps at communication points only"
-            )
-        return [
-            "control is interpolated linearly, and where it passes the threshold y jumps: between "
-            f"two communication points {shown}"
-        ]
+        what = "control is interpolated linearly, and where it passes the threshold y jumps"
+        way_out = "a discrete control jumps at communication points only"
+        return [seen_late(what, self.discrete, way_out)]
 
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.switch(**self.given(), unit=self.unit_name)
