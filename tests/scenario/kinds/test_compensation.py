@@ -158,18 +158,6 @@ def test_the_check_says_what_standard_error_the_run_reaches(runs):
     assert found == pytest.approx(bound, rel=4.0 * 0.014)
 
 
-def test_the_report_says_why_the_internal_model_stayed_out():
-    """The interval of the last estimate is not within the certified one."""
-    changes = {"scenario.step": 0.02, "scenario.stop": 5.0, "compensator.interval": [[1.7, 2.0]]}
-    run = cosim.run("compensation", set=changes)
-    (summary,) = summarize(run).compensations
-    theta = run["identifier.theta"][-1]
-    assert summary.active_since is None
-    assert "the 95 % interval of theta, [1.5" in summary.reason
-    assert summary.reason.endswith("is not within the certified [1.7, 2]")
-    assert theta == pytest.approx(1.6, abs=1e-2)
-
-
 @pytest.mark.slow
 def test_blocks_and_a_replay_make_the_same_bits(tmp_path):
     """Of one step and of many; the replay takes gains and certificate from the log."""

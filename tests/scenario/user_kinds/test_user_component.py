@@ -62,13 +62,6 @@ def test_a_class_runs_as_a_component_of_a_scenario(folder):
         assert cosim.diff(log, cosim.run("thermostat.toml", block=block)).equal
 
 
-def test_a_cascade_has_the_same_bits_in_blocks_and_the_unit_of_its_table(tmp_path):
-    own_module(tmp_path)
-    first = cosim.run(one(tmp_path, 'unit = "N"'), block=1)
-    assert cosim.diff(first, cosim.run(one(tmp_path, 'unit = "N"'), block=3)).equal
-    assert first.channels["own"].by_name["y"].unit == "N"
-
-
 def test_what_shows_a_scenario_or_a_log_imports_nothing(folder, monkeypatch):
     """And tells of problems that do not depend on the ports of the class."""
     cosim.run("thermostat.toml", out="a.mcap")
@@ -110,16 +103,6 @@ def test_prints_of_a_class_are_not_data_and_a_dry_run_says_what_it_imports(folde
     assert "relay: relay:Relay was imported" in out.splitlines()
     _, _, err = call("run", "thermostat.toml", "--out", "b.mcap")
     assert "initialized" in err.splitlines()
-
-
-def test_commands_say_whether_they_run_code(call):
-    for command, text in (
-        ("info", "Runs no code of FMUs or user classes."),
-        ("check", "Python classes imported, which runs their code"),
-        ("run", "Python classes are loaded and initialized"),
-    ):
-        _, out, _ = call(command, "--help")
-        assert text in " ".join(out.split())
 
 
 # --- replays ---
