@@ -255,21 +255,6 @@ def test_maps_units_and_gains_of_y_are_those_of_its_samples(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("without_verdicts")
-def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
-    """u of the same file, in the place of its source: straight lines between its own samples."""
-    y = experiment.measured(0)
-    path = tmp_path / "both.csv"
-    rows = [f"{t:.9f},{v:.12g},{np.sin(t):.12g}" for t, v in zip(experiment.t, y, strict=True)]
-    path.write_text("\n".join(["t,level,valve", *rows]), encoding="utf-8")
-    both = experiment.scenario.swap(plant=path, u=path, map={"plant.y": "level", "u.y": "valve"})
-    log = cosim.run(both)
-    deviations = np.sqrt(np.diag(experiment.covariance))
-    difference = np.abs(log["identifier.theta"][-1] - plain["identifier.theta"][-1])
-    assert (difference < 0.1 * deviations).all()  # u interpolated twice
-
-
-@pytest.mark.slow
 def test_data_that_differ_from_the_model_are_warned_of(experiment, tmp_path):
     """Signals that the file lacks, connections that have no effect, and the units."""
     path = experiment.written(tmp_path, experiment.y, header="t,y [mm]")
@@ -389,19 +374,3 @@ def test_estimates_come_online_before_the_regression_has_values(experiment, tmp_
     first = int(np.isfinite(theta).all(axis=1).argmax())
     assert 0.0 < log.time("identifier.theta")[first] < 6.4  # T_id is 6.46 s at filter_rate 1e3
     assert (np.abs(theta[first:] - THETA) < 5.0 * error[first:]).all()
-
-
-def test_a_map_of_the_sample_times_is_no_map_of_samples(tmp_path):
-    """Units by port are those of the samples, whatever the times of these are called."""
-    rows = "".join(f"{k * STEP},{k}\n" for k in range(101))
-    (tmp_path / "a.csv").write_text(f"t,p [mm]\n{rows}")
-    (tmp_path / "a.toml").write_text(
-        'scenario = { name = "a", stop = 0.5, step = 1e-2 }\n[components]\n'
-        'u = { kind = "sine", amplitude = 2.0, rate = 3.0, unit = { y = "mm" } }\n'
-        'g = { kind = "gain", K = 1.0 }\n[connections]\n"g.u" = "u.y"\n'
-    )
-    swap = {"u": str(tmp_path / "a.csv")}
-    log = cosim.run(tmp_path / "a.toml", swap=swap, map={"u.y": "p"})
-    assert log.channels["u"].by_name["y_samples"].unit == "mm"
-    with pytest.raises(ScenarioError, match=r"map\['u\.when'\]: unknown port"):
-        cosim.run(tmp_path / "a.toml", swap=swap, map={"u.y": "p", "u.when": "sample_times"})
