@@ -76,8 +76,7 @@ class CompensatorKind(Kind):
         'strings: ["-3+2j", "-3-2j"]',
     )
     Q: NumberRow | NumberRows | None = Field(
-        None,
-        description="LQR weight of x_a, or of x: diagonal, or matrix",
+        None, description="LQR weight of x_a, or of x: diagonal, or matrix"
     )
     R: NumberRow | NumberRows | None = Field(
         None, description="LQR weight of u: diagonal, or matrix; default: identity"

@@ -103,9 +103,7 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
     )
 
     places: Whole | None = Field(
-        None,
-        gt=0,
-        description="most samples per communication step; default: as found in the file",
+        None, gt=0, description="most samples per communication step; default: as found in the file"
     )
 
     @property

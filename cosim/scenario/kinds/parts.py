@@ -145,8 +145,7 @@ class SwitchKind(ExportableKind, Advising):
     threshold: Number = Field(0.5, description="y = u1 for control >= threshold")
     size: Size = Field(1, description="number of elements of u1, u2 and y")
     discrete: Flag = Field(
-        False,
-        description="hold y over each step; default: true if u1, u2 and control are discrete",
+        False, description="hold y over each step; default: true if u1, u2 and control are discrete"
     )
     unit: PortUnits = Field(None, description=unit_of("u1, u2 and y"))
 

@@ -51,9 +51,7 @@ def file(folder, d, connections='"z.u" = "d.y"'):
 def test_it_is_the_expression_of_its_signals_at_every_row(tmp_path):
     """Signals of all kinds, elements, several expressions; blocks and a replay give its bits."""
     path = file(
-        tmp_path,
-        'y = ["s.y - 2*x.y", "max(x.y, two.y[1])*t", "\'s.y\'**2"]',
-        '"z.u" = "d.y[1]"',
+        tmp_path, 'y = ["s.y - 2*x.y", "max(x.y, two.y[1])*t", "\'s.y\'**2"]', '"z.u" = "d.y[1]"'
     )
     run = cosim.run(path, out=tmp_path / "a.mcap")
     s, x, t = run["s.y"], run["x.y"], run.time("s.y")

@@ -187,10 +187,7 @@ NOT_IMPORTABLE = [
     ),
     ("relay:Rely", r"'relay' .*'Rely'; did you mean 'Relay'\? Available: Relay$"),
     ("relay:make", r"'relay:make': expected a class, got a function$"),
-    (
-        "breaks:Relay",
-        r"'breaks' .*ZeroDivisionError: .*\({folder}/breaks.py, line 2",
-    ),
+    ("breaks:Relay", r"'breaks' .*ZeroDivisionError: .*\({folder}/breaks.py, line 2"),
     ("wrong:Relay", r"'wrong' .*SyntaxError: expected ':' \({folder}/wrong.py, line 1"),
     ("exits:Relay", r"'exits' .*SystemExit: 3 \({folder}/exits.py, line 3"),
     (
