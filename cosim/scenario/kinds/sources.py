@@ -322,7 +322,7 @@ class TableKind(TableKeys, Kind):
     def _read(self, path: Path) -> tuple[Vector, Matrix, str | tuple[str, ...] | None]:
         """Return times [s], values and their units."""
         # rarely needed
-        from cosim.scenario.data_files.headers import second_of, unit_of
+        from cosim.scenario.data_files.table import second_of, unit_of
         from cosim.scenario.data_files.tables import read_table
 
         table = read_table(path, self.form)

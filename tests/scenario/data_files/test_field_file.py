@@ -13,7 +13,7 @@ from cosim.errors import UsageError
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.conversion.files import convert
 from cosim.report.inspection import describe_samples
-from cosim.scenario.data_files import table, typed_table
+from cosim.scenario.data_files import table, tables
 from cosim.scenario.data_files.field_file import read_field_data
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.plants.descriptor import reduce
@@ -365,7 +365,7 @@ def test_parquet_without_a_table_of_samples_is_refused(tmp_path):
     cases = [
         ({"t": [0.0, 1.0], "y": ["a", "b"]}, r"column 'y': expected numbers, got type string"),
         ({"t": ["a", "b"], "y": [0.0, 1.0]}, r"column 't': expected numbers, got type string"),
-        ({"t": [0.0, None], "y": [0.0, 1.0]}, r"row 2: expected a time, got none"),
+        ({"t": [0.0, None], "y": [0.0, 1.0]}, r"row 2, column .t.: expected a time, got an empty"),
         ({"t": [1.0, 0.5], "y": [0.0, 1.0]}, r"row 2: .*0.5 s after 1.0 s in row 1"),
         ({"t": [0.0, 1.0], "y": [0.0, np.inf]}, r"row 2, column 'y': .*finite number, got inf"),
         ({"t": [0.0]}, r"at least two named columns .*got 1"),
@@ -397,7 +397,7 @@ def test_damaged_and_large_parquet_is_refused(tmp_path, monkeypatch):
         broken.write_bytes(damaged)
         with pytest.raises(UsageError, match=r"broken.parquet': not a valid Parquet file"):
             read_field_data(broken)
-    monkeypatch.setattr(typed_table, "LARGEST", 63)
+    monkeypatch.setattr(tables, "LARGEST", 63)
     monkeypatch.setattr(table, "read_bounded", lambda path, largest: path.read_bytes())
     with pytest.raises(UsageError, match="at most 7 numbers, got 4 rows of 2 columns"):
         read_field_data(path)

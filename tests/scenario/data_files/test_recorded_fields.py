@@ -82,7 +82,7 @@ def test_a_gap_of_more_than_twice_the_median_distance_is_noted(tmp_path):
 
 def test_no_more_numbers_are_kept_than_memory_has(recording, monkeypatch):
     """Of all signals at all times, which topics of other rates multiply."""
-    monkeypatch.setattr("cosim.scenario.data_files.recorded_fields.MOST_VALUES", 60)
+    monkeypatch.setattr("cosim.scenario.data_files.field_file.MOST_VALUES", 60)
     columns = {"x": "/fast.x", "z": "/slow.z"}
     with pytest.raises(UsageError, match="at most 60 numbers, got 3 at 25 times"):
         cosim.read_field_data(recording, columns=columns)

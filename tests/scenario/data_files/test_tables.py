@@ -316,7 +316,7 @@ def test_a_column_that_is_not_there_is_refused(written):
     with pytest.raises(UsageError, match=r"unique column names, got 2 columns 'u'"):
         written("t,u,u\n0,1,2\n").find(None)
     table = written("t,u\n0,1\n1,\n")
-    with pytest.raises(UsageError, match=r"line 3, column 'u': expected a number, got an empty"):
+    with pytest.raises(UsageError, match=r"line 3, column 2 .*: expected a number, got an empty"):
         table.columns(table.find(None))
     names = [f"c{i}" for i in range(5000)]
     zeros = ["0"] * len(names)
