@@ -8,8 +8,7 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.scenario.document.document import find
-from cosim.scenario.experiment_design.subject import subject_of
-from cosim.scenario.experiment_design.trial import trial_of
+from cosim.scenario.experiment_design.trial import subject_of, trial_of
 
 FAST = {"scenario.step": 0.05, "scenario.stop": 20.0, "observer.filter_rate": 20.0}
 TINY = {
