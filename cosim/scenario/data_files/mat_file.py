@@ -6,10 +6,9 @@
     element  = type, length (8 bytes, or both in the first 4 and up to 4 of data), data
     matrix   = elements: flags, dimensions, name, real part, imaginary part;
                of a sparse one: flags, dimensions, name, rows, column starts, real part, ...
-               of structs: flags, dimensions, name, length of names, names, matrices
 
 Everything is checked against the bytes that are there: a damaged file is an error, no crash, which
-it is in three of 100 cases with ``scipy.io.loadmat``; that of version 4 is in Python, and is used.
+it is in three of 100 cases with ``scipy.io.loadmat``. That of version 4 is in Python, and is used.
 
 MATLAB, MAT-File Format (R2019b), chapter 1.
 """
@@ -22,7 +21,7 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -31,7 +30,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import NAN, Matrix, Vector, frozen
+from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import UsageError, listing
 from cosim.filters import collected_warnings
 from cosim.scenario.data_files.table import LARGEST, DataTable, Header, content_of
@@ -43,13 +42,9 @@ _MATRIX: Final = 14  # types of elements
 _COMPRESSED: Final = 15
 _INTEGERS: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8"}
 _NUMBERS: Final = {**_INTEGERS, 7: "f4", 9: "f8"}
-_ENCODINGS: Final = {1: "latin-1", 2: "latin-1", 4: "utf-16", 17: "utf-16"}
-_STRUCT: Final = 2  # classes of matrices
-_TEXT: Final = 4
-_SPARSE: Final = 5
+_SPARSE: Final = 5  # classes of matrices
 _NUMERIC: Final = range(6, 16)
-_OTHERS: Final = {1: "a cell array", _STRUCT: "a struct"}
-_DEEPEST: Final = 2  # structs within each other that are read
+_OTHERS: Final = {1: "a cell array", 2: "a struct", 4: "text"}
 _IS_COMPLEX: Final = 0x08
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _HDF5_AT: Final = 512  # bytes that MATLAB writes before it
@@ -59,14 +54,13 @@ _UNIT: Final = re.compile(r".*\[(?P<unit>[^\[\]|]+)(?:\|[^\[\]]*)?\]\s*", re.DOT
 
 @dataclass(frozen=True)
 class OtherVariable:
-    """A variable that is no matrix of real numbers: what it is.
+    """A variable that is no matrix of real numbers: what it is, and the rows of a text.
 
-    ``rows`` are those of a text, ``structs`` the structs of an array, as far as they are read.
+    The rows are those of version 4, in which simulations are written.
     """
 
     what: str
     rows: tuple[str, ...] = ()
-    structs: tuple[Mapping[str, Any], ...] = ()
 
 
 MatVariable: TypeAlias = Matrix | OtherVariable
@@ -82,18 +76,17 @@ def read_variables(label: str, content: bytes) -> dict[str, MatVariable]:
     """
     if _HDF5 in (content[: len(_HDF5)], content[_HDF5_AT : _HDF5_AT + len(_HDF5)]):
         raise UsageError(f"{label}: expected a MAT-file of version 4 to 7, got 7.3 (HDF5); {_CURE}")
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER])
     try:
-        if order is None:
+        if content[126:_HEADER] != b"IM":  # which is MI where bytes are in the other order
             return _read_version_4(content)
         variables = {}
-        elements = _Elements(content[_HEADER:], order)
+        elements = _Elements(content[_HEADER:])
         while elements:
             kind, data = elements.next()
             if kind == _COMPRESSED:
-                kind, data = _Elements(_decompressed(data), order).next()
+                kind, data = _Elements(_decompressed(data)).next()
             if kind == _MATRIX:
-                name, value = _variable(_Elements(data, order))
+                name, value = _variable(_Elements(data))
                 variables[name] = value
         return variables
     except (ValueError, IndexError, struct.error, zlib.error) as error:
@@ -137,8 +130,7 @@ def _decompressed(data: bytes) -> bytes:
 class _Elements:
     """Elements one behind the other; true as long as there is a next one."""
 
-    def __init__(self, content: bytes, order: str) -> None:
-        self.order = order
+    def __init__(self, content: bytes) -> None:
         self._content = content
         self._position = 0
 
@@ -149,7 +141,7 @@ class _Elements:
         """Return type and data."""
         if self._position + 8 > len(self._content):
             raise ValueError("truncated within an element")
-        kind, length = struct.unpack_from(f"{self.order}II", self._content, self._position)
+        kind, length = struct.unpack_from("<II", self._content, self._position)
         begin = self._position + 8
         if kind >> 16:
             begin -= 4
@@ -167,19 +159,15 @@ class _Elements:
         kind, data = self.next()
         if kind not in _NUMBERS:
             raise ValueError(f"expected numbers, got an element of type {kind}")
-        return np.frombuffer(data, self.order + _NUMBERS[kind])
+        return np.frombuffer(data, f"<{_NUMBERS[kind]}")
 
 
-def _variable(elements: _Elements, depth: int = 0) -> tuple[str, MatVariable]:
+def _variable(elements: _Elements) -> tuple[str, MatVariable]:
     """Return name and value of a matrix element."""
     flags = int(elements.numbers()[0])
     dimensions = elements.numbers().tolist()
     name = elements.next()[1].decode("ascii")
     array_class = flags & 0xFF
-    if array_class == _TEXT:
-        return name, OtherVariable("text", _text_rows(elements, dimensions))
-    if array_class == _STRUCT and depth < _DEEPEST:
-        return name, OtherVariable("a struct", structs=_structs(elements, dimensions, depth))
     if array_class not in (_SPARSE, *_NUMERIC):
         return name, OtherVariable(_OTHERS.get(array_class, "an object"))
     if len(dimensions) != 2:
@@ -192,36 +180,6 @@ def _variable(elements: _Elements, depth: int = 0) -> tuple[str, MatVariable]:
     if array_class == _SPARSE:
         return name, frozen(_sparse(elements, rows, columns), 2)
     return name, frozen(elements.numbers().reshape((rows, columns), order="F"), 2)
-
-
-def _text_rows(elements: _Elements, dimensions: Sequence[int]) -> tuple[str, ...]:
-    """Return the rows of a matrix of characters, which stands column by column."""
-    kind, data = elements.next() if elements else (1, b"")
-    encoding = _ENCODINGS.get(kind, "utf-8")
-    if encoding == "utf-16":
-        encoding += "-le" if elements.order == "<" else "-be"
-    text = data.decode(encoding)
-    if len(dimensions) != 2 or min(dimensions) <= 0 or math.prod(dimensions) != len(text):
-        return ()
-    return tuple(text[row :: dimensions[0]] for row in range(dimensions[0]))
-
-
-def _structs(
-    elements: _Elements, dimensions: Sequence[int], depth: int
-) -> tuple[Mapping[str, Any], ...]:
-    """Return the structs of an array, one behind the other."""
-    (length,) = elements.numbers().tolist()
-    _, names = elements.next()
-    if length < 1:
-        raise ValueError("a struct without names of fields")
-    fields = [names[begin : begin + length] for begin in range(0, len(names), length)]
-    keys = [field.split(b"\0")[0].decode("ascii") for field in fields]
-    structs: list[Mapping[str, Any]] = []
-    while keys and len(structs) < math.prod(dimensions):
-        parts = [_Elements(elements.next()[1], elements.order) for _ in keys]
-        values = [_variable(part, depth + 1)[1] for part in parts]
-        structs.append(dict(zip(keys, values, strict=True)))
-    return tuple(structs)
 
 
 def _sparse(elements: _Elements, rows: int, columns: int) -> Matrix:
@@ -244,7 +202,7 @@ def _sparse(elements: _Elements, rows: int, columns: int) -> Matrix:
 
 
 class MatTable(DataTable):
-    """A MAT-file: a trajectory of Dymola or OpenModelica, a converted log, or columns of numbers.
+    """A MAT-file: a trajectory of Dymola or OpenModelica, or columns of numbers.
 
     A trajectory has two rows at each event; the later one counts.
     """
@@ -259,15 +217,17 @@ class MatTable(DataTable):
                 others[name] = value
             else:
                 matrices[name] = value
+        if others.get("signals") == OtherVariable("a struct"):
+            raise UsageError(
+                f"{self.label}: expected samples, got a log that 'cosim convert' wrote; use the "
+                "log itself, or convert it to Parquet"
+            )
         self._columns: list[tuple[Vector, float]] = []  # with its sign
         self._rows = 0
         try:
             if {"Aclass", "name"} <= others.keys() and "dataInfo" in matrices:
                 form = "a trajectory of Dymola or OpenModelica"
                 self._take_trajectory(matrices, others)
-            elif "signals" in others and others["signals"].structs:
-                form = "a log that cosim converted"
-                self._take_log(matrices, others["signals"])
             else:
                 form = "matrices of equally many rows"
                 self._take_matrices(matrices)
@@ -286,6 +246,8 @@ class MatTable(DataTable):
     ) -> None:
         """Take the variables of a simulation; parameters have one value."""
         self.same_time = "last"
+        if not others["Aclass"].rows:
+            raise ValueError("expected a MAT-file of version 4, got a later one")
         names, texts = [others[key].rows for key in ("name", "description")]
         blocks = dict(matrices)
         if others["Aclass"].rows[3].strip("\0 ") == "binTrans":
@@ -301,24 +263,6 @@ class MatTable(DataTable):
             shown = data[:, abs(column) - 1]
             declared = unit["unit"].strip() if unit else ""
             self._add(name.strip("\0 "), declared, shown, math.copysign(1.0, column))
-
-    def _take_log(self, matrices: Mapping[str, Matrix], described: OtherVariable) -> None:
-        """Take what ``cosim convert`` wrote, at every time that a component has a row."""
-        signals = []
-        for entry in described.structs:
-            texts = {}
-            for key in ("name", "variable", "time", "unit"):
-                value = entry[key]
-                texts[key] = "".join(value.rows) if isinstance(value, OtherVariable) else ""
-            signals.append(texts)
-        t = np.unique(np.concatenate([matrices[signal["time"]].ravel() for signal in signals]))
-        self._rows = len(t)
-        self._add("time", "s", t)
-        for signal in signals:
-            rows = matrices[signal["variable"]]
-            spread = np.full((len(t), rows.shape[1]), NAN)
-            spread[np.searchsorted(t, matrices[signal["time"]].ravel())] = rows
-            self._take_columns(signal["name"], signal["unit"], spread)
 
     def _take_columns(self, name: str, unit: str, matrix: Matrix) -> None:
         """Take the columns of a matrix as the elements of a vector."""

@@ -128,24 +128,19 @@ class TextTable(DataTable):
         self._unit = sheet.unit
         self._separator = sheet.separator
         self._gaps = {"", *(code for code in form.missing if isinstance(code, str))}
-        rows = sheet.rows
         width = self._width(sheet, is_text=is_text)
         found: set[int] = set()
-        for row in rows[-_SAMPLE:]:
+        for row in sheet.rows[-_SAMPLE:]:
             if len(row.cells) == width:
                 found |= {place for place, cell in enumerate(row.cells) if _is_value(cell)}
         self._numeric = sorted(found)  # columns with numbers or times
-        if is_text or form.skip is not None:
-            above, data = self._given_names(sheet, width, form, is_text=is_text)
-        else:
-            above, data = self._found_names(sheet, width)
-        names = above[-1] if above else _Row(1, [])
-        units = None
-        if len(above) > 1 and self._are_units(above[-1], above[-2]):
-            names, units = above[-2:]
-        self._rows = rows[data:]
-        self._check_widths([row for row in rows[:data] if row.number > names.number], names)
-        self._check_widths(self._rows, names)
+        rows = self._from_names(sheet, width, form, is_text=is_text)
+        names = rows[0] if rows else _Row(1, [])
+        self._check_widths(rows[1:], names)
+        may_have_units = len(rows) > 1 and bool(self._numeric) and not is_text
+        has_units = may_have_units and self._are_units(rows[1], names)
+        units = rows[1] if has_units else None
+        self._rows = rows[2:] if has_units else rows[1:]
         if self._rows and len(names.cells) > 1 and not (self._numeric or is_text):
             raise UsageError(f"{self.label}: expected rows of numbers, got text")
         self._decimal = form.decimal or self._likely_decimal(is_text=is_text)
@@ -159,7 +154,9 @@ class TextTable(DataTable):
         rows = sheet.rows
         if sheet.separator is not None:
             self.hint = f" (separated by {sheet.separator!r})"
-            aligned = rows[-1].cells[0].split() if rows and rows[-1].cells else []
+            aligned = (
+                re.split(" +", rows[-1].cells[0].strip(" ")) if rows and rows[-1].cells else []
+            )
             if len(aligned) > 1 and all(map(is_number, aligned)):
                 self.hint += '; separator = " " splits at blanks'
         widths = Counter(len(row.cells) for row in rows[-_SAMPLE:] if row.cells)
@@ -173,23 +170,63 @@ class TextTable(DataTable):
             del cells[-1]
         return width - 1
 
-    def _given_names(
+    def _from_names(
         self, sheet: _Sheet, width: int, form: TableForm, *, is_text: bool
-    ) -> tuple[list[_Row], int]:
-        """Return the row of the names, with units below it, and where the data begin.
+    ) -> list[_Row]:
+        """Return the row of the names, and what is below it.
 
-        The names are in the first row that is not skipped or, of texts, is as wide as those below.
+        Raises
+        ------
+        UsageError
+            If there is none, it has numbers too, or there are numbers above the names.
         """
-        first = 0
-        if form.skip is None:
-            wide = [place for place, row in enumerate(sheet.rows) if len(row.cells) == width]
-            if sheet.separator is None:  # the rows of a sheet are filled up
-                wide = [place for place in wide if sheet.rows[place].cells[-1].strip()] or wide
-            first = wide[0] if wide else 0
-        above = sheet.rows[first : first + 2]
-        if len(above) > 1 and (is_text or not self._are_units(above[1], above[0])):
-            del above[1]
-        return above, first + len(above)
+        rows = sheet.rows
+        if form.skip is not None:
+            return rows
+        wide = [place for place, row in enumerate(rows) if len(row.cells) == width]
+        if is_text or not self._numeric:
+            if is_text and sheet.separator is None:  # the rows of a sheet are filled up
+                wide = [place for place in wide if rows[place].cells[-1].strip()] or wide
+            return rows[wide[0] :] if wide else rows
+        data = next(place for place in wide if self._is_data(rows[place]))
+        above = wide[: wide.index(data)]
+        if not above:
+            return self._from_comment(sheet, data)
+        names = rows[above[-1]]
+        for row in rows[: above[-1]]:
+            if len(row.cells) > 1 and _is_value(row.cells[0]):
+                raise UsageError(
+                    f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
+                    f"the columns, in {self._at(names)}; skip = {names.number - 1} reads the table "
+                    "that begins there"
+                )
+        if len(above) > 1 and self._values_in(names):
+            raise UsageError(
+                f"{self.label}, {self._at(names)}: expected names of columns or numbers, got both; "
+                f"skip = {names.number - 1} reads names there"
+            )
+        is_below = len(above) > 1 and self._are_units(names, rows[above[-2]])
+        return rows[above[-2 if is_below else -1] :]
+
+    def _from_comment(self, sheet: _Sheet, data: int) -> list[_Row]:
+        """Return names in a comment above the first row, as numpy writes them, and the rows."""
+        rows = sheet.rows
+        first = rows[data]
+        width = len(first.cells)
+        if data:
+            before = rows[data - 1]
+            raise UsageError(
+                f"{self.label}: expected {width} names of columns above {self._at(first)}, "
+                f"which has {width} cells, got {len(before.cells)} in {self._at(before)}"
+            )
+        above = [row for row in sheet.comments if row.number < first.number]
+        if not above or len(above[-1].cells) != width:
+            raise UsageError(
+                f"{self.label}: expected column names in {self._at(first)}, got numbers; skip says "
+                "how many lines stand before the names"
+            )
+        is_below = len(above) > 1 and self._are_units(above[-1], above[-2])
+        return [*above[-2 if is_below else -1 :], *rows]
 
     def _values_in(self, row: _Row) -> list[int]:
         """Return the columns of numbers that have one in a row."""
@@ -201,66 +238,6 @@ class TextTable(DataTable):
         values = self._values_in(row)
         first = self._numeric[0] if self._numeric else 0
         return bool(values) and (values[0] == first or row.cells[first].strip() in self._gaps)
-
-    def _found_names(self, sheet: _Sheet, width: int) -> tuple[list[_Row], int]:
-        """Return the rows above the first row of numbers that are as wide, and where that is.
-
-        Raises
-        ------
-        UsageError
-            If there are none, a row has names and numbers, or there are numbers above the names.
-        """
-        rows = sheet.rows
-        above: list[_Row] = []
-        data = len(rows)
-        for place, row in enumerate(rows):
-            if len(row.cells) == width:
-                if self._is_data(row):
-                    data = place
-                    break
-                above.append(row)
-        if not self._numeric and above:
-            return above[:1], rows.index(above[0]) + 1
-        if not above and data < len(rows):
-            return self._commented(sheet, data), data
-        for row in rows[:data]:
-            begins_so = len(row.cells) > 1 and _is_value(row.cells[0])
-            if begins_so and row.number < above[-1].number:
-                raise UsageError(
-                    f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
-                    f"the columns, in {self._at(above[-1])}; skip = "
-                    f"{above[-1].number - 1} reads the table that begins there"
-                )
-        if len(above) > 1 and self._values_in(above[-1]):
-            raise UsageError(
-                f"{self.label}, {self._at(above[-1])}: expected names of columns or numbers, "
-                f"got both; skip = {above[-1].number - 1} reads names there"
-            )
-        return above, data
-
-    def _commented(self, sheet: _Sheet, data: int) -> list[_Row]:
-        """Return the comments above the first row that are as wide: numpy writes names so.
-
-        Raises
-        ------
-        UsageError
-            If there are none.
-        """
-        first = sheet.rows[data]
-        width = len(first.cells)
-        if data:
-            before = sheet.rows[data - 1]
-            raise UsageError(
-                f"{self.label}: expected {width} names of columns above {self._at(first)}, "
-                f"which has {width} cells, got {len(before.cells)} in {self._at(before)}"
-            )
-        above = [row for row in sheet.comments if row.number < first.number]
-        if not above or len(above[-1].cells) != width:
-            raise UsageError(
-                f"{self.label}: expected column names in {self._at(first)}, got numbers; skip says "
-                "how many lines stand before the names"
-            )
-        return above
 
     def _are_units(self, row: _Row, above: _Row) -> bool:
         """Whether a row has the units of the names above it."""
