@@ -7,7 +7,7 @@ from typing import Any, Final, TypeAlias
 
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.building.build import out_of_range
-from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.theory.observers.assumptions import AssumptionVerdict, checked, refused, undecided
 
 RESTS_ON_INVALID: Final = "depends on something invalid"

@@ -16,8 +16,8 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.assumptions.beginning import Beginning
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.known_truth import covariance_of, noise_of
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains

@@ -24,7 +24,6 @@ from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.coupling import (
     COUPLING,
     CouplingReport,
@@ -34,6 +33,7 @@ from cosim.scenario.building.coupling import (
 from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.base import Kind
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind

@@ -32,6 +32,7 @@ from cosim.scenario.building.known_truth import (
     parameters_by_term,
 )
 from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind
@@ -40,7 +41,6 @@ from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.plants import RecordingKind
 from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.sources import NoiseKind
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.experiment_design.bound import AccuracyBound, accuracy_bound
@@ -400,7 +400,6 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
     """Return the graph of the observer and of what it follows."""
     scenario = builder.scenario
     settings = scenario.file.scenario
-    step_ns = builder.context.step_ns
     names = [name for name in builder.components if name in subject.upstream]
     connections = scenario.connections.items()
     return Graph(
@@ -409,7 +408,7 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
         coupling=settings.coupling,
         iterations=settings.iterations,
         input_interpolation=settings.input_interpolation,
-        periods={name: scenario.specs[name].period_steps(name, step_ns) for name in names},
+        periods={name: builder.periods[name] for name in names},
     )
 
 

@@ -40,6 +40,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
 from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Progress, run_into
@@ -160,9 +161,10 @@ def _subject(experiment: Experiment) -> Subject:
     for name, spec in scenario.specs.items():
         table = scenario.tree["components"][name]
         metadata = experiment.metadata.get(name, {})
-        decided = spec.decided(table, metadata, step_ns)
-        if decided != table:
-            changes[f"components.{name}"] = decided
+        if isinstance(spec, DecidedByStep):
+            decided = spec.decided(table, metadata, step_ns)
+            if decided != table:
+                changes[f"components.{name}"] = decided
     return Subject(
         step_ns,
         experiment.clock.steps,
@@ -194,7 +196,7 @@ def _check_noise(scenario: Scenario, step_ns: StepNs) -> None:
                 "communication step, so that a run with a smaller step has other noise; use a "
                 "scenario without it, or a sensor with noise and a period"
             )
-    names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
+    names = [name for name, spec in scenario.specs.items() if spec.step_dependence.draws]
     if not names:
         return
     keys = [short(f"components.{name}.period") for name in names]
@@ -249,7 +251,7 @@ def _uneven(scenario: Scenario, step_ns: StepNs) -> dict[str, float]:
     """
     times: dict[str, float] = {}
     for name, spec in scenario.specs.items():
-        for time in spec.divided_times:
+        for time in spec.step_dependence.times:
             factors = set()
             for finer in (1, *FINER):
                 part_ns = nanoseconds(time) * finer % step_ns  # of a step of step_ns
@@ -266,7 +268,7 @@ def _may_jump(scenario: Scenario, graph: Graph) -> Mask:
         for signal in channel.interface.outputs:
             origins = graph.jumps(Port(channel.name, signal.name))
             kinds = [scenario.specs[origin.component] for origin in origins]
-            is_known = bool(kinds) and all(kind.jumps_at_points for kind in kinds)
+            is_known = bool(kinds) and all(kind.step_dependence.jumps_at_points for kind in kinds)
             mask[channel.signal_columns[signal.name]] = is_known
     return mask
 

@@ -237,7 +237,7 @@ class _StepSearch:
         self._possible: dict[int, bool] = {clock.step_ns: True}
         self._times_ns: list[int] = []
         for spec in scenario.specs.values():
-            self._times_ns += map(nanoseconds, spec.divided_times)
+            self._times_ns += map(nanoseconds, spec.step_dependence.times)
 
     def first_fine(self) -> TriedStep:
         """Halve the step until one is fine.
