@@ -318,7 +318,7 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
     Raises
     ------
     UsageError
-        If there are none, one is not finite, they do not ascend, or have no unit of time.
+        If there are none, they do not ascend, or have no unit of time.
     """
     stamps = table.times(clock.position)
     own = table.stamp_units.get(clock.position)
@@ -332,10 +332,6 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
     second = second_of(table.label, clock, own or form.time_unit, way_out)
     if not stamps:
         raise UsageError(f"{table.label}: expected rows of numbers, got none")
-    for row, stamp in enumerate(stamps):
-        if not stamp.is_finite():
-            place = f"{table.label}, {table.place(row)}"
-            raise UsageError(f"{place}: expected a finite time, got {float(stamp)!r} s")
     same_time = form.same_time or table.same_time
     is_last = [after != before for before, after in pairwise(stamps)]
     repeated = is_last.count(False)

@@ -331,12 +331,13 @@ class DataTable:
         Raises
         ------
         UsageError
-            If one is missing, or is none.
+            If one is missing, infinite, or none.
         """
         stamps = [Decimal(str(stamp)) for stamp in self.stamps_of(position)]
         for row, stamp in enumerate(stamps):
-            if stamp.is_nan():
-                raise UsageError(f"{self.cell(row, position)}: expected a time, got an empty cell")
+            if not stamp.is_finite():
+                found = "an empty cell" if stamp.is_nan() else float(stamp)
+                raise UsageError(f"{self.cell(row, position)}: expected a finite time, got {found}")
         return stamps
 
     def values(self, position: int) -> Vector:

@@ -353,11 +353,10 @@ class TextTable(DataTable):
 
     def texts(self, position: int) -> list[str]:
         """Return the cells of a column, numbers with decimal points."""
-        cells = list(self._stripped(position))
-        if self._decimal == ",":
-            points = [cell.replace(",", ".") for cell in cells]
-            pairs = zip(cells, points, strict=True)
-            cells = [point if is_number(point) else cell for cell, point in pairs]
+        cells = []
+        for cell in self._stripped(position):
+            point = cell.replace(",", ".") if self._decimal == "," else cell
+            cells.append(point if is_number(point) else cell)
         return cells
 
     def numbers_of(self, position: int) -> list[str]:

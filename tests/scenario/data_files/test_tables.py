@@ -367,7 +367,10 @@ def test_parquet_without_a_table_of_samples_is_refused(tmp_path):
     cases = [
         ({"t": [0.0, 1.0], "y": ["a", "b"]}, r"column 'y': expected numbers, got type string"),
         ({"t": ["a", "b"], "y": [0.0, 1.0]}, r"column 't': expected numbers, got type string"),
-        ({"t": [0.0, None], "y": [0.0, 1.0]}, r"row 2, column 't': expected a time, got an empty"),
+        (
+            {"t": [0.0, None], "y": [0.0, 1.0]},
+            r"row 2, column 't': expected a finite time, got an empty",
+        ),
         ({"t": [1.0, 0.5], "y": [0.0, 1.0]}, r"row 2: .*0.5 s after 1.0 s in row 1"),
         ({"t": [0.0, 1.0], "y": [0.0, np.inf]}, r"row 2, column 'y': .*finite number, got inf"),
         ({"t": [0, 1], "y": [0, 2**53 + 1]}, r"row 2, column 'y': .*2\*\*53"),
