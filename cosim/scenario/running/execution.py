@@ -317,13 +317,14 @@ def _certified(
     if tolerances is not None:
         from cosim.scenario.running.step_search import find_step
 
-        search = find_step(scenario, mapping_argument("find_step", tolerances), progress)
-        found = scenario.edit(set={"scenario.step": search.step})
-        return found, search.certifier.certification()
+        found = find_step(scenario, mapping_argument("find_step", tolerances), progress)
+        return found.scenario, found
     if certify:
-        from cosim.scenario.running.certificate import certification_of
+        from cosim.scenario.running.certificate import Certification
 
-        return scenario, certification_of(scenario, progress)
+        certification = Certification(scenario, progress)
+        certification.check()
+        return scenario, certification
     return scenario, None
 
 

@@ -9,8 +9,7 @@ from scipy.linalg import expm
 import cosim
 from cosim.errors import UsageError
 from cosim.report.verification import verify
-from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START, STEP
-from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
+from cosim.scenario.assumptions.method import ALPHAS, CLASS, DELAYS, EXCITATION, METHOD, START, STEP
 from cosim.scenario.assumptions.report import FILTER, RESOLUTION, check_assumptions
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import recorded_warnings

@@ -8,15 +8,14 @@ import pytest
 import cosim
 from cosim.errors import CosimError
 from cosim.report.tables.preparation import print_assumptions
-from cosim.scenario.assumptions.beginning import BEGINNING
-from cosim.scenario.assumptions.compensation import (
+from cosim.scenario.assumptions.method import (
     ACTIVATION,
     FEEDBACK,
     LIMITS,
     STABILITY,
     ZEROS,
 )
-from cosim.scenario.assumptions.report import FILE, RESOLUTION, check_assumptions
+from cosim.scenario.assumptions.report import BEGINNING, FILE, RESOLUTION, check_assumptions
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import INDEX

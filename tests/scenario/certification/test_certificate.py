@@ -662,7 +662,7 @@ def test_a_run_that_fails_has_no_figures(tmp_path):
     unwatched = {"scenario.stop": 200.0, "scenario.coupling_check": "warn"}
     log = cosim.run(path, set=unwatched, certify=True)
     certificate = cosim.certificate(log)
-    assert "the run with steps of 0.005 s ended early" in certificate.problem
+    assert "no complete run with steps of 0.005 s" in certificate.problem
     assert certificate.signals == ()
 
 
