@@ -88,16 +88,15 @@ class Certification:
             _check(experiment)
             graph = experiment.graph
             self._clock = experiment.clock
-            self._layout = graph.layout
             self._labels = graph.labels()
             self._fmus = tuple(experiment.fmus)
             self._decided = _decided(experiment)
-            self._may_jump = _may_jump(scenario, graph)
+            self._outputs = _outputs(scenario, graph)
             self._driven = _driven(graph)
-        self._every = max(1, math.ceil((self._clock.steps + 1) * self._layout.width / MOST_VALUES))
+        self._every = max(1, math.ceil((self._clock.steps + 1) * len(self._labels) / MOST_VALUES))
         self.rows = ThinnedRows(self._every, self._clock.steps)
         self._finer: list[ThinnedRows] = []
-        self._jumps = JumpWatch(self._layout.width)  # of the run with the smallest step
+        self._jumps = JumpWatch(*self._outputs)  # of the run with the smallest step
 
     def again(self, search: StepSearch) -> Certification:
         """Return that of another run of the scenario, by the same runs with smaller steps.
@@ -146,7 +145,7 @@ class Certification:
     def _run(self, finer: int) -> ThinnedRows:
         """Run with a step that is smaller by a factor, and return its rows."""
         rows = ThinnedRows(self._every * finer, self._clock.steps * finer)
-        self._jumps = JumpWatch(self._layout.width)
+        self._jumps = JumpWatch(*self._outputs)
 
         def take(block: Block, signals: Matrix) -> None:
             self._jumps.take(block, signals)
@@ -192,14 +191,13 @@ class Certification:
         t = self.rows.time_ns[:count] / NANOSECONDS
         reasons = self._reasons()
         errors = {}
-        for channel in self._layout.channels:
-            for column in range(channel.columns.start, channel.columns.stop):
-                if channel.name in reasons:
-                    error = StepError(reason=reasons[channel.name])
-                else:
-                    coarse, half, quarter = (table[:, column] for table in tables)
-                    error = step_error(t, coarse, half, quarter)
-                errors[self._labels[column]] = error
+        for column, label in enumerate(self._labels):
+            reason = reasons.get(label.partition(".")[0])
+            if reason is not None:
+                errors[label] = StepError(reason=reason)
+            else:
+                coarse, half, quarter = (table[:, column] for table in tables)
+                errors[label] = step_error(t, coarse, half, quarter)
         return errors
 
     @property
@@ -259,18 +257,14 @@ class Certification:
     def _unexpected(self) -> dict[str, str]:
         """Return the components with outputs that jump elsewhere than they may, and where."""
         texts: dict[str, str] = {}
-        found = self._jumps.unexpected(self._may_jump)
-        for channel in self._layout.channels:
-            for column in range(channel.outputs.start, channel.outputs.stop):
-                if column not in found:
-                    continue
-                time_ns, is_within = found[column]
-                where = "between communication points" if is_within else "at an unknown instant"
-                text = (
-                    f"{self._labels[column]} jumps {where}, or is not resolved by a quarter "
-                    f"of the step, at t = {time_ns / NANOSECONDS:g} s"
-                )
-                texts.setdefault(channel.name, text)
+        for column, (time_ns, is_within) in self._jumps.unexpected().items():
+            label = self._labels[column]
+            where = "between communication points" if is_within else "at an unknown instant"
+            text = (
+                f"{label} jumps {where}, or is not resolved by a quarter of the step, at "
+                f"t = {time_ns / NANOSECONDS:g} s"
+            )
+            texts.setdefault(label.partition(".")[0], text)
         return texts
 
     # --- the recording ---
@@ -408,16 +402,18 @@ def _decided(experiment: Experiment) -> dict[str, Any]:
     return changes
 
 
-def _may_jump(scenario: Scenario, graph: Graph) -> Mask:
-    """Return the columns that are known to jump, with something that does so at points alone."""
-    mask = np.zeros(graph.layout.width, np.bool_)
+def _outputs(scenario: Scenario, graph: Graph) -> tuple[Mask, Mask]:
+    """Return which columns are outputs, and which of them are known to jump at points alone."""
+    are_outputs = np.zeros(graph.layout.width, np.bool_)
+    may_jump = are_outputs.copy()
     for channel in graph.layout.channels:
+        are_outputs[channel.outputs] = True
         for signal in channel.interface.outputs:
             origins = graph.jumps(Port(channel.name, signal.name))
             kinds = [scenario.specs[origin.component] for origin in origins]
             is_known = bool(kinds) and all(kind.jumps_at_points for kind in kinds)
-            mask[channel.signal_columns[signal.name]] = is_known
-    return mask
+            may_jump[channel.signal_columns[signal.name]] = is_known
+    return are_outputs, may_jump
 
 
 def _driven(graph: Graph) -> dict[str, set[str]]:

@@ -308,8 +308,8 @@ def _tolerances(graph: Graph, tolerances: Mapping[str, float]) -> dict[str, floa
         except UnknownSignalError as error:
             raise UsageError(f"{option(FIND_STEP, name)}: {error}") from error
         begin = port.channel.start
-        for column in range(begin + port.columns.start, begin + port.columns.stop):
-            wanted[labels[column]] = float(tolerance)
+        elements = labels[begin + port.columns.start : begin + port.columns.stop]
+        wanted |= dict.fromkeys(elements, float(tolerance))
     return wanted
 
 

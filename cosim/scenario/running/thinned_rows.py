@@ -71,8 +71,10 @@ class JumpWatch:
 
     Parameters
     ----------
-    width : int
+    watched : Mask, shape (width,)
         Columns of a row.
+    may_jump : Mask, shape (width,)
+        Which of them may jump at ends of steps of the run that is certified.
 
     Attributes
     ----------
@@ -82,8 +84,11 @@ class JumpWatch:
         it is none that such a run could miss.
     """
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, watched: Mask, may_jump: Mask) -> None:
         self.expected_ns: set[int] = set()
+        self._columns = np.flatnonzero(watched)
+        self._may_jump = may_jump[watched]
+        width = len(self._columns)
         # The largest jumps, and when: within a step of the run that is certified, and in the last
         # quarter of one, as a jump at its end is; of the latter several, the smallest first.
         self._within = np.zeros(width)
@@ -97,25 +102,20 @@ class JumpWatch:
         self._times = np.zeros(2 * QUARTERS, np.int64)
         self._numbers = np.ones(2 * QUARTERS, np.int64)
 
-    def unexpected(self, may_jump: Mask) -> dict[int, tuple[int, bool]]:
+    def unexpected(self) -> dict[int, tuple[int, bool]]:
         """Return by column when it jumps elsewhere than it may [ns], and whether within a step.
 
         Of several jumps at ends of about one size all are there: were their instants any, a part of
         them would be within.
-
-        Parameters
-        ----------
-        may_jump : Mask, shape (width,)
-            Columns that may jump at ends of steps.
         """
         with np.errstate(over="ignore"):
             significant = SIGNIFICANT_JUMP * np.maximum(self._largest - self._smallest, 0.0)
         are_regular = self._at_ends[0] > ABOUT * self._at_ends[-1]
         within = self._within > significant
-        at_ends = (self._at_ends[-1] > significant) & ~(may_jump | are_regular)
+        at_ends = (self._at_ends[-1] > significant) & ~(self._may_jump | are_regular)
         times_ns = np.where(within, self._within_ns, self._at_ends_ns)
-        columns = np.flatnonzero(within | at_ends)
-        return {int(c): (int(times_ns[c]), bool(within[c])) for c in columns}
+        found = np.flatnonzero(within | at_ends)
+        return {int(self._columns[i]): (int(times_ns[i]), bool(within[i])) for i in found}
 
     def expect(self, event: SignalEvent) -> None:
         """Note the instant of an event: signals jump there as they should, behind the row."""
@@ -124,6 +124,7 @@ class JumpWatch:
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Look at the next rows."""
+        signals = signals[:, self._columns]
         self._smallest = np.fmin(self._smallest, np.fmin.reduce(signals))
         self._largest = np.fmax(self._largest, np.fmax.reduce(signals))
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that leaves all bounds
