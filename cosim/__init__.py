@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from cosim.report.certificate import certificate
     from cosim.report.comparing import compare, compare_estimators, replay_sweep
     from cosim.scenario.assumptions.report import check_assumptions
-    from cosim.scenario.building.models import model_table
     from cosim.scenario.data_files.field_file import read_field_data
     from cosim.scenario.experiment_design.ranking import design
+    from cosim.scenario.kinds.models import model_table
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.identifying import identify
     from cosim.scenario.running.replay import replay
@@ -42,7 +42,7 @@ _HOMES = {
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
     "metrics": "cosim.studies.metrics",
-    "model_table": "cosim.scenario.building.models",
+    "model_table": "cosim.scenario.kinds.models",
     "open_log": "cosim.log.reading.reader",
     "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",

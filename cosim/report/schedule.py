@@ -17,7 +17,8 @@ from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
 from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.scenario.building.build import describe
 from cosim.scenario.document.document import find
-from cosim.scenario.kinds.base import Sampling
+from cosim.scenario.kinds.base import PeriodicKind
+from cosim.scenario.kinds.values import Sampling
 
 # what an input has within a communication step: in words, and color and dashes of its arrow
 COURSES: Final[Mapping[str, tuple[str, str, str]]] = {
@@ -187,7 +188,10 @@ def schedule_of(name: str) -> GraphSchedule:
                 output.name: interface.feeds(output.name) if interface.knows(output.name) else None
                 for output in interface.outputs
             }
-            own = samplings[member] = spec.sampling(spec.period_steps(member, step_ns))
+            own = None
+            if isinstance(spec, PeriodicKind):
+                own = spec.sampling(spec.period_steps(member, step_ns))
+            samplings[member] = own
             shown = own or Sampling(channel.period, 0, holds=False)
             period = step_seconds(shown.period * step_ns) if shown.period > 1 else None
             offset = step_seconds(shown.offset * step_ns)

@@ -22,9 +22,9 @@ from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import ScenarioBuildContext, clock_of
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds import KINDS, ExportableKind
+from cosim.scenario.kinds.base import BuildContext, clock_of
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.running.execution import load
 
@@ -61,7 +61,9 @@ def export_component(
         If the file is wrong, or what the component rests on cannot be built.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    clock_of(loaded)  # whose times are on its grid, whatever the component takes of them
+    clock_of(
+        loaded.file.scenario
+    )  # whose times are on its grid, whatever the component takes of them
     out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
     check_fmu_to_write(out, force=force)
     if component not in loaded.specs:
@@ -110,7 +112,7 @@ def _descriptor_model(scenario: Scenario, component: str, resources: ExitStack) 
             f"{component!r} is of kind {spec.kind!r}, which has no algebraic equations; expected "
             "a component of kind 'descriptor'"
         )
-    return spec.descriptor_form(ScenarioBuildContext(scenario, resources))
+    return spec.descriptor_form(BuildContext(scenario, resources))
 
 
 def _model(
@@ -128,7 +130,7 @@ def _model(
             f"{', '.join(exportable)}"
         )
     wiring = _GraphWiring(scenario, component, resources)
-    model = spec.exportable(component, ScenarioBuildContext(scenario, resources), wiring)
+    model = spec.exportable(component, BuildContext(scenario, resources), wiring)
     interface = declare_units(model.interface, spec.units_of(model.interface))
     model = replace(model, interface=interface)
     inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)

@@ -64,7 +64,7 @@ def test_a_run_imports_no_part_of_cosim_for_what_it_has_not(tmp_path):
         "cosim.fmi.reading",
         "cosim.report.verification",
         "cosim.scenario.data_files.field_file",
-        "cosim.scenario.kinds.arithmetic",
+        "cosim.scenario.kinds.parts",
         "cosim.scenario.kinds.compensators",
         "cosim.scenario.kinds.field_data",
         "cosim.scenario.recordings.swap_comparison",

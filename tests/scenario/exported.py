@@ -12,8 +12,8 @@ import pytest
 from cosim.core.contracts import Component, prepare
 from cosim.core.linear import LinearModel
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.running.execution import load
 from tests.scenario.signals import signals
 
@@ -100,7 +100,7 @@ def case(key: str, name: str) -> Case:
     run = recorded(key)
     with ExitStack() as resources:
         graph = Builder(loaded, resources).experiment().graph
-        context = ScenarioBuildContext(loaded, resources)
+        context = BuildContext(loaded, resources)
         model = loaded.specs[name].linear_model(name, context) if (key, name) in STATES else None
     component = graph.components[name]
     t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9

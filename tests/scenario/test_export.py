@@ -16,9 +16,9 @@ from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.base import BuildContext
 from tests.scenario.exported import (
     ACADEMIC,
     COMPONENTS,
@@ -452,7 +452,7 @@ def test_nothing_is_built_that_a_component_does_not_rest_on(tmp_path, monkeypatc
         opened.append(name)
         raise UsageError("is not needed")
 
-    monkeypatch.setattr(ScenarioBuildContext, "fmu", fmu)
+    monkeypatch.setattr(BuildContext, "fmu", fmu)
     scenario = tmp_path / "parts.toml"
     beside = '[components.other]\nkind = "fmu"\npath = "other.fmu"\n[connections]\n'
     text = PARTS.replace("[connections]\n", f'{beside}"other.u" = "gain.y"\n')

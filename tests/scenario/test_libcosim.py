@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.running.execution import load
 
 pytestmark = pytest.mark.slow
@@ -26,7 +26,7 @@ OBSERVER = range(2, 9)  # references of x_a, delta, x_b, z, q
 def models():
     loaded = load("academic").set(CHANGES)
     with ExitStack() as resources:
-        context = ScenarioBuildContext(loaded, resources)
+        context = BuildContext(loaded, resources)
         return {
             name: loaded.specs[name].linear_model(name, context) for name in ("plant", "observer")
         }

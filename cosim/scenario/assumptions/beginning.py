@@ -19,12 +19,11 @@ from cosim.core.port import Port
 from cosim.errors import AssumptionError, RunError, UsageError
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.building.build import Builder, out_of_range
-from cosim.scenario.building.changed_loops import changed_loops
-from cosim.scenario.building.context import DependsOnInvalid
-from cosim.scenario.building.coupling import CouplingReport, report_behind, report_on
+from cosim.scenario.building.coupling import CouplingReport, coupling_reports
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
 from cosim.scenario.document.places import Problem
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.initial_states import change_text, changed_states
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.theory.observers.assumptions import AssumptionVerdict, checked, refused, undecided
@@ -158,8 +157,7 @@ class Beginning:
         """
         if self._row is None:
             return []
-        changes = changed_loops(self._experiment, self._loops, self._row)
-        return [report_on(self._loops, self.scenario), *map(report_behind, changes)]
+        return coupling_reports(self._experiment, self._loops, self._row)
 
     def resolution(self) -> Resolution:
         """Return whether the step resolves the model, after a check that is fulfilled."""

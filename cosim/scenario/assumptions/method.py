@@ -22,13 +22,12 @@ from cosim.scenario.assumptions.beginning import (
     Evidence,
     attempted,
 )
-from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.known_truth import covariance_of, noise_of
 from cosim.scenario.kinds.alphas import unchecked
+from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identification_source import IdentifierSource
-from cosim.scenario.kinds.identification_start import start_time
+from cosim.scenario.kinds.identification_source import IdentifierSource, start_time
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.terms import element_count, families_of
@@ -288,7 +287,7 @@ def _step(name: str, beginning: Beginning) -> Evidence:
     source = IdentifierSource(name, context)
     source.check_step()
     evidence = "the alphas are signals of the run, interpolated linearly between its points"
-    if source.regression.known.known:
+    if source.regression.known.names:
         evidence = (
             f"over a step of {context.h:g} s linear interpolation of every alpha is within 1 %"
         )

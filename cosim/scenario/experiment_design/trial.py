@@ -286,8 +286,6 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
         if to.component in names
     }
     settings = builder.scenario.file.scenario
-    step_ns = builder.context.step_ns
-    periods = {name: builder.scenario.specs[name].period_steps(name, step_ns) for name in names}
     ordered = [name for name in builder.components if name in names]
     return Graph(
         {name: builder.components[name] for name in ordered},
@@ -295,7 +293,7 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
         coupling=settings.coupling,
         iterations=settings.iterations,
         input_interpolation=settings.input_interpolation,
-        periods=periods,
+        periods={name: builder.periods[name] for name in names},
     )
 
 

@@ -1,284 +1,55 @@
-"""The bases of the component kinds, and what a kind needs to build its component."""
+"""The bases of the component kinds, and what a kind may ask of the scenario while it is built."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, TypeVar
 
+import numpy as np
 from pydantic import Field, PrivateAttr
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
-from cosim.core.connections import Connection
+from cosim.core.connections import Connection, components_driving
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
+from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
-from cosim.core.signals import Interface, PortUnit, Signal
-from cosim.instants import StepNs
-from cosim.scenario.document.schema import AnyUnit, StepTime, TomlTable
-from cosim.scenario.kinds.identified_plant import IdentifiedPlant
-from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.core.signals import Interface, PortUnit
+from cosim.core.structure.ports import unknown_port
+from cosim.documents import plain
+from cosim.errors import CosimError, UsageError, nearest
+from cosim.instants import StepNs, step_seconds, step_value
+from cosim.scenario.document.document import Document
+from cosim.scenario.document.places import Key
+from cosim.scenario.document.schema import AnyUnit, File, Settings, StepTime, TomlTable
+from cosim.scenario.document.swaps import MapEntry, ports_in
+from cosim.scenario.kinds.build_record import TABLES_ALONE, DependsOnInvalid, Origins
+from cosim.scenario.kinds.loading import CodeLoading
+from cosim.scenario.kinds.models import LETTERS, system_of, system_of_file
+from cosim.scenario.kinds.values import (
+    ImpliedConnection,
+    KnownSignal,
+    LinearSystem,
+    Sampling,
+    Spectrum,
+    StepDependence,
+)
+from cosim.scenario.record import component_record, recorded_models
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.blocks.field_data import FieldData
-    from cosim.blocks.renaming import Renaming
-    from cosim.fmi.component import Fmu
-    from cosim.fmi.description import Description, InterfaceType
-    from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.exporting.specifications import Exportable
-    from cosim.fmi.linearizing.linearization import Linearization
-    from cosim.fmi.linearizing.moving import MovingLinearization
-    from cosim.fmi.linearizing.request import LinearizationRequest
-    from cosim.fmi.options import FmuOptions
-    from cosim.scenario.kinds.user_code import UserClass
 
 T = TypeVar("T")
 AnyKind = TypeVar("AnyKind", bound="Kind")
-
-# a signal at instants of the run (N,) [s]
-KnownSignal: TypeAlias = Callable[[Vector], Vector]
-
-
-@dataclass(frozen=True, slots=True)
-class LinearSystem:
-    """``x' = A x + B u``, ``y = C x + D u``: a component near its initial state.
-
-    Parameters
-    ----------
-    A, B, C, D : Matrix, shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u)
-    error : float
-        Estimate of the largest error of an entry; 0: rounding.
-    """
-
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
-    error: float
-
-
-@dataclass(frozen=True, slots=True)
-class Spectrum:
-    """What is known of a signal before the run.
-
-    Parameters
-    ----------
-    amplitude : float
-        Its root mean square.
-    bandwidth : float
-        Its highest rate [rad/s].
-    source : Mapping
-        What that was computed from, in plain values.
-    assumption : str
-        What was assumed.
-    """
-
-    amplitude: float
-    bandwidth: float
-    source: Mapping[str, Any]
-    assumption: str
-
-
-@dataclass(frozen=True, slots=True)
-class Sampling:
-    """At which communication points a component takes its inputs.
-
-    Parameters
-    ----------
-    period : int
-        Communication steps between two of them.
-    offset : int
-        Communication steps before the first one.
-    holds : bool
-        It holds the inputs of a point up to the next one; else those without a zero-order hold are
-        interpolated linearly.
-    """
-
-    period: int
-    offset: int
-    holds: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImpliedConnection:
-    """A connection that [connections] does not write, for it follows from what the file does.
-
-    Parameters
-    ----------
-    connection : Connection or None
-        None: the origin has none either.
-    origin : Port or None
-        The input, or elements of it, whose connection it follows from; None: it follows from the
-        component's own table.
-    """
-
-    connection: Connection | None
-    origin: Port | None
-
-
-def shared_connections(
-    to: Port, origin: Port, connections: Mapping[Port, Connection]
-) -> dict[Port, ImpliedConnection]:
-    """Return the connections that an input shares with another input, as a whole or by elements."""
-    shared = {}
-    for port, connection in connections.items():
-        if port.whole == origin:
-            own = replace(port, component=to.component, signal=to.signal)
-            shared[own] = ImpliedConnection(connection, port)
-    return shared or {to: ImpliedConnection(None, origin)}
-
-
-class BuildContext(Protocol):
-    """What a kind may ask of the scenario that it is built in."""
-
-    @property
-    def clock(self) -> Clock:
-        """The communication points of the run."""
-        ...
-
-    @property
-    def step_ns(self) -> StepNs:
-        """Communication step [ns]."""
-        ...
-
-    @property
-    def h(self) -> float:
-        """Communication step, the double next to it [s]."""
-        ...
-
-    def model(self, name: str) -> DescriptorSystem:
-        """Return a model of [models]."""
-        ...
-
-    def spec(self, name: str) -> Kind:
-        """Return the table of another component."""
-        ...
-
-    def driver(self, to: Port) -> str | None:
-        """Return the component that drives an input alone; None: there is no such component."""
-        ...
-
-    def sources(self, to: Port) -> Sequence[Port]:
-        """Return the outputs, or elements of these, that drive an input, one behind the other.
-
-        None of them: nothing drives it, or a matrix mixes them.
-        """
-        ...
-
-    def file(self, path: str) -> Path:
-        """Return the path of a file named in the scenario."""
-        ...
-
-    def recording(self, path: str) -> Recording:
-        """Open a log."""
-        ...
-
-    def designed(self, name: str, design: Callable[[], T]) -> T:
-        """Return the design of a component, which is made once in a build, whoever asks for it."""
-        ...
-
-    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
-        """Return the samples of a component, which are read once."""
-        ...
-
-    def mapped(self, name: str) -> Sequence[Port]:
-        """Return the ports of a swapped component that its map names."""
-        ...
-
-    def of_kind(self, kind: type[AnyKind]) -> Mapping[str, AnyKind]:
-        """Return the tables of all components of a kind."""
-        ...
-
-    def recorded_signals(self, name: str) -> Mapping[str, Signal]:
-        """Return the signals that the recording has of a component, also of one computed again."""
-        ...
-
-    def recorded(self, name: str) -> Interface | None:
-        """Return the interface of a component that is taken from a recording; None: it is not."""
-        ...
-
-    def drivers(self, to: Port) -> Mapping[str, Kind]:
-        """Return the components that drive an input, as a whole or by its elements."""
-        ...
-
-    def behind(self, to: Port) -> Mapping[str, Kind]:
-        """Return the components that an input follows: those that drive it, and those behind them.
-
-        Nothing is followed through a component that is not computable.
-        """
-        ...
-
-    def user_class(self, name: str, class_name: str, *, package: str | None = None) -> UserClass:
-        """Import the class of a component, and record its source.
-
-        ``package`` is the installed one that declares it, with its version; without it the module
-        is looked for in the scenario's folder, then on sys.path.
-        """
-        ...
-
-    def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
-        """Load an FMU; it is freed at the end of the run."""
-        ...
-
-    def add_states(self, name: str, component: ModelExchange) -> None:
-        """Record what has the continuous states of a component, to hand them over."""
-        ...
-
-    def opened(self, name: str) -> Fmu:
-        """Return the FMU that was loaded for a component."""
-        ...
-
-    def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
-        """Linearize an FMU for a component and record the result; a replay takes it from there."""
-        ...
-
-    def moving_linearization(
-        self, name: str, path: str, request: LinearizationRequest
-    ) -> MovingLinearization:
-        """Return an FMU that is linearized on the way; it is freed at the end of the run."""
-        ...
-
-    def add_identified(self, name: str, identified: IdentifiedPlant) -> None:
-        """Have the estimates of an identifier judged at the end of the run."""
-        ...
-
-    def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
-        """Record metadata of a component for reports and the log."""
-        ...
-
-    def lag(self, to: Port) -> float:
-        """Return how far the signal that drives an input lags behind what it estimates [s]."""
-        ...
-
-    def known(self, source: Port) -> KnownSignal | None:
-        """Return an output, or an element of one, as a function of time, where that is known.
-
-        None: only the run computes it.
-        """
-        ...
-
-    def spectra(self, name: str) -> list[Spectrum]:
-        """Return what is known of the signals of a component, by the tables of those it drives."""
-        ...
-
-    def chosen(
-        self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]
-    ) -> Mapping[str, Any]:
-        """Return what was chosen for a component, and record it; a replay takes it from there.
-
-        ``request`` is what the choice rests on, ``choose`` makes it: plain values both.
-        """
-        ...
-
-    def warn(self, name: str, text: str) -> None:
-        """Record a warning: a component's result is right, but poorly conditioned or costly."""
-        ...
 
 
 class Wiring(Protocol):
@@ -355,6 +126,13 @@ class Kind(TomlTable):
         """Return the units that the table declares of the ports of a component."""
         return self.units
 
+    def given(self, *without: str) -> dict[str, Any]:
+        """Return the values of its keys that have one, but of kind, unit and those named."""
+        values = {key: getattr(self, key) for key in type(self).model_fields}
+        for key in ("kind", "unit", *without):
+            del values[key]
+        return {key: value for key, value in values.items() if value is not None}
+
     @property
     def hands_on_lag(self) -> bool:
         """Whether its outputs lag as its inputs do."""
@@ -393,83 +171,9 @@ class Kind(TomlTable):
         return True
 
     @property
-    def draws_every_step(self) -> bool:
-        """Whether it draws random numbers at every communication step: another step, others."""
-        return False
-
-    @property
-    def jumps_at_points(self) -> bool:
-        """Whether it is known to jump at communication points alone, whatever the step is.
-
-        So does what has its instants from its table, as a period, or from what drives it.
-        """
-        return True
-
-    @property
-    def divided_times(self) -> tuple[float, ...]:
-        """Times [s] of its table that need not be whole communication steps.
-
-        Its error depends on the part of a step that they leave over.
-        """
-        return ()
-
-    def decided(
-        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: StepNs
-    ) -> Mapping[str, Any]:
-        """Return the table with what the communication step has decided.
-
-        With a smaller step it is the same then: an instant of a communication point, for example.
-
-        Parameters
-        ----------
-        table : Mapping
-            Of the component, as the scenario has it.
-        metadata : Mapping
-            That it has recorded while it was built.
-        step_ns : int
-            Communication step [ns] that it was built with.
-        """
-        return table
-
-    def samples_of(self, output: str) -> str | None:
-        """Return the output with another output's samples at times of their own; None: none."""
-        return None
-
-    @property
-    def samples_at_points(self) -> bool:
-        """Whether samples are of communication points, at most one of each."""
-        return True
-
-    def most_in_a_step(self, name: str, context: BuildContext) -> int:
-        """Return for how many samples in a communication step there is a place; 0: none."""
-        return 0
-
-    def late_steps(self, context: BuildContext) -> int:
-        """Return how many communication steps after its instant a sample may come."""
-        return 0
-
-    @property
-    def models(self) -> tuple[str, ...]:
-        """The models that a component is made of which is not computable."""
-        return ()
-
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
-        """Return warnings about what will be right but costly or poor.
-
-        Parameters
-        ----------
-        name : str
-            Of the component.
-        context : BuildContext
-            That it was built in.
-        held : mapping of input name to bool
-            Whether the input keeps its value over a communication step.
-        h : float
-            Communication step [s].
-        """
-        return []
+    def step_dependence(self) -> StepDependence:
+        """What another communication step changes, beside the error of the step."""
+        return StepDependence()
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
         """Return how far an output lags behind what it estimates [s], as far as that is known."""
@@ -479,24 +183,9 @@ class Kind(TomlTable):
         """Return what the table says of the signal that drives the component, if anything."""
         return None
 
-    def period_steps(self, name: str, step_ns: StepNs) -> int:
-        """Return the sample period in communication steps of ``step_ns``; 1 where there is none."""
-        return 1
-
-    def with_period(self, component: Component, n: int) -> Component:
-        """Return the component with its sample period of ``n`` communication steps."""
-        return component
-
-    def sampling(self, n: int) -> Sampling | None:
-        """Return when it takes its inputs, with a period of ``n`` steps; None: at every step."""
-        return None
-
-    def recorded_period(self, n: int) -> int:
-        """Return which rows the log keeps, one in so many, with a period of ``n`` steps."""
-        return n
-
-    def tunable_parameters(self, name: str, context: BuildContext) -> Sequence[str]:
-        """Return the keys that may be set in a run, which have a number or a row of numbers."""
+    @property
+    def tunable_parameters(self) -> Sequence[str]:
+        """The keys that may be set in a run, which have a number or a row of numbers."""
         keys = []
         for key in self.tunable:
             value = getattr(self, key)
@@ -504,10 +193,6 @@ class Kind(TomlTable):
             if all(isinstance(number, int | float) for number in row):
                 keys.append(key)
         return keys
-
-    def tuned_fmu(self, name: str, context: BuildContext) -> Fmu | None:
-        """Return the FMU whose parameters are set in place; None: there is none."""
-        return None
 
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
@@ -525,34 +210,9 @@ class Kind(TomlTable):
         """
         return {}
 
-    def renamings(self, interface: Interface, given: Sequence[Renaming]) -> Sequence[Renaming]:
-        """Return the renamings of a swap, and those that follow from them.
-
-        Parameters
-        ----------
-        interface : Interface
-            Of the component.
-        given : sequence of Renaming
-        """
-        return given
-
     @abstractmethod
     def build(self, name: str, context: BuildContext) -> Component:
         """Build the component."""
-
-    def description(
-        self, name: str, context: BuildContext
-    ) -> tuple[InterfaceType, Description] | None:
-        """Return interface type and description of the FMI instance that it drives, if any."""
-        return None
-
-    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
-        """Return the component near its initial state; None: it is not linear."""
-        return None
-
-    def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
-        """Return the initial states of which a run may keep a part only; None: there are none."""
-        return None
 
 
 class PeriodicKind(Kind):
@@ -564,6 +224,7 @@ class PeriodicKind(Kind):
     )
 
     def period_steps(self, name: str, step_ns: StepNs) -> int:
+        """Return the sample period in communication steps; 1 where there is none."""
         if self.period is None:
             return 1
         return whole_steps(self.period, step_ns, f"period of {name!r}")
@@ -587,6 +248,14 @@ class PeriodicKind(Kind):
             Communication steps in a period; 1 also where ``period`` is None.
         """
 
+    def sampling(self, n: int) -> Sampling | None:
+        """Return when it takes its inputs, with a period of ``n`` steps; None: at every step."""
+        return None
+
+    def recorded_period(self, n: int) -> int:
+        """Return which rows the log keeps, one in so many, with a period of ``n`` steps."""
+        return n
+
 
 class ExportableKind(Kind):
     """A component that can be exported as an FMU."""
@@ -596,7 +265,15 @@ class ExportableKind(Kind):
         """Return the model that an FMU is made of."""
 
 
-class LinearKind(ExportableKind):
+class LinearNearStart(ABC):
+    """It is linear near its initial state, or may be."""
+
+    @abstractmethod
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
+        """Return the component near its initial state; None: it is not linear."""
+
+
+class LinearKind(ExportableKind, LinearNearStart):
     """A component that is a linear model, which an exact solver steps."""
 
     @abstractmethod
@@ -612,3 +289,477 @@ class LinearKind(ExportableKind):
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         return self.linear_model(name, context)
+
+
+class ScenarioTables(Protocol):
+    """What is built: the validated tables of a scenario."""
+
+    @property
+    def document(self) -> Document:
+        """Its text; its folder is what paths start from."""
+        ...
+
+    @property
+    def file(self) -> File:
+        """Its settings and models."""
+        ...
+
+    @property
+    def specs(self) -> Mapping[str, Kind]:
+        """The tables of components."""
+        ...
+
+    @property
+    def connections(self) -> Mapping[Port, Connection]:
+        """By input, or elements of it."""
+        ...
+
+    @property
+    def maps(self) -> Mapping[str, list[MapEntry]]:
+        """Of the swapped components."""
+        ...
+
+    @property
+    def invalid(self) -> frozenset[Key]:
+        """The tables and their entries that are wrong."""
+        ...
+
+
+class _LookedUpKinds(Mapping[str, Kind]):
+    """The tables of the components of a scenario, which notes whose are looked up."""
+
+    def __init__(self, specs: Mapping[str, Kind], look_up: Callable[[str], None]) -> None:
+        self._specs = specs
+        self._look_up = look_up
+
+    def __getitem__(self, name: str) -> Kind:
+        self._look_up(name)
+        return self._specs[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._specs
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._specs)
+
+    def __len__(self) -> int:
+        return len(self._specs)
+
+
+def clock_of(settings: Settings) -> Clock:
+    """Return the clock of a scenario.
+
+    Raises
+    ------
+    ClockError
+        If one of its times is off the grid.
+    """
+    return Clock(settings.stop, settings.step, start_time=settings.start_time)
+
+
+def _first_element(port: Port) -> int:
+    """Return where a port begins in its signal."""
+    match port.element:
+        case None:
+            return 0
+        case int():
+            return port.element
+        case range():
+            return port.element.start
+
+
+class BuildContext(CodeLoading):
+    """What a kind may ask of the scenario while its component is built.
+
+    All that it answers may raise ``DependsOnInvalid``.
+
+    Parameters
+    ----------
+    scenario : ScenarioTables
+    resources : ExitStack
+        Closes what is opened.
+    origins : Origins
+        Where components come from, beside their tables.
+    invalid : iterable of Key
+        What is known to be wrong beside ``scenario.invalid``.
+
+    Attributes
+    ----------
+    invalid : set of Key
+        What is known to be wrong.
+    """
+
+    def __init__(
+        self,
+        scenario: ScenarioTables,
+        resources: ExitStack,
+        origins: Origins = TABLES_ALONE,
+        invalid: Iterable[Key] = (),
+    ) -> None:
+        super().__init__(scenario.document.folder, resources, origins, scenario.connections)
+        self.invalid = {*scenario.invalid, *invalid}
+        self._scenario = scenario
+        self._specs = _LookedUpKinds(scenario.specs, self.look_up)
+
+    def beside(self, scenario: ScenarioTables, name: str) -> BuildContext:
+        """Return a context of its own for one more build of a component, with another table."""
+        origins = Origins(recording=self.origins.recording, unpacked=self.origins.unpacked)
+        context = BuildContext(scenario, self._resources, origins)
+        context.begin(name)
+        return context
+
+    @cached_property
+    def step_ns(self) -> StepNs:
+        """Communication step [ns]."""
+        self._need(("scenario", "step"))
+        return Clock.step_of(self._scenario.file.scenario.step)
+
+    @property
+    def h(self) -> float:
+        """Communication step, the double next to it [s]."""
+        return step_seconds(self.step_ns)
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The clock of the run, with blocks of any size."""
+        for name in ("step", "start_time", "stop"):
+            self._need(("scenario", name))
+        return clock_of(self._scenario.file.scenario)
+
+    def _need(self, key: Key) -> None:
+        """Check that an entry of a table is right, as far as that is known.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If it is not, which is reported.
+        """
+        if not self.invalid.isdisjoint({key, key[:1]}):
+            raise DependsOnInvalid
+
+    def model(self, name: str) -> DescriptorSystem:
+        """Return a model of [models], and record that it was read.
+
+        Raises
+        ------
+        UsageError
+            If there is none of that name, or its matrices do not fit together.
+        ValueError
+            If the rows of a matrix have different lengths.
+        """
+        self._need(("models", name))
+        tables = self._scenario.file.models
+        if name not in tables:
+            raise UsageError(f"unknown model {name!r} in [models]; {nearest(name, tables)}")
+        self.read(f"models.{name}")
+        table = tables[name]
+
+        def make() -> DescriptorSystem:
+            if table.file is None:
+                return system_of(table)
+            return system_of_file(table, self._matrices(name, table.file))
+
+        return self.made_once("model", name, make)
+
+    def _matrices(self, name: str, path: str) -> Mapping[str, Matrix]:
+        """Return the matrices of a model's file, and record them; a replay takes them from there.
+
+        Raises
+        ------
+        UsageError
+            If the file cannot be read, or is not to be opened.
+        LogError
+            If the recorded matrices cannot be understood.
+        """
+        if self.origins.recording is not None:
+            record = recorded_models(self.origins.recording).get(name)
+            if record is not None and record.file == path:
+                self.model_records[name] = plain(record)
+                return record.arrays
+        from cosim.scenario.data_files.model_file import (  # rarely needed
+            missing_text,
+            read_model_file,
+        )
+
+        content = read_model_file(self.file(path), LETTERS)
+        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
+        if missing:
+            raise UsageError(missing_text(path, content, missing))
+        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
+        self.model_records[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
+        return content.matrices
+
+    def spec(self, name: str) -> Kind:
+        """Return the table of another component, and record that it was read."""
+        self.read(f"components.{name}")
+        if name not in self._specs:
+            raise DependsOnInvalid
+        return self._specs[name]
+
+    def driver(self, to: Port) -> str | None:
+        """Return the component that drives an input alone; None: there is no such component."""
+        drivers = list(self._drivers(to))
+        return drivers[0] if len(drivers) == 1 else None
+
+    def sources(self, to: Port) -> list[Port]:
+        """Return the outputs, or elements of these, that drive an input, one behind the other.
+
+        None of them: nothing drives it, or a matrix mixes them.
+        """
+        self._need_connected(to)
+        connections = self._scenario.connections
+        ports = [port for port in connections if port.whole == to]
+        sources: list[Port] = []
+        for port in sorted(ports, key=_first_element):
+            if connections[port].matrix.ndim:
+                return []
+            sources += connections[port].sources
+        return sources
+
+    def drivers(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that drive an input, as a whole or by its elements."""
+        specs = self._specs
+        return {name: specs[name] for name in self._drivers(to) if name in specs}
+
+    def _drivers(self, to: Port) -> list[str]:
+        self._need_connected(to)
+        return sorted(components_driving(self._scenario.connections, to))
+
+    def behind(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that an input follows, up to those that are not computable."""
+        components: dict[str, Kind] = {}
+        waiting = set(self._drivers(to))
+        while waiting:
+            name = waiting.pop()
+            if name in self._specs:
+                spec = components[name] = self._specs[name]
+                if spec.computable:
+                    for port in self._inputs(name):
+                        sources = {source.component for source in self._sources(port)}
+                        waiting |= sources - components.keys()
+        return components
+
+    def _need_connected(self, to: Port) -> None:
+        """Check that what drives an input is right, as far as that is known.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If it is not, which is reported.
+        """
+        self._need(("connections",))
+        for key in self.invalid:
+            if key[0] == "connections" and to in [port.whole for port in ports_in(key[1:2])]:
+                raise DependsOnInvalid
+
+    def designed(self, name: str, design: Callable[[], T]) -> T:
+        """Return the design of a component, which is made once in a build, whoever asks for it."""
+        return self.made_once("design", name, design)
+
+    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
+        """Return the samples of a component, which are read once.
+
+        What is wrong with them is the problem of that component, which reports it itself.
+        """
+
+        def read_or_problem() -> FieldData | UsageError:
+            try:
+                return read()
+            except UsageError as error:
+                return error
+
+        data = self.made_once("samples", name, read_or_problem)
+        if isinstance(data, UsageError):
+            if name != self.current:
+                raise DependsOnInvalid(str(data)) from data
+            raise data
+        return data
+
+    def mapped(self, name: str) -> list[Port]:
+        """Return the ports of a swapped component that its map names."""
+        ports: list[Port] = []
+        for entry in self._scenario.maps.get(name, []):
+            ports += entry.renaming.sources
+        return ports
+
+    def of_kind(self, kind: type[AnyKind]) -> dict[str, AnyKind]:
+        """Return the tables of all components of a kind."""
+        specs = self._specs.items()
+        return {name: spec for name, spec in specs if isinstance(spec, kind)}
+
+    def recorded(self, name: str) -> Interface | None:
+        """Return the interface of a component that is taken from a recording; None: it is not."""
+        spec = self.spec(name)  # counts as read, in a run as in a replay
+        if self.origins.recording is None or spec.computable:
+            return None
+        return find_channel(
+            self.origins.recording.channels, name, source=self.origins.recording.label
+        ).interface
+
+    def lag(self, to: Port) -> float:
+        """Return how far the signal that drives an input lags behind what it estimates [s].
+
+        Signals that pass through static components on their way keep their lag. Of what is wrong in
+        the file, and so reported, nothing is known.
+
+        Raises
+        ------
+        UsageError
+            If it is made of signals that lag differently.
+        """
+        lags: dict[float, Port] = {}
+        seen: set[str] = set()
+        waiting = [to]
+        while waiting:
+            for source in self._sources(waiting.pop()):
+                name = source.component
+                spec = self._specs.get(name)
+                if spec is None:
+                    continue
+                self.read(f"components.{name}")
+                if not spec.hands_on_lag:
+                    lags[self._lag_of(spec, source)] = source
+                elif name not in seen:
+                    seen.add(name)
+                    waiting += self._inputs(name)
+        if len(lags) > 1:
+            sources = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
+            raise UsageError(f"{to.name!r}: expected signals with equal lags, got {sources}")
+        return next(iter(lags), 0.0)
+
+    def _lag_of(self, spec: Kind, source: Port) -> float:
+        if self.origins.recording is not None and not spec.computable:
+            record = component_record(self.origins.recording, source.component)
+            return record.lags.get(source.signal, 0.0)
+        try:
+            return spec.lag(source.component, source.signal, self)
+        except CosimError as error:  # the problem of that component, which reports it itself
+            raise DependsOnInvalid(str(error)) from error
+
+    def _sources(self, to: Port) -> list[Port]:
+        """Return the outputs that drive an input or its elements."""
+        sources: list[Port] = []
+        for port, connection in self._scenario.connections.items():
+            if port.component == to.component and to in (port, port.whole):
+                sources += [source.whole for source in connection.sources]
+        return sources
+
+    def _inputs(self, name: str) -> list[Port]:
+        """Return the inputs of a component that something drives."""
+        ports = {port.whole for port in self._scenario.connections if port.component == name}
+        return sorted(ports, key=str)
+
+    def known(self, source: Port) -> KnownSignal | None:
+        """Return an output, or an element of one, as a function of time, where that is known."""
+        spec = self.spec(source.component)
+        if not spec.is_known or source.component in self._scenario.maps:
+            return None
+        name = source.component
+        component = self.made_once("source", name, lambda: self._source(name, spec))
+        matched = source.find({signal.name: signal for signal in component.interface.outputs})
+        if matched is None:
+            raise unknown_port(source, component.interface, "output")
+        signal, elements = matched
+        column = component.interface.output_columns()[signal.name].start + elements.start
+        if spec.is_recorded or self._is_replayed(spec):
+            return _interpolated(component, column, self.clock)
+        return partial(_values_at, component, column)
+
+    def _is_replayed(self, spec: Kind) -> bool:
+        return self.origins.recording is not None and not spec.computable
+
+    def _source(self, name: str, spec: Kind) -> Component:
+        """Return a component without inputs, beside that of the run."""
+        if self.origins.recording is not None and self._is_replayed(spec):
+            return Replay(self.origins.recording, name)
+        count = len(self.warned)
+        try:
+            return spec.build(name, self)
+        except CosimError as error:  # the problem of that component, which reports it itself
+            raise DependsOnInvalid(str(error)) from error
+        finally:
+            del self.warned[count:]  # it warns where it is built for the run
+
+    def spectra(self, name: str) -> list[Spectrum]:
+        """Return what is known of the signals of a component, by the tables of those it drives."""
+        spectra = []
+        for to, connection in self._scenario.connections.items():
+            sources = {source.component for source in connection.sources}
+            if name not in sources:
+                continue
+            spec = self._specs.get(to.component)
+            if spec is None:
+                continue
+            spectrum = spec.spectrum(to.component, self)
+            if spectrum is not None:
+                self.read(f"components.{to.component}")
+                spectra.append(spectrum)
+        return spectra
+
+    def chosen(
+        self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]
+    ) -> Mapping[str, Any]:
+        """Return what was chosen for a component, and record it; a replay takes it from there.
+
+        Parameters
+        ----------
+        name : str
+        request : Mapping
+            What the choice rests on: plain values.
+        choose : callable
+            Makes it, of plain values.
+        """
+
+        def make() -> Mapping[str, Any]:
+            recorded = None
+            if self.origins.recording is not None:
+                recorded = component_record(self.origins.recording, name).choice
+            if recorded is not None and recorded.request == request:
+                result: Mapping[str, Any] = plain(recorded.result)
+            else:
+                result = choose()
+            self.add_metadata(name, {"choice": {"request": request, "result": result}})
+            return result
+
+        return self.made_once("choice", name, make)
+
+    def recording(self, path: str) -> Recording:
+        """Open a log with the scenario's communication step.
+
+        Raises
+        ------
+        UsageError
+            If it has another one, or is not to be opened; see :meth:`file`.
+        LogError
+            If it cannot be read.
+        """
+        from cosim.log import open_log
+
+        log = open_log(self.file(path))
+        if log.step_ns != self.step_ns:
+            log_step = step_value(log.step_ns)
+            step = step_value(self.step_ns)
+            raise UsageError(
+                f"log {path!r}: expected steps of {step} s as in the scenario, got {log_step} s"
+            )
+        return log
+
+
+def _values_at(component: Component, column: int, t: Vector) -> Vector:
+    """Return an output of a component without inputs, whose outputs are functions of time."""
+    no_inputs = np.zeros((len(t) + 1, 0))
+    ends_of_steps = np.concatenate([t[:1], t])  # where the first one begins does not matter
+    values: Vector = component.advance(ends_of_steps, 0.0, no_inputs)[:, column]
+    return values
+
+
+def _interpolated(component: Component, column: int, clock: Clock) -> KnownSignal:
+    """Return an output of a recorded component, between its rows by linear interpolation."""
+    points = clock.points
+    values = _values_at(component, column, points)
+
+    def at(t: Vector) -> Vector:
+        interpolated: Vector = np.interp(t, points, values)
+        return interpolated
+
+    return at

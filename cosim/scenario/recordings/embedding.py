@@ -20,7 +20,7 @@ from cosim.errors import FmuError, LogError, flag, quoted
 from cosim.files import read_bounded
 from cosim.log import Attachment, Log
 from cosim.log.reading.container import MOST_ATTACHED
-from cosim.scenario.building.context import RecordedFmu
+from cosim.scenario.kinds.build_record import RecordedFmu
 from cosim.scenario.record import MEANS, component_metadata, component_record
 from cosim.temporary import TemporaryFolder
 

@@ -23,7 +23,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Causality, Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.fmi.linearizing.linearization import is_singular, pole_text, poles
-from cosim.scenario.kinds.base import LinearSystem
+from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import ComparedAspect, PortVerdict
 from cosim.units import (
     Conversion,

@@ -6,10 +6,10 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import Origins
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.build_record import Origins
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
@@ -46,7 +46,7 @@ def build_experiment(
     experiment = _built(scenario, resources, block, unpacked, reports)
     if not experiment.settings:
         return experiment
-    from cosim.scenario.building.settings import prepare_settings
+    from cosim.scenario.building.actions import prepare_settings
 
     step_ns = experiment.clock.step_ns
     experiment.setting_designs = prepare_settings(

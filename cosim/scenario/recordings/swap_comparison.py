@@ -25,12 +25,14 @@ from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.context import Origins
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import LinearNearStart
+from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.capabilities import HasDescription
 from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.recordings.port_comparison import (
     ComparedComponent,
@@ -344,7 +346,9 @@ def _compared_component(
 def _declared_component(builder: Builder, name: str) -> ComparedComponent:
     """Return what a component that was built declares."""
     spec = builder.scenario.specs[name]
-    described = spec.description(name, builder.context)
+    described = None
+    if isinstance(spec, HasDescription):
+        described = spec.description(name, builder.context)
     compared = ComparedComponent(builder.components[name].interface, _capabilities(spec, described))
     if described is not None:
         _, description = described
@@ -413,6 +417,8 @@ def _nominal(variable: Variable) -> Vector:
 def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
     """Return a component near its initial state; None: it cannot be linearized."""
     spec = builder.scenario.specs[name]
+    if not isinstance(spec, LinearNearStart):
+        return None
     try:
         system = spec.linear_system(name, builder.context)
     except (CosimError, ValueError):

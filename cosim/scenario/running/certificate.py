@@ -40,6 +40,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
 from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import Progress, run_into
@@ -245,7 +246,7 @@ class Certification:
         texts = {}
         step_ns = self._clock.step_ns
         for name, spec in self.scenario.specs.items():
-            for time in spec.divided_times:
+            for time in spec.step_dependence.times:
                 parts_ns = [nanoseconds(time) * finer % step_ns for finer in (1, *FINER)]
                 if len({part_ns * (step_ns - part_ns) for part_ns in parts_ns}) > 1:
                     texts[name] = (
@@ -370,7 +371,7 @@ def _check(experiment: Experiment) -> None:
                 f"step error: the action {_when(action)} draws {other_noise}; use a scenario "
                 "without it, or a sensor with noise and a period"
             )
-    names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
+    names = [name for name, spec in scenario.specs.items() if spec.step_dependence.draws]
     if names:
         step = f"{step_seconds(step_ns)}"
         settings = [option("set", short(f"components.{name}.period"), step) for name in names]
@@ -396,9 +397,10 @@ def _decided(experiment: Experiment) -> dict[str, Any]:
     for name, spec in experiment.scenario.specs.items():
         table = experiment.scenario.tree["components"][name]
         metadata = experiment.metadata.get(name, {})
-        decided = spec.decided(table, metadata, experiment.clock.step_ns)
-        if decided != table:
-            changes[f"components.{name}"] = decided
+        if isinstance(spec, DecidedByStep):
+            decided = spec.decided(table, metadata, experiment.clock.step_ns)
+            if decided != table:
+                changes[f"components.{name}"] = decided
     return changes
 
 
@@ -411,7 +413,7 @@ def _outputs(scenario: Scenario, graph: Graph) -> tuple[Mask, Mask]:
         for signal in channel.interface.outputs:
             origins = graph.jumps(Port(channel.name, signal.name))
             kinds = [scenario.specs[origin.component] for origin in origins]
-            is_known = bool(kinds) and all(kind.jumps_at_points for kind in kinds)
+            is_known = bool(kinds) and all(kind.step_dependence.jumps_at_points for kind in kinds)
             may_jump[channel.signal_columns[signal.name]] = is_known
     return are_outputs, may_jump
 

@@ -192,7 +192,7 @@ class _StepSearch:
                 f"the steps that are tried have, too; got {step_value(clock.step_ns)} s"
             )
         self._own_step_ns = clock.step_ns
-        times = [time for spec in scenario.specs.values() for time in spec.divided_times]
+        times = [time for spec in scenario.specs.values() for time in spec.step_dependence.times]
         self._steps = [
             step_ns
             for step_ns in _dividing_steps(clock.step_ns, clock.steps)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.core.signals import Interface, Signal
-from cosim.scenario.kinds.base import LinearSystem
+from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.recordings.port_comparison import (
     ComparedComponent,
     ComponentCapabilities,

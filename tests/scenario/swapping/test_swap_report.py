@@ -22,9 +22,9 @@ from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
 from cosim.report.tables.preparation import print_dry_run
 from cosim.scenario.building.build import parse
-from cosim.scenario.building.context import ScenarioBuildContext
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.record import ComparedAspect
 from cosim.scenario.recordings.swap_comparison import compare_swaps
@@ -485,7 +485,7 @@ def test_poles_of_an_fmu_that_cannot_be_linearized_are_unknown(folder, tmp_path)
     kind = FmuKind(kind="fmu", path="arrays.fmu", start=arrays)
     scenario = parse(replace(find("academic"), folder=tmp_path))
     with ExitStack() as resources:
-        context = ScenarioBuildContext(scenario, resources)
+        context = BuildContext(scenario, resources)
         kind.build("plant", context)
         with pytest.raises(UsageError, match=r"arrays\.fmu: only numbers .* start values"):
             kind.linear_system("plant", context)
