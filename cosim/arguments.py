@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -206,6 +207,20 @@ def number_argument(name: str, value: object) -> float:
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise UsageError(f"{option(name)}: expected a number, got {quoted(value)}")
     return float(value)
+
+
+def positive_argument(name: str, value: object) -> float:
+    """Return an argument that is a finite number above 0.
+
+    Raises
+    ------
+    UsageError
+        If it is none.
+    """
+    number = number_argument(name, value)
+    if not 0.0 < number < math.inf:
+        raise UsageError(f"{option(name)}: expected a finite number > 0, got {number}")
+    return number
 
 
 def truth_argument(name: str, value: object) -> bool:

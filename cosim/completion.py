@@ -44,7 +44,7 @@ def complete_checked(incomplete: str) -> list[str]:
 def complete_kind(incomplete: str) -> list[str]:
     """Return the component kinds that begin so."""
     from cosim.scenario.kinds import KINDS
-    from cosim.scenario.kinds.installed_kinds import installed_classes
+    from cosim.scenario.kinds.user_component import installed_classes
 
     names = dict.fromkeys([*KINDS, *installed_classes()])
     return [name for name in names if name.startswith(incomplete)]
@@ -91,7 +91,7 @@ def complete_failures(incomplete: str) -> list[str]:
 
 def complete_estimators(incomplete: str) -> list[str]:
     """Return ``all`` and the methods of an identifier that begin so, after a comma too."""
-    from cosim.scenario.kinds.methods import METHODS
+    from cosim.scenario.kinds.variants import METHODS
 
     before, comma, begin = incomplete.rpartition(",")
     names = [*METHODS] if comma else ["all", *METHODS]
@@ -101,7 +101,7 @@ def complete_estimators(incomplete: str) -> list[str]:
 def _settings(scenario: Scenario) -> Iterator[str]:
     from cosim.scenario.document.document import short
     from cosim.scenario.document.schema import Settings
-    from cosim.scenario.kinds.parameters import parameters_of
+    from cosim.scenario.kinds import parameters_of
 
     for name, kind in scenario.specs.items():
         for parameter in parameters_of(type(kind)):

@@ -15,6 +15,7 @@ from typing import Final, final
 
 import numpy as np
 
+from cosim.arguments import positive_argument
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS
@@ -23,7 +24,7 @@ from cosim.live.server import LiveServer
 from cosim.log import Log
 from cosim.log.contents.preamble import LOG_TOPIC
 from cosim.scenario.record import Lateness
-from cosim.scenario.running.real_time import BLOCK, RealTimePace, pace_of
+from cosim.scenario.running.real_time import BLOCK, RealTimePace
 
 _LONGEST_SLEEP: Final = 0.05  # s, until it is looked whether playback is to end
 _TOGETHER: Final = 10_000  # messages that are read at once
@@ -91,7 +92,7 @@ class Playback:
         self._check = check
         self._now = now
         self._sleep = sleep
-        factor = pace_of(speed, "speed")
+        factor = positive_argument("speed", speed)
         self._window_ns = max(1, round(BLOCK * factor * NANOSECONDS))
         self._publisher = Publisher(
             self._connection,

@@ -19,6 +19,7 @@ from cosim.arguments import (
     callable_argument,
     mapping_argument,
     path_argument,
+    setting_arguments,
     swap_argument,
     truth_argument,
 )
@@ -40,8 +41,7 @@ from cosim.scenario.document.swaps import (
     port_names,
 )
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
-from cosim.scenario.kinds.variants import foreign_keys
+from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import Progress, Target, check_target
 from cosim.scenario.running.combinations import check_varied, combination_text, combinations
@@ -719,6 +719,8 @@ def replay_sweep(
     window: tuple[float | None, float | None] | None = None,
     components: Sequence[str] | None = None,
     scenario: str | Path | Scenario | None = None,
+    stop: float | None = None,
+    verdicts: bool | None = None,
     out: str | Path | None = None,
     force: bool = False,
     progress: Progress | None = None,
@@ -737,7 +739,7 @@ def replay_sweep(
         are at most 1000 combinations.
     set : mapping of dotted key to value, optional
         What all of them have; not what is varied.
-    swap, map, allow_code, rerun, window, components, scenario
+    swap, map, allow_code, rerun, window, components, scenario, stop, verdicts
         As of :func:`cosim.replay`.
     out : str or Path, optional
         Folder for their logs, ``1.mcap``, ``2.mcap``, ... in the order of the rows; without it
@@ -756,18 +758,19 @@ def replay_sweep(
     """
     callable_argument("progress", progress)
     force = truth_argument("force", force)
-    replays = replays_of(
-        log,
-        set=set,
-        swap=swap,
-        map=map,
-        allow_code=allow_code,
-        rerun=rerun,
-        window=window,
-        components=components,
-        scenario=scenario,
-    )
-    return sweep_of(replays, vary, out=out, force=force, progress=progress)
+    with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
+        replays = replays_of(
+            log,
+            set=changes,
+            swap=swap,
+            map=map,
+            allow_code=allow_code,
+            rerun=rerun,
+            window=window,
+            components=components,
+            scenario=scenario,
+        )
+        return sweep_of(replays, vary, out=out, force=force, progress=progress)
 
 
 def sweep_of(

@@ -48,7 +48,7 @@ from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.environment import environment_changes
 from cosim.log.contents.layout import signals_json
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
-from cosim.scenario.building.settings import recorded_designs as settings_designs
+from cosim.scenario.building.actions import recorded_designs as settings_designs
 from cosim.scenario.record import (
     EIGENVALUE_FIGURES,
     component_metadata,

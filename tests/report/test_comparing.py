@@ -14,7 +14,7 @@ from cosim.report.plots.runs import plot_comparison
 from cosim.report.summary import summarize
 from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.methods import METHODS
+from cosim.scenario.kinds.variants import METHODS
 from cosim.scenario.running import replay
 from cosim.scenario.running.replay import LogReplays
 from tests.scenario.field_recordings import BOTH, LOOP, field_log

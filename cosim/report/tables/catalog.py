@@ -28,7 +28,7 @@ def print_catalog(*, as_json: bool) -> None:
     from cosim.scenario.document.document import find, shipped
     from cosim.scenario.document.schema import ActionTable, ModelTable, RecordTable, Settings
     from cosim.scenario.kinds import KINDS
-    from cosim.scenario.kinds.installed_kinds import installed_classes, refusal
+    from cosim.scenario.kinds.user_component import installed_classes, refusal
 
     scenarios = {}
     for name in shipped():
@@ -77,7 +77,7 @@ def print_kind(name: str, *, as_json: bool) -> None:
         If there is no such kind.
     """
     from cosim.scenario.kinds import KINDS
-    from cosim.scenario.kinds.installed_kinds import installed_class, installed_classes
+    from cosim.scenario.kinds.user_component import installed_class, installed_classes
 
     names = dict.fromkeys([*KINDS, *installed_classes()])
     if name not in names:
@@ -109,7 +109,7 @@ def _plain(kind: type[Kind]) -> dict[str, Any]:
 
 def _parameters(table: type[Any]) -> dict[str, Any]:
     """Return the keys of a table as JSON shows them."""
-    from cosim.scenario.kinds.parameters import parameters_of
+    from cosim.scenario.kinds import parameters_of
 
     entries = [asdict(parameter) for parameter in parameters_of(table)]
     return {entry.pop("name"): entry for entry in entries}

@@ -15,8 +15,7 @@ from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.changed_loops import changed_loops
-from cosim.scenario.building.coupling import CouplingReport, report_behind, report_on
+from cosim.scenario.building.coupling import CouplingReport, coupling_reports
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.document.places import Problem
 from cosim.scenario.kinds.build_record import DependsOnInvalid
@@ -131,8 +130,7 @@ class Beginning:
         loops = self._linearized
         if loops is None or self._row is None:
             return []
-        changes = changed_loops(self._experiment, loops, self._row)
-        return [report_on(loops, self._experiment.scenario), *map(report_behind, changes)]
+        return coupling_reports(self._experiment, loops, self._row)
 
     def resolution(self) -> Resolution:
         """Return whether the step resolves the model, after a check that is fulfilled."""

@@ -14,8 +14,7 @@ from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.building.build import Builder
 from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identification_source import IdentifierSource
-from cosim.scenario.kinds.identification_start import start_time
+from cosim.scenario.kinds.identification_source import IdentifierSource, start_time
 from cosim.scenario.kinds.regressor import RegressorDesign
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.excitation import COMPARABLE, describe_excitation, information
@@ -89,7 +88,7 @@ class IdentifierCheck:
         source = self._source
         source.check_step()
         step = self.builder.context.h
-        if not source.regression.known.known:
+        if not source.regression.known.names:
             return "the alphas are signals of the run, interpolated linearly between its points", {
                 "step": step
             }

@@ -3,40 +3,52 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
-from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.connections import Connection
+from cosim.core.clock import Clock, nanoseconds, start_nanoseconds
+from cosim.core.connections import AS_IS, Connection
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
-from cosim.core.port import Port
+from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import declared_channels
+from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface
+from cosim.core.stages.looking_ahead import bound_to_steps
+from cosim.core.stages.substep_control import SubstepTolerance
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
-from cosim.core.structure.connection_checks import check_connections
+from cosim.core.structure.connection_checks import check_connections, unknown_units
 from cosim.core.structure.feedthrough import find_feedthrough
 from cosim.core.structure.ports import Ports, layout_of
-from cosim.errors import AlgebraicLoopError, CosimError, GraphError, RollbackError, UsageError
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.graph_checks import (
-    as_in_run,
-    check_substeps,
-    check_truth,
-    held_disturbances,
-    jump_problems,
-    substep_tolerance,
+from cosim.errors import (
+    AlgebraicLoopError,
+    CosimError,
+    GraphError,
+    LogError,
+    RollbackError,
+    ScenarioError,
+    UsageError,
+    nearest,
+    quoted,
 )
+from cosim.instants import step_seconds
+from cosim.log.contents.metadata import json_table
+from cosim.scenario.building.actions import ActionChecker, condition_problem
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario, read
-from cosim.scenario.building.stopping import check_until, until_warnings
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems
+from cosim.scenario.document.schema import File, Settings
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, clock_of
@@ -52,6 +64,7 @@ from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.models import form_problems
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
+from cosim.units import Unit, conversion
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
@@ -80,6 +93,8 @@ class Builder:
     Attributes
     ----------
     problems : list of Problem
+    context : BuildContext
+        In which the components were built.
     components : mapping of name to Component
         Those that could be built.
     port_maps : mapping of component name to PortMap
@@ -112,37 +127,44 @@ class Builder:
         self.problems = list(problems)
         self._origins = origins
         self._block = block
+        self._replaced = replaced or {}
         invalid = self._check_times()
         self.context = BuildContext(beside or scenario, resources, origins, invalid)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
-        self._replaced = replaced or {}
         self.periods: dict[str, int] = {}
-        self._invalid: set[str] = set()  # components whose connections are not checked
-        self._cause: Exception | None = None  # what the first component raised that was not built
+        self._cause: Exception | None = None  # of the first problem that was raised
+        recording = origins.recording
+        self._declared: Mapping[str, Channel] = {}  # all that a recorded run had
+        if recording is not None:
+            self._declared = declared_channels(recording.channels)
         self._check_models()
+        self._wrong: set[str] = set()  # components with problems that do not stop their build
         for name, interface in self._replaced.items():
             entries = scenario.maps.get(name, [])
             self.problems += unknown_ports(scenario.tree, entries, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
         self._drop_repeated_problems()
-        self._invalid |= self._names() - self.components.keys()
         self._connections: Mapping[Port, Connection] = scenario.connections
-        if origins.recording is not None:  # with the conversions of its run
-            self._connections = as_in_run(scenario.connections, origins.recording, self.components)
+        if recording is not None:  # with the conversions of its run
+            self._connections = as_in_run(scenario.connections, recording, self.components)
         self._check_connections()
         self._truth, truth_problems = check_truth(
             scenario.file, self.components, self._invalid, self.context.warn
         )
         self.problems += truth_problems
-        self._actions: tuple[TimedAction, ...] = ()
-        self._reactions: tuple[ConditionalAction, ...] = ()
-        self._check_actions()
-        self._check_until()
+        self._actions: Sequence[TimedAction] = ()
+        self._reactions: Sequence[ConditionalAction] = ()
+        with suppress(DependsOnInvalid):
+            self._check_actions()
+        with suppress(DependsOnInvalid):
+            self._check_until()
         self._check_record()
+
+    # --- what is known beforehand ---
 
     def _check_times(self) -> set[Key]:
         """Add the problems of the times; return the settings that are then not known."""
@@ -150,8 +172,8 @@ class Builder:
         checks: dict[str, Callable[[], object]] = {
             "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
-            "stop": lambda: clock_of(self.scenario.file.scenario),
-            "substeps": lambda: check_substeps(settings),
+            "stop": lambda: clock_of(settings),
+            "substeps": lambda: substep_tolerance(settings),
         }
         unknown: set[Key] = set()
         for name, check in checks.items():
@@ -163,13 +185,15 @@ class Builder:
                 try:
                     check()
                 except CosimError as error:
+                    unknown.add(key)
                     changes = self.scenario.document.changes
                     is_of_step = "scenario.step" in changes and "scenario.stop" not in changes
+                    text = str(error)
                     if name == "stop" and is_of_step and settings.stop > settings.start_time:
-                        self.problems.append((("scenario", "step"), str(error)))
+                        key = ("scenario", "step")
                     else:
-                        self.problems.append((key, str(error).removeprefix(f"{name}: ")))
-                    unknown.add(key)
+                        text = text.removeprefix(f"{name}: ")
+                    self.problems.append((key, text))
         return unknown
 
     @property
@@ -186,33 +210,44 @@ class Builder:
         except DependsOnInvalid as error:
             raise self.scenario.document.report(self.problems) from error
 
+    def _check_models(self) -> None:
+        for name, table in self.scenario.file.models.items():
+            place: Key = ("models", name)
+            problems = [((*place, key) if key else place, t) for key, t in form_problems(table)]
+            if not problems:
+                try:
+                    self.context.model(name)
+                except (CosimError, ValueError) as error:
+                    problems = [(place, str(error))]
+            if problems:
+                self.problems += problems
+                self.context.invalid.add(place)
+
+    @cached_property
     def _names(self) -> set[str]:
-        """Return the names of all components that the file has, right or wrong."""
+        """The names of all components that the file has, right or wrong."""
         names = set(self.scenario.file.components)
         for table, *entry in self.scenario.invalid:
             if table in ("components", "swap"):
                 names |= set(map(str, entry))
         return names | {unicodedata.normalize("NFC", name) for name in names}
 
-    # --- components ---
+    @property
+    def _invalid(self) -> set[str]:
+        """The components whose signals are not known, or are not those of the run."""
+        return self._wrong | (self._names - self.components.keys())
 
-    def _check_models(self) -> None:
-        for name, table in self.scenario.file.models.items():
-            problems: list[Problem] = []
-            for key, text in form_problems(table):
-                problems.append((("models", name, key) if key else ("models", name), text))
-            if not problems:
-                try:
-                    self.context.model(name)
-                except (CosimError, ValueError) as error:
-                    problems = [(("models", name), str(error))]
-            if problems:
-                self.problems += problems
-                self.context.invalid.add(("models", name))
+    @property
+    def _right(self) -> dict[str, Component]:
+        """The components that could be built, and of which nothing is wrong."""
+        return {name: c for name, c in self.components.items() if name not in self._wrong}
+
+    # --- components ---
 
     def _build(self, name: str, spec: Kind) -> None:
         """Build a component, or add the problem of that."""
         self.context.begin(name)
+        place = ("components", name)
         try:
             component = self._component(name, spec)
             self.components[name] = self._with_period(name, spec, component)
@@ -226,36 +261,12 @@ class Builder:
             self.unknown.add(name)
         except TableProblems as error:
             self._cause = self._cause or error
-            for key, text in error.problems:
-                self.problems.append((("components", name, *key), text))
+            self.problems += [((*place, *key), text) for key, text in error.problems]
         except (CosimError, ValueError) as error:
             self._cause = self._cause or error
-            self.problems.append((("components", name), str(error)))
+            self.problems.append((place, str(error)))
         except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
-            self.problems.append((("components", name), out_of_range(error)))
-
-    def _with_period(self, name: str, spec: Kind, component: Component) -> Component:
-        """Return a component with its sample period, or its recording if it is left out."""
-        period = self.periods[name] = 1
-        if isinstance(spec, PeriodicKind):
-            period = spec.period_steps(name, self.context.step_ns)
-            self.periods[name] = spec.recorded_period(period)
-        if name in self._origins.left_out:
-            component = self._recording_of(name, spec, component, self.periods[name])
-        return spec.with_period(component, period) if isinstance(spec, PeriodicKind) else component
-
-    def _drop_repeated_problems(self) -> None:
-        """Drop what a component says of another that it reads, which says that itself."""
-        known = {(".".join(map(str, key)), text) for key, text in self.problems}
-        read_by = self.context.reads
-        kept = []
-        for key, text in self.problems:
-            others: set[str] = set()
-            if key[:1] == ("components",) and len(key) > 1:
-                others = {*read_by.get(str(key[1]), ())} - {f"components.{key[1]}"}
-            if not any((table, text) in known for table in others):
-                kept.append((key, text))
-        self.problems = kept
+            self.problems.append((place, out_of_range(error)))
 
     def _component(self, name: str, spec: Kind) -> Component:
         recording = self._origins.recording
@@ -273,29 +284,6 @@ class Builder:
         if entries:
             component = self._renamed(name, spec, component, entries)
         return with_units(component, spec.units_of(component.interface))
-
-    def _recording_of(self, name: str, spec: Kind, component: Component, period: int) -> Component:
-        """Return the recording of a component that is left out.
-
-        It was built all the same: others may rest on what it is made of, and the log tells of it.
-
-        Raises
-        ------
-        UsageError
-            If the log lacks one of its outputs.
-        """
-        recording = self._origins.recording
-        assert recording is not None, "only a replay leaves components out"
-        outputs = component.interface.outputs
-        has_samples = isinstance(spec, HasSamples) and any(
-            spec.samples_of(signal.name) for signal in outputs
-        )
-        if has_samples and period > 1:
-            raise UsageError(
-                f"cannot be substituted from the log, which has a row only every {period} "
-                "communication steps and no marks of missing samples; recompute it, too"
-            )
-        return Replay(recording, name)
 
     def _renamed(
         self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
@@ -315,111 +303,106 @@ class Builder:
             text = problems.pop(port, None) or problems.pop(port.whole, None)
             if text is not None:
                 self.problems.append((entry.key, text))
-                self._invalid.add(name)
+                self._wrong.add(name)
         return Renamed(component, self.port_maps[name])
 
-    # --- connections ---
+    def _with_period(self, name: str, spec: Kind, component: Component) -> Component:
+        """Return a component with its sample period, or its recording if it is left out.
+
+        It was built all the same: others may rest on what it is made of, and the log tells of it.
+
+        Raises
+        ------
+        UsageError
+            If it is left out, and the log lacks one of its outputs.
+        """
+        period = self.periods[name] = 1
+        if isinstance(spec, PeriodicKind):
+            period = spec.period_steps(name, self.context.step_ns)
+            self.periods[name] = spec.recorded_period(period)
+        if name in self._origins.left_out:
+            recording = self._origins.recording
+            assert recording is not None, "only a replay leaves components out"
+            outputs = [signal.name for signal in component.interface.outputs]
+            has_samples = isinstance(spec, HasSamples) and any(map(spec.samples_of, outputs))
+            if has_samples and self.periods[name] > 1:
+                raise UsageError(
+                    "cannot be substituted from the log, which has a row only every "
+                    f"{self.periods[name]} communication steps and no marks of missing samples; "
+                    "recompute it, too"
+                )
+            component = Replay(recording, name)
+        return spec.with_period(component, period) if isinstance(spec, PeriodicKind) else component
+
+    def _drop_repeated_problems(self) -> None:
+        """Drop what a component says of another that it reads, which says that itself."""
+        known = {(".".join(map(str, key)), text) for key, text in self.problems}
+        kept = []
+        for key, text in self.problems:
+            others: set[str] = set()
+            if key[:1] == ("components",) and len(key) > 1:
+                others = {*self.context.reads.get(str(key[1]), ())} - {f"components.{key[1]}"}
+            if not any((table, text) in known for table in others):
+                kept.append((key, text))
+        self.problems = kept
+
+    # --- what connects them, and what is said of their signals ---
 
     def _check_connections(self) -> None:
-        components = dict(self.components)
-        for name in self._invalid & components.keys():
-            del components[name]
         invalid = self.scenario.invalid
-        if not components or not invalid.isdisjoint({("components",), ("connections",)}):
+        right = self._right
+        if not right or not invalid.isdisjoint({("components",), ("connections",)}):
             return
-        ports = Ports(layout_of(components))
+        ports = Ports(layout_of(right))
         unread = ports_in(key[1] for key in invalid if key[0] == "connections")
         problems = check_connections(ports, self._connections, self._invalid, unread)
         for to, text in problems.items():
             origin = self.scenario.implied.get(to, to)
+            key = ("connections", str(origin))
             if origin is None:
                 where = "" if str(to) in text else f"'{to}': "
                 self.problems.append((("components", to.component), where + text))
-                self._invalid.add(to.component)
-            elif origin == to or origin not in problems:  # else told of what it follows from
-                self._add_connection_problem(to, origin, text)
-
-    def _add_connection_problem(self, to: Port, origin: Port, text: str) -> None:
-        key = ("connections", str(origin))
-        if key in self.scenario.invalid:
-            return
-        if origin != to:
-            text += f"; '{to}' has the source of '{origin}' by default"
-        self.problems.append((key, text))
-
-    def _check_until(self) -> None:
-        """Add the problem of the condition that ends the run."""
-        until = self.scenario.file.scenario.until
-        known = {name: c for name, c in self.components.items() if name not in self._invalid}
-        if until is None or not known:
-            return
-        unknown = self._names() - known.keys()
-        try:
-            step_ns = self.context.step_ns
-        except DependsOnInvalid:
-            return
-        self.problems += check_until(until, known, unknown, step_ns)
-
-    def _check_record(self) -> None:
-        """Add the problem of what is chosen to be recorded, where all components are known."""
-        selection = self.scenario.file.record.selection
-        key = ("record", "signals")
-        if selection.signals is None or self._invalid or not self.components:
-            return
-        channels = {c.name: c for c in layout_of(self.components).channels}
-        try:
-            chosen_signals(channels, selection, beside=self._declared)
-        except UsageError as error:
-            self.problems.append((key, str(error).removeprefix("the run: ")))
-
-    @property
-    def _declared(self) -> Mapping[str, Channel]:
-        return (
-            {}
-            if self._origins.recording is None
-            else declared_channels(self._origins.recording.channels)
-        )
-
-    def _settings(self) -> dict[tuple[int, str], Action]:
-        """Return what sets parameters, by time [ns] and component."""
-        settings: dict[tuple[int, str], Action] = {}
-        for timed in self._actions:
-            time_ns = self.clock.grid.stamp(timed.index)
-            for name in timed.action.variants:
-                settings[time_ns, name] = timed.action
-        for reaction in self._reactions:
-            for action in reaction.actions:
-                for name in action.variants:
-                    settings[AT_CONDITION, name] = action
-        return settings
+                self._wrong.add(to.component)
+            elif origin == to and key not in invalid:
+                self.problems.append((key, text))
+            elif origin not in problems and key not in invalid:  # else told of that one
+                text += f"; '{to}' has the source of '{origin}' by default"
+                self.problems.append((key, text))
 
     def _check_actions(self) -> None:
         """Check the actions; a replay follows those that were recorded."""
         if not self.scenario.actions or self._origins.recording is not None:
             return
-        from cosim.scenario.building.acting import ActionChecker
-        from cosim.scenario.building.settings import SettingBuilder
-        from cosim.scenario.building.timed_swaps import SwapBuilder
-
-        known = {name: c for name, c in self.components.items() if name not in self._invalid}
-        try:
-            clock = self.context.clock
-        except DependsOnInvalid:
-            return
-        settings = None
-        swaps = None
-        if not self._origins.describes:
-            swaps = SwapBuilder(self.scenario, self.context, known)
-            settings = SettingBuilder(self.scenario, self.context, known)
-        connections = self.scenario.connections
-        unknown = self._names() - known.keys()
         checker = ActionChecker(
-            known, connections, unknown, clock=clock, settings=settings, swaps=swaps
+            self.scenario, self.context, self._right, self._names - self._right.keys()
         )
-        checker.check(self.scenario.actions)
         self.problems += checker.problems
-        self._actions = tuple(checker.timed)
-        self._reactions = tuple(checker.reactions)
+        self._actions = checker.timed
+        self._reactions = checker.reactions
+
+    def _check_until(self) -> None:
+        """Add the problem of the condition that ends the run."""
+        until = self.scenario.file.scenario.until
+        right = self._right
+        if until is None or not right:
+            return
+        unknown = self._names - right.keys()
+        problem = condition_problem(until, right, unknown, self.context.step_ns)
+        if problem is not None:
+            self.problems.append((("scenario", "until"), problem))
+
+    def _check_record(self) -> None:
+        """Add the problem of what is chosen to be recorded, where all components are known."""
+        selection = self.scenario.file.record.selection
+        if selection.signals is None or self._invalid or not self.components:
+            return
+        channels = {channel.name: channel for channel in layout_of(self.components).channels}
+        try:
+            chosen_signals(channels, selection, beside=self._declared)
+        except UsageError as error:
+            self.problems.append((("record", "signals"), str(error).removeprefix("the run: ")))
+
+    # --- the graph ---
 
     def check(self) -> None:
         """Check that everything could be built.
@@ -430,8 +413,12 @@ class Builder:
             With every problem of the file.
         """
         if self.problems:
-            problems = [*self.problems, *self.graph_problems()]
-            raise self.scenario.document.report(problems) from self._cause
+            raise self._report([*self.problems, *self.graph_problems()])
+
+    def _report(self, problems: Iterable[Problem]) -> ScenarioError:
+        error = self.scenario.document.report(problems)
+        error.__cause__ = self._cause
+        return error
 
     def graph_problems(self) -> list[Problem]:
         """Return the problems of the graph as a whole, where all that it is made of is right."""
@@ -442,118 +429,61 @@ class Builder:
         if self._invalid or is_known or is_unknown:
             return self._loop_problems()
         try:
-            graph = self._graph()
+            return jump_problems(self.scenario, self._graph)
         except CosimError as error:
+            self._cause = self._cause or error
             return self._problems_of(error)
-        return jump_problems(self.scenario, graph)
 
     def _loop_problems(self) -> list[Problem]:
         """Return the problems of algebraic loops among what is right, where not all of it is."""
-        known = {n: c.interface for n, c in self.components.items() if n not in self._invalid}
+        right = self._right
+        interfaces = {name: component.interface for name, component in right.items()}
         sources: dict[str, dict[str, tuple[Port, ...]]] = {}
-        for name, interface in known.items():
+        for name, interface in interfaces.items():
             sources[name] = {signal.name: () for signal in interface.inputs}
-        ports = Ports(layout_of({name: self.components[name] for name in known}))
+        ports = Ports(layout_of(right))
         for to, connection in self._connections.items():
             with suppress(GraphError):  # which is told of the connection
                 signal = ports.input(to).port.signal
                 outputs = [ports.output(source).port for source in connection.sources]
                 sources[to.component][signal] += tuple(outputs)
         try:
-            find_feedthrough(known, sources, iterates=True)
+            find_feedthrough(interfaces, sources, iterates=True)
         except AlgebraicLoopError as error:
-            return [_problem_of(error)]
+            return self._problems_of(error)
         return []
 
-    def experiment(self) -> Experiment:
-        """Return the experiment.
+    def _problems_of(self, error: CosimError) -> list[Problem]:
+        """Return what is wrong with a graph, and why FMUs cannot go back where that matters."""
+        name, _, text = str(error).partition(": ")
+        problems: list[Problem] = [(("connections",), str(error))]
+        if name in ("coupling", "iterations", "substeps"):
+            problems = [(("scenario", name), text)]
+        if isinstance(error, RollbackError):
+            for name, fmu in self.context.fmus.items():
+                if fmu.unsaved:
+                    problems.append((("components", name), fmu.unsaved))
+        return problems
 
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file.
-        """
-        self.check()
-        graph = self.graph()
-        jumps = jump_problems(self.scenario, graph)
-        if jumps:
-            raise self.scenario.document.report(jumps)
-        self._warn(graph)
-        return Experiment(
-            self.scenario,
-            graph,
-            self.clock,
-            self.context,
-            truth=self._truth,
-            port_maps=self.port_maps,
-            identified=self._judged(graph),
-            given_states=self.given_states,
-            actions=self._actions,
-            reactions=self._reactions,
-            until=self.scenario.file.scenario.until,
-            settings=self._settings(),
-            recorded=self._recorded_names(),
-            declared=self._declared,
-        )
-
-    def _judged(self, graph: Graph) -> dict[str, IdentifiedPlant]:
-        """Return what estimates are judged by, where all is here that this rests on."""
-        judged = {}
-        for name, plant in self.context.identified.items():
-            sources = (name, plant.observer, plant.regressor)
-            here = [source for source in sources if source in graph.components]
-            if len(here) == len(sources) and all(map(self._has_all_inputs, here)):
-                judged[name] = plant
-        return judged
-
-    def _has_all_inputs(self, name: str) -> bool:
-        """Return whether a component has all its inputs; one that is copied may have less."""
-        declared = self._declared.get(name) if name in self._recorded_names() else None
-        inputs = self.components[name].interface.input_names
-        return declared is None or declared.interface.input_names <= inputs
-
-    def _recorded_names(self) -> tuple[str, ...]:
-        """Return the components that are taken from the recording."""
-        specs = self.scenario.specs.items()
-        return tuple(
-            name for name, spec in specs if self._origins.copies(name, computable=spec.computable)
-        )
-
-    def _warn(self, graph: Graph) -> None:
-        """Record the warnings of the components, knowing what drives them, and of the graph."""
-        for name, left_out in self.scenario.unfollowed.items():
-            self.context.warn(
-                name,
-                f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
-                "[truth] compares with need not be true of the data",
-            )
-        for recorded in self.scenario.recorded_inputs:
-            self.context.warn(recorded.port.component, recorded.text())
+    @cached_property
+    def _graph(self) -> Graph:
+        settings = self.scenario.file.scenario
+        again = self._origins.fmus_again
+        means = []  # whose inputs with one value over a step get their mean, as in a run of old
         for name, spec in self.scenario.specs.items():
-            for text in self.advice(name, spec, graph):
-                self.context.warn(name, text)
-        for name, fmu in self.context.fmus.items():
-            if name in graph.components:  # not a plant that an action puts in its place later
-                graph.wire(name)
-            for text in fmu.component.notes:
-                self.context.warn(name, text)
-        keys = ["until"] if self.scenario.file.scenario.until is not None else []
-        keys += ["when"] if self._reactions else []
-        held_inputs = held_disturbances(self.scenario, graph, self.clock.step_ns)
-        others = [*held_inputs, *until_warnings(keys, graph)]
-        if graph.substeps is not None and not graph.substep_controls:
-            text = "there is no loop that takes any, so that they change nothing"
-            others.append(("scenario.substeps", text))
-        for name, text in (*graph.warnings, *others):
-            self.context.warn(name, text)
-
-    def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
-        """Return the warnings of a component that knows what drives it."""
-        if not isinstance(spec, Advising):
-            return []
-        inputs = self.components[name].interface.input_columns()
-        held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
-        return spec.advice(name, self.context, held=held, h=self.clock.h)
+            if asks_for_means(spec) or (name in again and again[name].means):
+                means.append(name)
+        return Graph(
+            self.components,
+            self._connections,
+            coupling=settings.coupling,
+            iterations=settings.iterations,
+            input_interpolation=settings.input_interpolation,
+            means=means,
+            periods=self.periods,
+            substeps=substep_tolerance(settings),
+            threads=settings.threads,
+        )
 
     def graph(self) -> Graph:
         """Return the graph of the components; what is wrong beside them does not matter.
@@ -564,54 +494,117 @@ class Builder:
             If one of them cannot be built, with every problem of the file; or they do not fit
             together.
         """
-        if not self.scenario.specs.keys() <= self.components.keys() - self._invalid:
-            raise self.scenario.document.report(self.problems) from self._cause
+        if not self.scenario.specs.keys() <= self._right.keys():
+            raise self._report(self.problems)
         try:
-            return self._graph()
+            return self._graph
         except CosimError as error:
             raise self.scenario.document.report(self._problems_of(error)) from error
 
-    def _problems_of(self, error: CosimError) -> list[Problem]:
-        """Return what is wrong with a graph, and why FMUs cannot go back where that matters."""
-        problems = [_problem_of(error)]
-        if isinstance(error, RollbackError):
-            for name, fmu in self.context.fmus.items():
-                if fmu.unsaved:
-                    problems.append((("components", name), fmu.unsaved))
-        return problems
+    def experiment(self) -> Experiment:
+        """Return the experiment.
 
-    def _graph(self) -> Graph:
-        settings = self.scenario.file.scenario
-        specs = self.scenario.specs
-        return Graph(
-            self.components,
-            self._connections,
-            coupling=settings.coupling,
-            iterations=settings.iterations,
-            input_interpolation=settings.input_interpolation,
-            means=[name for name, spec in specs.items() if self._gets_means(name, spec)],
-            periods=self.periods,
-            substeps=substep_tolerance(settings),
-            threads=settings.threads,
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file.
+        """
+        problems = [*self.problems, *self.graph_problems()]
+        if problems:
+            raise self._report(problems)
+        graph = self._graph
+        for name, text in self._warnings(graph):
+            self.context.warn(name, text)
+        specs = self.scenario.specs.items()
+        copies = self._origins.copies
+        recorded = tuple(n for n, spec in specs if copies(n, computable=spec.computable))
+        clock = self.clock
+        performed = [(clock.grid.stamp(timed.index), timed.action) for timed in self._actions]
+        for reaction in self._reactions:
+            performed += [(AT_CONDITION, action) for action in reaction.actions]
+        settings: dict[tuple[int, str], Action] = {}
+        for time_ns, action in performed:
+            settings |= {(time_ns, name): action for name in action.variants}
+        return Experiment(
+            self.scenario,
+            graph,
+            clock,
+            self.context,
+            truth=self._truth,
+            port_maps=self.port_maps,
+            identified=self._judged(recorded),
+            given_states=self.given_states,
+            actions=tuple(self._actions),
+            reactions=tuple(self._reactions),
+            until=self.scenario.file.scenario.until,
+            settings=settings,
+            recorded=recorded,
+            declared=self._declared,
         )
 
-    def _gets_means(self, name: str, spec: Kind) -> bool:
-        """Return whether inputs with one value over a step get their mean, as in a run of old."""
-        again = self._origins.fmus_again.get(name)
-        return asks_for_means(spec) or (again is not None and again.means)
+    def _judged(self, recorded: Sequence[str]) -> dict[str, IdentifiedPlant]:
+        """Return what estimates are judged by, where all is here that this rests on.
+
+        One that is copied may have less inputs than it had.
+        """
+        judged = {}
+        for identifier, plant in self.context.identified.items():
+            for name in (identifier, plant.observer, plant.regressor):
+                if name not in self.components:
+                    break
+                inputs = self.components[name].interface.input_names
+                declared = self._declared.get(name) if name in recorded else None
+                if declared is not None and not declared.interface.input_names <= inputs:
+                    break
+            else:
+                judged[identifier] = plant
+        return judged
+
+    def _warnings(self, graph: Graph) -> Iterator[tuple[str, str]]:
+        """Yield the warnings of the components, knowing what drives them, and of the graph."""
+        scenario = self.scenario
+        for name, left_out in scenario.unfollowed.items():
+            text = (
+                f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
+                "[truth] compares with need not be true of the data"
+            )
+            yield name, text
+        for recorded in scenario.recorded_inputs:
+            yield recorded.port.component, recorded.text()
+        for name, spec in scenario.specs.items():
+            for text in self.advice(name, spec, graph):
+                yield name, text
+        for name, fmu in self.context.fmus.items():
+            if name in graph.components:  # not a plant that an action puts in its place later
+                graph.wire(name)
+            for text in fmu.component.notes:
+                yield name, text
+        yield from graph.warnings
+        yield from held_disturbances(scenario, graph)
+        keys = ["until"] if scenario.file.scenario.until is not None else []
+        keys += ["when"] if self._reactions else []
+        for name in bound_to_steps(graph) if keys else ():
+            text = (
+                f"cannot go back from behind the row where {' or '.join(map(repr, keys))} comes "
+                "true, so that the run advances by single steps, which takes longer"
+            )
+            yield name, text
+        if graph.substeps is not None and not graph.substep_controls:
+            text = "there is no loop that takes any, so that they change nothing"
+            yield "scenario.substeps", text
+
+    def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
+        """Return the warnings of a component that knows what drives it."""
+        if not isinstance(spec, Advising):
+            return []
+        inputs = self.components[name].interface.input_columns()
+        held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
+        return spec.advice(name, self.context, held=held, h=self.clock.h)
 
 
 def asks_for_means(spec: Kind) -> bool:
     """Return whether inputs with one value over a step get their mean, whatever drives them."""
     return getattr(spec, "input_interpolation", None) == "linear"
-
-
-def _problem_of(error: CosimError) -> Problem:
-    """Return what is wrong with a graph as a problem of the key that it is about."""
-    name, _, text = str(error).partition(": ")
-    if name in ("coupling", "iterations", "substeps"):
-        return ("scenario", name), text
-    return ("connections",), str(error)
 
 
 def out_of_range(error: Exception) -> str:
@@ -674,3 +667,235 @@ def describe(document: Document) -> DescribedScenario:
         graph = None if builder.unknown else builder.experiment().graph
         metadata = builder.context.metadata
         return DescribedScenario(scenario, builder.clock, builder.components, graph, metadata)
+
+
+_HELD_IN_LOOP: Final = (
+    "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold, on the "
+    "mean {delay:g} s late: an error of first order in the step, which no identifier has in its "
+    "model; needed a small step"
+)
+
+
+def substep_tolerance(settings: Settings) -> SubstepTolerance | None:
+    """Return the tolerance of substeps; None: there are none.
+
+    Raises
+    ------
+    ClockError, GraphError
+        If a value of the table is refused, or a step cannot be divided.
+    """
+    table = settings.substeps
+    if table is None:
+        return None
+    tolerance = SubstepTolerance(table.rtol, table.atol, nanoseconds(table.min))
+    tolerance.finest_level(Clock.step_of(settings.step))
+    return tolerance
+
+
+# --- signals between components ---
+
+
+def jump_problems(scenario: Scenario, graph: Graph) -> list[Problem]:
+    """Return the problems of inputs that must not jump."""
+    problems: list[Problem] = []
+    for to, connection in scenario.connections.items():
+        way_out = scenario.specs[to.component].continuous_inputs.get(to.signal)
+        if way_out is None:
+            continue
+        for source in connection.sources:
+            jumping = graph.jumps(source)
+            if not jumping:
+                continue
+            jumps = "is discrete and jumps"
+            if source.whole not in jumping:
+                jumps = f"jumps with {', '.join(map(str, jumping))} (direct feedthrough)"
+            text = (
+                f"{to.signal} '{source}' {jumps}; linear interpolation would turn the jump into a "
+                f"ramp over one step; {way_out}"
+            )
+            problems.append((("components", to.component), text))
+    return problems
+
+
+def held_disturbances(scenario: Scenario, graph: Graph) -> Iterator[tuple[str, str]]:
+    """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
+    if graph.input_interpolation not in (None, "linear"):
+        return
+    delay = 0.5 * step_seconds(Clock.step_of(scenario.file.scenario.step))
+    for stage in graph.stages:
+        loop = {member.name for member in stage.members}
+        for to, connection in graph.connections.items():
+            if to.component not in loop:
+                continue
+            end = graph.ports.input(to)
+            first = end.columns.start - end.channel.inputs.start
+            if not graph.held[to.component][first : first + end.size].any():
+                continue
+            for source in connection.sources:
+                name = source.component
+                if name not in loop:
+                    continue
+                inputs = graph.components[name].interface.input_names
+                if not inputs.isdisjoint(scenario.specs[name].continuous_inputs):
+                    yield name, _HELD_IN_LOOP.format(source=source, to=to, delay=delay)
+
+
+# --- truths ---
+
+
+def check_truth(
+    file: File,
+    components: Mapping[str, Component],
+    missing: Set[str],
+    warn: Callable[[str, str], None],
+) -> tuple[dict[str, Any], list[Problem]]:
+    """Return the truths that can be compared, and the problems of the others.
+
+    A swapped component need not have the signals that only the report asks for.
+
+    Parameters
+    ----------
+    file : File
+    components : mapping of name to Component
+    missing : set of names
+        Of components that are not right: truths with their signals are not checked.
+    warn : callable
+        Called with the truths that a swap leaves out, as (component, text).
+    """
+    kept: dict[str, Any] = {}
+    problems: list[Problem] = []
+    signals = {name: component.interface.by_name for name, component in components.items()}
+    for estimate, truth in file.truth.items():
+        try:
+            ports = [Port.parse(text) for text in (estimate, *named_ports(truth))]
+            if not missing.isdisjoint(port.component for port in ports):
+                continue
+            units = []
+            for port in ports:
+                match = port.find(signals.get(port.component, {}))
+                if match is None:
+                    break
+                signal, elements = match
+                units.append(signal.measures_of(elements))
+            else:
+                _check_units(ports, units, truth, warn)
+                kept[estimate] = truth
+                continue
+            if port.component not in file.swap:
+                names: list[str] = []
+                for name, own in signals.items():
+                    names += [f"{name}.{signal_name}" for signal_name in own]
+                raise GraphError(f"unknown signal {str(port)!r}; {nearest(str(port), names)}")
+            warn(port.component, f"has no {str(port)!r}: the report leaves out {estimate!r}")
+        except GraphError as error:
+            problems.append((("truth", estimate), str(error)))
+    return kept, problems
+
+
+def _check_units(
+    ports: Sequence[Port],
+    units: Sequence[Sequence[Unit]],
+    truth: Any,
+    warn: Callable[[str, str], None],
+) -> None:
+    """Check that an estimate has the size of its truth, and units that this can be converted to.
+
+    Warn where nobody can say.
+
+    Parameters
+    ----------
+    ports : sequence of Port
+        The estimate, and the signals of its truth; none: that is numbers.
+    units : sequence of sequence of Unit
+        Of their elements.
+    truth : number, str or tuple
+    warn : callable
+
+    Raises
+    ------
+    GraphError
+        If it has not.
+    """
+    estimate, *true_ports = ports
+    estimated, *true_units = units
+    true_size = sum(map(len, true_units)) if true_ports else len(np.atleast_1d(truth))
+    if len(estimated) != true_size:
+        shown_truth = list(truth) if isinstance(truth, tuple) else truth
+        raise GraphError(
+            f"'{estimate}' has size {len(estimated)}, its true value {shown_truth!r} has size "
+            f"{true_size}"
+        )
+    beside = iter(estimated)
+    for port, own in zip(true_ports, true_units, strict=True):
+        for unit, true_unit in dict.fromkeys(zip(islice(beside, len(own)), own, strict=True)):
+            if conversion(true_unit, unit) is None:
+                raise GraphError(
+                    f"'{estimate}' has unit {unit.name!r}, its true value '{port}' has unit "
+                    f"{true_unit.name!r}; expected compatible units"
+                )
+            if unknown := unknown_units(true_unit, unit):
+                warn(
+                    estimate.component,
+                    f"{estimate}, its truth {port}: {unknown}, so values in {true_unit.name!r} "
+                    f"are taken as {unit.name!r}, as they are",
+                )
+
+
+# --- replays ---
+
+
+def as_in_run(
+    connections: Mapping[Port, Connection],
+    recording: Recording,
+    components: Mapping[str, Component],
+) -> dict[Port, Connection]:
+    """Return the connections of a replay, ``unit = "as is"`` where the run converted nothing.
+
+    An earlier version of cosim knew fewer units than this one, and took values in others as they
+    are. Units and connections that are not as they were then are left as they stand.
+
+    Parameters
+    ----------
+    connections : mapping of Port to Connection
+        By input, as the scenario has them.
+    recording : Recording
+    components : mapping of component name to Component
+        As they are built again.
+
+    Raises
+    ------
+    LogError
+        If a recorded connection cannot be understood.
+    """
+    channels = declared_channels(recording.channels)
+    before = {name: channel.interface for name, channel in channels.items()}
+    again = {name: component.interface for name, component in components.items()}
+    recorded = recording.metadata.get("cosim.connections", {})
+    found = dict(connections)
+    for to, connection in connections.items():
+        units = _units(to, connection, before)
+        is_converted = len({unit for unit in units if unit is not None}) > 1
+        if not is_converted or connection.unit is not None or str(to) not in recorded:
+            continue
+        if units != _units(to, connection, again):
+            continue
+        try:
+            values = json_table(recorded[str(to)])
+        except ValueError as error:
+            text = f"recorded connection to {quoted(str(to))}: {error}"
+            raise LogError(f"{recording.label}: {text}") from error
+        if "conversions" not in values and values.get("from") == connection.label:
+            found[to] = replace(connection, source=connection.sources, unit=AS_IS)
+    return found
+
+
+def _units(
+    to: Port, connection: Connection, interfaces: Mapping[str, Interface]
+) -> list[str | tuple[str, ...] | None]:
+    """Return the units of an input and of what drives it, as they are declared."""
+    units = []
+    for port in (to, *connection.sources):
+        interface = interfaces.get(port.component)
+        signal = None if interface is None else interface.by_name.get(port.signal)
+        units.append(None if signal is None else signal.unit)
+    return units

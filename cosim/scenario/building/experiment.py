@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from cosim.core.clock import Clock
+from cosim.core.clock import Clock, exact_nanoseconds
 from cosim.core.contracts import Design
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
+from cosim.instants import step_value
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
@@ -22,28 +25,7 @@ from cosim.scenario.record import ReplayOrigin
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
     from cosim.fmi.binary.messages import Message
-    from cosim.fmi.driving.diagnostics import InputLimits
-
-
-class MessageSource(Protocol):
-    """An opened FMU, as a run sees it beside its component."""
-
-    def terminate(self) -> None:
-        """End the run; raise RunError where the FMU says that it failed."""
-        ...
-
-    def discard(self) -> None:
-        """Forget the messages since the last call of ``drain``; what warns only once may again."""
-        ...
-
-    def drain(self) -> Sequence[Message]:
-        """Return the messages since the last call."""
-        ...
-
-    @property
-    def input_limits(self) -> InputLimits:
-        """What it allows of its inputs."""
-        ...
+    from cosim.fmi.component import Fmu
 
 
 def warnings_among(messages: Mapping[str, Sequence[Message]]) -> list[tuple[str, str]]:
@@ -138,7 +120,7 @@ class Experiment:
         return self.built.metadata
 
     @property
-    def fmus(self) -> Mapping[str, MessageSource]:
+    def fmus(self) -> Mapping[str, Fmu]:
         """What was opened for this run and may have messages."""
         return self.built.fmus
 
@@ -152,3 +134,22 @@ class Experiment:
         """Whether there may be events: actions, those of a recording, outputs that jump."""
         acts = self.events or self.actions or self.reactions
         return bool(acts or self.graph.layout.jumping)
+
+
+def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
+    """Hash everything that the design of a component rests on.
+
+    This is its table, the tables that it read, communication step and substeps, input interpolation
+    and coupling.
+    """
+    settings = scenario.file.scenario
+    tables = {}
+    for dotted in sorted({f"components.{name}", *reads}):
+        table, _, entry = dotted.partition(".")
+        tables[dotted] = scenario.tree.get(table, {}).get(entry)
+    method: list[Any] = [settings.coupling, settings.iterations]
+    if settings.substeps is not None:
+        method.append(settings.substeps.model_dump())
+    step = step_value(exact_nanoseconds(settings.step))
+    values = [tables, step, settings.input_interpolation or "linear", *method]
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -9,17 +9,16 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix
-from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.errors import UsageError, option
 from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.identified_plant import stated_covariance
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.sources import DisturbanceKind
-from cosim.scenario.kinds.stated_noise import stated_covariance
-from cosim.scenario.kinds.terms import FamilyTerm, ValuedTerm
+from cosim.scenario.kinds.terms import FamilyTerm
 
 NOISE_NEEDED: Final = (
     "the noise of y is unknown; expected a sensor with noise that drives the observer directly, "
@@ -49,38 +48,38 @@ def noise_of(
     UsageError
         If nothing says what they are.
     """
-    if given is not None:
-        return _checked_deviations(given), option("noise")
     kind = scenario.specs[identifier]
+    designed = scenario.specs[observer]
     assert isinstance(kind, IdentifierKind)
-    if kind.deviation is not None:
-        return _checked_deviations(kind.deviation), f"{identifier}.deviation"
-    if kind.covariance is not None:
+    assert isinstance(designed, UnknownInputObserverKind)
+    if given is None and kind.deviation is None and kind.covariance is not None:
         covariance = stated_covariance(None, kind.covariance, len(kind.covariance))
         assert covariance is not None
         return covariance, f"{identifier}.covariance"
-    designed = scenario.specs[observer]
-    assert isinstance(designed, UnknownInputObserverKind)
-    if designed.noise is not None:
-        return _checked_deviations(designed.noise), f"{observer}.noise"
+    stated = {
+        option("noise"): given,
+        f"{identifier}.deviation": kind.deviation,
+        f"{observer}.noise": designed.noise,
+    }
+    for source, values in stated.items():
+        if values is not None:
+            deviations = np.atleast_1d(np.asarray(values, np.float64))
+            usable = (deviations > 0.0) & (deviations < math.inf)
+            if deviations.ndim != 1 or not usable.all():
+                raise UsageError(
+                    f"noise: expected positive finite standard deviations, got {values}"
+                )
+            return deviations, source
     return _noise_of_sensor(scenario, observer)
-
-
-def _checked_deviations(given: float | Sequence[float]) -> Matrix:
-    deviations = np.atleast_1d(np.asarray(given, np.float64))
-    usable = (deviations > 0.0) & (deviations < math.inf)
-    if deviations.ndim != 1 or not usable.all():
-        raise UsageError(f"noise: expected positive finite standard deviations, got {given}")
-    return deviations
 
 
 def _noise_of_sensor(scenario: Scenario, observer: str) -> tuple[Matrix, str]:
     """Return the noise of the sensor that drives y directly."""
     to = Port(observer, "y")
-    connection: Connection | None = scenario.connections.get(to)
+    connection = scenario.connections.get(to)
     name = scenario.driver(to)
     kind = None if name is None else scenario.specs.get(name)
-    if connection is None or name is None or not isinstance(kind, SensorKind):
+    if connection is None or not isinstance(kind, SensorKind):
         raise UsageError(f"{NOISE_NEEDED} {option('noise')}")
     if connection.matrix.ndim:
         raise UsageError(
@@ -113,33 +112,25 @@ def parameters_by_term(
     makes = scenario.specs[disturbance]
     assert isinstance(kind, RegressorKind)
     assert isinstance(makes, DisturbanceKind)
-    places = _places(kind.terms, makes.terms)
-    if places is None:
+    left: list[dict[str, Any] | None] = list(map(_shape, makes.terms))
+    places = []
+    for term in kind.terms:
+        if _shape(term) in left:
+            places.append(left.index(_shape(term)))
+            left[places[-1]] = None
+    if not len(places) == len(kind.terms) == len(left):
         raise UsageError(
             f"expected the same alphas and families in {regressor!r} and in {disturbance!r}, the "
             "source of the disturbance, got different terms"
         )
-    return [_values(makes.terms[place]) for place in places], places
-
-
-def _places(terms: Sequence[FamilyTerm], others: Sequence[FamilyTerm]) -> list[int] | None:
-    """Return which of the other terms each term is; None: they differ."""
-    left = list(range(len(others)))
-    places = []
-    for term in terms:
-        same = [place for place in left if _shape(others[place]) == _shape(term)]
-        if not same:
-            return None
-        left.remove(same[0])
-        places.append(same[0])
-    return None if left else places
+    parameters = []
+    for place in places:
+        theta = makes.terms[place].theta
+        values = () if theta is None else theta
+        parameters.append(np.atleast_1d(np.asarray(values, np.float64)).tolist())
+    return parameters, places
 
 
 def _shape(term: FamilyTerm) -> dict[str, Any]:
     """Return what a term has without its parameters and constants."""
     return {key: getattr(term, key) for key in FamilyTerm.model_fields}
-
-
-def _values(term: ValuedTerm) -> list[float]:
-    theta = () if term.theta is None else term.theta
-    return [float(value) for value in np.atleast_1d(theta)]

@@ -380,8 +380,7 @@ def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
     kind = table.get("kind")
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
-    from cosim.scenario.kinds.installed_kinds import installed_classes
-    from cosim.scenario.kinds.user_component import InstalledKind
+    from cosim.scenario.kinds.user_component import InstalledKind, installed_classes
 
     if isinstance(kind, str) and kind in foreign:
         return InstalledKind

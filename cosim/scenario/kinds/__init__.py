@@ -78,7 +78,14 @@ More bases, in :mod:`cosim.scenario.kinds.base`:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
 from cosim.lazy import LazyMapping
+from cosim.scenario.document.problems import table_in
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, LinearKind
 
 KINDS = LazyMapping[type[Kind]](
@@ -90,23 +97,23 @@ KINDS = LazyMapping[type[Kind]](
         "sine": "sources.SineKind",
         "chirp": "sources.ChirpKind",
         "expression": "sources.ExpressionKind",
-        "table": "sources.TableKind",
+        "table": "tables.TableKind",
         "noise": "sources.NoiseKind",
         "disturbance": "sources.DisturbanceKind",
-        "sum": "arithmetic.SumKind",
-        "gain": "arithmetic.GainKind",
-        "product": "arithmetic.ProductKind",
-        "limit": "arithmetic.LimitKind",
-        "switch": "arithmetic.SwitchKind",
-        "look-up-table": "look_up.LookUpTableKind",
-        "lag": "dynamics.LagKind",
-        "integrator": "dynamics.IntegratorKind",
-        "transfer-function": "dynamics.TransferFunctionKind",
-        "delay": "dynamics.DelayKind",
-        "sensor": "sensors.SensorKind",
-        "controller": "controllers.ControllerKind",
-        "discrete-state-space": "controllers.DiscreteStateSpaceKind",
-        "pid": "controllers.PidKind",
+        "sum": "parts.SumKind",
+        "gain": "parts.GainKind",
+        "product": "parts.ProductKind",
+        "limit": "parts.LimitKind",
+        "switch": "parts.SwitchKind",
+        "look-up-table": "tables.LookUpTableKind",
+        "lag": "parts.LagKind",
+        "integrator": "parts.IntegratorKind",
+        "transfer-function": "parts.TransferFunctionKind",
+        "delay": "parts.DelayKind",
+        "sensor": "control.SensorKind",
+        "controller": "control.ControllerKind",
+        "discrete-state-space": "control.DiscreteStateSpaceKind",
+        "pid": "control.PidKind",
         "descriptor": "plants.DescriptorKind",
         "fmu": "plants.FmuKind",
         "recording": "plants.RecordingKind",
@@ -119,4 +126,62 @@ KINDS = LazyMapping[type[Kind]](
     },
 )
 
-__all__ = ["KINDS", "BuildContext", "ExportableKind", "Kind", "LinearKind"]
+__all__ = [
+    "KINDS",
+    "BuildContext",
+    "ExportableKind",
+    "Kind",
+    "LinearKind",
+    "Parameter",
+    "parameters_of",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A key of a component's table.
+
+    Parameters
+    ----------
+    name : str
+        ``key.inner`` for a key of a table inside.
+    required : bool
+    default : object
+        None where it is required, or where its description tells what holds without it.
+    description : str
+    """
+
+    name: str
+    required: bool
+    default: Any
+    description: str
+
+
+def parameters_of(table: type[BaseModel]) -> list[Parameter]:
+    """Return the keys of a table, as of a kind, each with those inside it.
+
+    The required ones come first, those that every kind has, or every table, last.
+    """
+    from cosim.scenario.kinds.tables import TableKeys  # rarely needed
+
+    shared = Kind.model_fields.keys() | TableKeys.model_fields.keys()
+    fields = table.model_fields
+
+    def place(name: str) -> int:
+        return 0 if fields[name].is_required() else 1 + (name in shared)
+
+    names = sorted((name for name in fields if name != "kind"), key=place)
+    return [parameter for name in names for parameter in _with_inner(name, table)]
+
+
+def _with_inner(name: str, table: type[BaseModel], prefix: str = "") -> Iterator[Parameter]:
+    """Yield a field of a table, then the fields of the table that it may be."""
+    field = table.model_fields[name]
+    required = field.is_required()
+    default = None if required else field.default
+    key = field.alias or name
+    yield Parameter(prefix + key, required, default, field.description or "")
+    inner = table_in(field.annotation)
+    if inner is not None:
+        for inner_name in inner.model_fields:
+            yield from _with_inner(inner_name, inner, f"{prefix}{key}.")

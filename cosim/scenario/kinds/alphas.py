@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Final, TypeAlias
 
 import numpy as np
@@ -23,8 +24,7 @@ from cosim.native.numerics.expression import Program, compile_expression
 from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.document.schema import TomlTable
 from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.finite_values import check_finite, check_finite_values
-from cosim.scenario.kinds.jumps import check_continuous
+from cosim.scenario.kinds.jumps import check_continuous, check_finite, check_finite_values
 from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal
 
 ALPHA: Final = "alpha"  # the input
@@ -55,25 +55,30 @@ class SignalTable(TomlTable):
         alias="from", description="output, or an element of it"
     )
 
+    @property
+    def port(self) -> Port:
+        """The output, or the element of it."""
+        return Port.parse(self.source)
+
+    @property
+    def element(self) -> Port:
+        """The element that it is."""
+        return replace(self.port, element=self.port.element or 0)
+
 
 TermAlpha: TypeAlias = str | SignalTable
 
 
-def signals_of(alphas: Iterable[TermAlpha]) -> list[Port]:
-    """Return the distinct signals among alphas, in their order.
+def signals_of(alphas: Iterable[TermAlpha]) -> dict[Port, Port]:
+    """Return the distinct signals among alphas, in their order, by the element that they are.
 
     An output that is named as a whole has one element.
     """
-    distinct: dict[tuple[str, str, object], Port] = {}
+    distinct: dict[Port, Port] = {}
     for alpha in alphas:
         if isinstance(alpha, SignalTable):
-            port = Port.parse(alpha.source)
-            distinct.setdefault(_identity(port), port)
-    return list(distinct.values())
-
-
-def _identity(port: Port) -> tuple[str, str, object]:
-    return port.component, port.signal, port.element or 0
+            distinct.setdefault(alpha.element, alpha.port)
+    return distinct
 
 
 def alpha_connections(
@@ -91,7 +96,7 @@ def alpha_connections(
     """
     signals = signals_of(alphas)
     connections = {}
-    for i, source in enumerate(signals):
+    for i, source in enumerate(signals.values()):
         element = i if len(signals) > 1 else None
         follows = None if origin is None else Port(origin, ALPHA, element)
         connection = Connection([source])
@@ -108,12 +113,12 @@ def unchecked(alphas: Sequence[TermAlpha]) -> list[Alpha]:
         If a text is no expression.
     """
     signals = signals_of(alphas)
-    places = {_identity(port): place for place, port in enumerate(signals)}
+    places = list(signals)
     result: list[Alpha] = []
     for number, alpha in enumerate(alphas):
         if isinstance(alpha, SignalTable):
-            place = places[_identity(Port.parse(alpha.source))]
-            result.append(AlphaSignal(str(signals[place]), place))
+            text = str(signals[alpha.element])
+            result.append(AlphaSignal(text, places.index(alpha.element)))
         else:
             with naming(number):
                 result.append(compile_expression(alpha))
@@ -144,85 +149,70 @@ def alphas_of(
     is_alone = len(signals_of(alphas)) == 1
     for number, alpha in enumerate(result):
         with naming(number):
-            _check(alpha, context, way_out)
-        if isinstance(alpha, AlphaSignal):
-            to = Port(name, ALPHA, None if is_alone else alpha.element)
-            result[number] = replace(alpha, lag=context.lag(to))
+            if isinstance(alpha, Program):
+                check_continuous(alpha.text, context.clock, way_out)
+                check_finite(alpha.text, context.clock)
+                continue
+            known = context.known(Port.parse(alpha.text))
+            if known is not None:
+                check_finite_values(alpha.text, known, context.clock)
+        to = Port(name, ALPHA, None if is_alone else alpha.element)
+        result[number] = replace(alpha, lag=context.lag(to))
     return result
 
 
-def _check(alpha: Alpha, context: BuildContext, way_out: str) -> None:
-    """Check that alpha does not jump and is finite, as far as that is known before the run."""
-    if isinstance(alpha, Program):
-        check_continuous(alpha.text, context.clock, way_out)
-        check_finite(alpha.text, context.clock)
-        return
-    known = context.known(Port.parse(alpha.text))
-    if known is not None:
-        check_finite_values(alpha.text, known, context.clock)
-
-
-def known_alphas(alphas: Sequence[Alpha], context: BuildContext) -> KnownAlphas:
-    """Return what is known of alphas before the run."""
-    signals: dict[str, KnownSignal | None] = {}
+def known_functions(alphas: Iterable[Alpha], context: BuildContext) -> dict[str, KnownSignal]:
+    """Return alphas as functions of time by text, as far as they are known before the run."""
+    functions: dict[str, KnownSignal] = {}
     for alpha in alphas:
-        if isinstance(alpha, AlphaSignal):
-            signals[alpha.text] = context.known(Port.parse(alpha.text))
-    return KnownAlphas(alphas, signals)
+        if isinstance(alpha, Program):
+            functions[alpha.text] = partial(_values, alpha)
+            continue
+        known = context.known(Port.parse(alpha.text))
+        if known is not None:
+            functions[alpha.text] = known
+    return functions
 
 
+def _values(alpha: Program, t: Vector) -> Vector:
+    values: Vector = evaluate_at([alpha], t)[:, 0]
+    return values
+
+
+@dataclass(frozen=True, eq=False)
 class KnownAlphas:
     """Alphas as functions of time, as far as they are known before the run.
 
     Parameters
     ----------
     alphas : sequence of Alpha
-    signals : mapping of text to KnownSignal or None
-        Of those that are signals; None: not known.
-
-    Attributes
-    ----------
-    known : list of Alpha
-    unknown : list of AlphaSignal
+    functions : mapping of text to KnownSignal
+        Those that are known.
     """
 
-    def __init__(self, alphas: Sequence[Alpha], signals: Mapping[str, KnownSignal | None]) -> None:
-        self._signals = signals
-        self.known: list[Alpha] = []
-        self.unknown: list[AlphaSignal] = []
-        for alpha in alphas:
-            if isinstance(alpha, AlphaSignal) and signals[alpha.text] is None:
-                self.unknown.append(alpha)
-            else:
-                self.known.append(alpha)
+    alphas: Sequence[Alpha]
+    functions: Mapping[str, KnownSignal]
+
+    @property
+    def unknown(self) -> list[Alpha]:
+        """Those that only the run computes."""
+        return [alpha for alpha in self.alphas if alpha.text not in self.functions]
 
     @property
     def names(self) -> list[str]:
         """Those that are known, as they are written."""
-        return [alpha.text for alpha in self.known]
-
-    @property
-    def each(self) -> list[KnownAlphas]:
-        """Those that are known, one by one."""
-        return [KnownAlphas([alpha], self._signals) for alpha in self.known]
+        return [alpha.text for alpha in self.alphas if alpha.text in self.functions]
 
     @property
     def are_expressions(self) -> bool:
-        """Whether they are, so that there are values before the run and after it."""
-        return all(isinstance(alpha, Program) for alpha in self.known)
+        """Whether those are, so that there are values before the run and after it."""
+        signals = [alpha.text for alpha in self.alphas if isinstance(alpha, AlphaSignal)]
+        return self.functions.keys().isdisjoint(signals)
 
     def __call__(self, t: Vector) -> Matrix:
         """Return the values of those that are known at instants of the run ``(N,)`` [s]."""
-        columns = [self._values(alpha, t) for alpha in self.known]
+        columns = [self.functions[name](t) for name in self.names]
         return np.array(columns, np.float64).reshape(len(columns), len(t)).T
-
-    def _values(self, alpha: Alpha, t: Vector) -> Vector:
-        if isinstance(alpha, Program):
-            values: Vector = evaluate_at([alpha], t)[:, 0]
-            return values
-        known = self._signals[alpha.text]
-        assert known is not None
-        return known(t)
 
 
 @contextmanager

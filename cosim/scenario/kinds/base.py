@@ -126,6 +126,13 @@ class Kind(TomlTable):
         """Return the units that the table declares of the ports of a component."""
         return self.units
 
+    def given(self, *without: str) -> dict[str, Any]:
+        """Return the values of its keys that have one, but of kind, unit and those named."""
+        values = {key: getattr(self, key) for key in type(self).model_fields}
+        for key in ("kind", "unit", *without):
+            del values[key]
+        return {key: value for key, value in values.items() if value is not None}
+
     @property
     def hands_on_lag(self) -> bool:
         """Whether its outputs lag as its inputs do."""

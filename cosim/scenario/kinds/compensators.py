@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.compensator import Compensator, CompensatorOptions
+from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.documents import plain
 from cosim.errors import UsageError
+from cosim.native.estimation.alphas import Alpha, AlphaSignal
+from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.document.schema import (
     Flag,
     Number,
@@ -25,28 +29,17 @@ from cosim.scenario.document.schema import (
     Whole,
     matrix,
 )
+from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext, Kind, PortUnits, unit_of
-from cosim.scenario.kinds.compensator_terms import (
-    ClassTerm,
-    check_constant,
-    check_meaning,
-    internal_model_terms,
-)
+from cosim.scenario.kinds.control import SensorKind
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.plants import PlantKind
-from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.terms import FamilyTerm
 from cosim.scenario.record import Compensation
-from cosim.theory.compensation.design import (
-    CompensatorGains,
-    decay_rate_of,
-    stabilize,
-)
-from cosim.theory.compensation.internal_model import (
-    InternalModel,
-    ParameterBox,
-    internal_model,
-)
+from cosim.theory.compensation.design import CompensatorGains, decay_rate_of, stabilize
+from cosim.theory.compensation.internal_model import InternalModel, ParameterBox, internal_model
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     feedforward,
@@ -57,12 +50,14 @@ from cosim.theory.compensation.state_feedback import (
     weight_matrix,
 )
 from cosim.theory.compensation.transmission_zeros import check_zeros
-from cosim.theory.disturbances.families import Family
+from cosim.theory.disturbances.families import Family, Polynomial
+from cosim.theory.disturbances.linear_family import LinearFamily
 from cosim.theory.observers.observer import StateSpace, delta_rows, realize, realize_averages
 from cosim.theory.plants.descriptor import ReducedSystem, UserCoordinates, state_maps
 from cosim.theory.plants.geometry import without_rounding
 
-LARGEST_ERROR = 0.05
+LARGEST_ERROR: Final = 0.05
+SAMPLES: Final = 1009  # of an alpha that must not vary
 
 
 class CompensatorKind(Kind):
@@ -142,8 +137,15 @@ class CompensatorKind(Kind):
         component = self.compensator(observed, context, gains)
         for problem in _other_parts(name, observed.name, context):
             context.warn(name, f"{problem}: the loop that was certified is one without it")
-        record = self._record(self._regulated(observed.reduced), gains.box)
-        context.add_metadata(name, {"compensation": record})
+        ends = zip(gains.box.lower.tolist(), gains.box.upper.tolist(), strict=True)
+        record = Compensation(
+            self._regulated(observed.reduced),
+            self.internal_model,
+            tuple(ends),
+            self.largest_error,
+            feedforward=self.feedforward,
+        )
+        context.add_metadata(name, {"compensation": plain(record)})
         return component
 
     def compensator(
@@ -190,7 +192,16 @@ class CompensatorKind(Kind):
         """
         reduced = observer_in_loop(name, context).reduced
         plant = regulated_plant(reduced, self._regulated(reduced))
-        return plant, self._state_feedback(plant, reduced)
+        K = _array("K", self.K)
+        Q = _array("Q", self.Q)
+        R = _array("R", self.R)
+        coordinates = reduced.coordinates
+        if coordinates is not None:
+            K = None if K is None else _gain_of_x_a(np.atleast_2d(K), coordinates)
+            if Q is not None:
+                weight = weight_matrix("Q", Q, len(coordinates.X))
+                Q = coordinates.X.T @ weight @ coordinates.X
+        return plant, state_feedback(plant.A, plant.B, K=K, poles=self.poles, Q=Q, R=R)
 
     def gains(self, name: str, context: BuildContext) -> CompensatorGains:
         """Return the gains, and the internal model.
@@ -209,10 +220,22 @@ class CompensatorKind(Kind):
         if context.drivers(Port(name, "r")):
             N = reference_gain(plant, K)
         families = self.families(name, context)
-        model, box = self._model(families, len(plant.C))
+        parameters = list(chain.from_iterable(family.parameters for family in families))
+        if families:
+            model = internal_model(families, len(plant.C))
+            box = self._box(parameters)
+        else:
+            model = InternalModel(np.zeros((0, 0)), (), np.zeros((0, len(plant.C))))
+            box = ParameterBox(np.zeros(0), np.zeros(0))
         decay_rate = None
         if self.internal_model:
-            self._check_internal_model(name, families, context)
+            if not families:
+                raise UsageError(
+                    "internal_model: the disturbance is not described; connect an identifier to "
+                    "theta, give terms, or set internal_model = false"
+                )
+            for signal in ("theta", "standard_error") if parameters else ():
+                _need_driver(name, signal, "internal_model = true", context)
             decay_rate = decay_rate_of(plant, K, self.decay_rate)
             check_zeros(plant, model, box)
             stabilize(plant, K, model, box.center, decay_rate)
@@ -220,37 +243,34 @@ class CompensatorKind(Kind):
             plant=plant, K=K, F=F, N=N, model=model, box=box, decay_rate=decay_rate
         )
 
-    def _state_feedback(self, plant: RegulatedPlant, reduced: ReducedSystem) -> Matrix:
-        K = _array("K", self.K)
-        Q = _array("Q", self.Q)
-        R = _array("R", self.R)
-        coordinates = reduced.coordinates
-        if coordinates is not None:
-            K = None if K is None else _gain_of_x_a(np.atleast_2d(K), coordinates)
-            if Q is not None:
-                weight = weight_matrix("Q", Q, len(coordinates.X))
-                Q = coordinates.X.T @ weight @ coordinates.X
-        return state_feedback(plant.A, plant.B, K=K, poles=self.poles, Q=Q, R=R)
-
-    # --- the internal model ---
-
     def families(self, name: str, context: BuildContext) -> list[Family]:
         """Return the families given, or those of the identifier that drives theta."""
         return [term.family for term in self._class_terms(name, context)]
 
     def _class_terms(self, name: str, context: BuildContext) -> list[ClassTerm]:
-        terms = internal_model_terms(name, self.terms, context)
-        if self.internal_model:
-            check_constant(terms, context.clock)
+        """Return the terms given, or those of the identifier that drives theta; else none.
+
+        Raises
+        ------
+        UsageError
+            If an alpha varies: the internal model is a system with constant coefficients.
+        """
+        driver = context.driver(Port(name, "theta"))
+        terms = []
+        if self.terms is not None:
+            families = [term.generator() for term in self.terms]
+            terms = class_terms(families, unchecked([term.alpha for term in self.terms]))
+        elif driver is not None and isinstance(context.spec(driver), IdentifierKind):
+            terms = _identified_terms(driver, context)
+        for term in terms if self.internal_model else ():
+            if _varies(term.alpha, context.clock):
+                raise UsageError(
+                    f"internal_model: expected constant alphas, got {term.alpha.text!r}; for a "
+                    "time-varying alpha use internal_model = false with feedforward = true"
+                )
         return terms
 
-    def _model(
-        self, families: Sequence[Family], outputs: int
-    ) -> tuple[InternalModel, ParameterBox]:
-        if not families:
-            none = InternalModel(np.zeros((0, 0)), (), np.zeros((0, outputs)))
-            return none, ParameterBox(np.zeros(0), np.zeros(0))
-        parameters = list(chain.from_iterable(family.parameters for family in families))
+    def _box(self, parameters: Sequence[str]) -> ParameterBox:
         rows = self.interval or ()
         if not self.internal_model and self.interval is None:
             rows = tuple((0.0, 0.0) for _ in parameters)
@@ -260,19 +280,7 @@ class CompensatorKind(Kind):
                 f"{', '.join(parameters)}, got {len(rows)}"
             )
         ends: Matrix = np.array(rows, np.float64).reshape(-1, 2)
-        return internal_model(families, outputs), ParameterBox(ends[:, 0], ends[:, 1])
-
-    def _check_internal_model(
-        self, name: str, families: Sequence[Family], context: BuildContext
-    ) -> None:
-        if not families:
-            raise UsageError(
-                "internal_model: the disturbance is not described; connect an identifier to theta, "
-                "give terms, or set internal_model = false"
-            )
-        if any(family.parameters for family in families):
-            for signal in ("theta", "standard_error"):
-                _need_driver(name, signal, "internal_model = true", context)
+        return ParameterBox(ends[:, 0], ends[:, 1])
 
     def _estimates(self, observed: ObserverInLoop, R: Matrix) -> StateSpace:
         """Return the observer from (u, y) to x_a, and to delta where it is fed forward."""
@@ -295,16 +303,8 @@ class CompensatorKind(Kind):
             D.append(system.D[delta])
         return StateSpace(system.A, system.B, np.vstack(C), np.vstack(D))
 
-    def _record(self, regulated: tuple[int, ...], box: ParameterBox) -> dict[str, Any]:
-        intervals = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
-        told = Compensation(
-            regulated,
-            self.internal_model,
-            tuple(intervals),
-            self.largest_error,
-            feedforward=self.feedforward,
-        )
-        return plain(told)
+
+# --- the loop ---
 
 
 class ObserverInLoop(NamedTuple):
@@ -328,27 +328,23 @@ def observer_in_loop(name: str, context: BuildContext) -> ObserverInLoop:
     UsageError
         If there is none, or it is not one that a loop can be proven stable with.
     """
-    observer, kind = _observer(name, context)
-    designed = kind.design(observer, context)
-    if designed.model.constant:
-        raise UsageError(
-            f"expected the design model of {observer!r} linearized at an equilibrium, got one "
-            "with a constant input"
-        )
-    return ObserverInLoop(observer, kind, designed)
-
-
-def _observer(name: str, context: BuildContext) -> tuple[str, UnknownInputObserverKind]:
-    for signal in ("x_a", "x"):
-        driver = context.driver(Port(name, signal))
-        kind = None if driver is None else context.spec(driver)
-        if driver is not None and isinstance(kind, UnknownInputObserverKind):
-            if kind.relinearize:
-                raise UsageError(
-                    f"{driver!r} is relinearized during the run; stability is proven for a fixed "
-                    "observer only; expected relinearize = false"
-                )
-            return driver, kind
+    drivers = [context.driver(Port(name, signal)) for signal in ("x_a", "x")]
+    for observer in filter(None, drivers):
+        kind = context.spec(observer)
+        if not isinstance(kind, UnknownInputObserverKind):
+            continue
+        if kind.relinearize:
+            raise UsageError(
+                f"{observer!r} is relinearized during the run; stability is proven for a fixed "
+                "observer only; expected relinearize = false"
+            )
+        designed = kind.design(observer, context)
+        if designed.model.constant:
+            raise UsageError(
+                f"expected the design model of {observer!r} linearized at an equilibrium, got one "
+                "with a constant input"
+            )
+        return ObserverInLoop(observer, kind, designed)
     raise UsageError(
         "'x_a', or 'x' of a model in the general form, must be driven directly by a component of "
         "kind 'unknown-input-observer': the controller is designed on its design model"
@@ -386,33 +382,26 @@ def _other_parts(name: str, observer: str, context: BuildContext) -> list[str]:
     problems = []
     if context.driver(Port(observer, "u")) != name:
         problems.append(f"something is between its u and the u of {observer!r}")
-    sensor = context.driver(Port(observer, "y"))
-    if sensor is None:
+    measured = context.driver(Port(observer, "y"))
+    if measured is None:
         return [*problems, f"several components drive the y of {observer!r}"]
-    kind = context.spec(sensor)
-    if not isinstance(kind, SensorKind):
-        return problems + _before_plant(name, sensor, observer, context)
-    if kind.delay or kind.jitter or kind.most_in_a_step(sensor, context):
-        problems.append(f"{sensor!r} delays or samples y")
-    measured = context.driver(Port(sensor, "u"))
-    return problems + _before_plant(name, measured, observer, context)
-
-
-def _before_plant(name: str, plant: str | None, observer: str, context: BuildContext) -> list[str]:
-    """Return what is between the compensator and the plant, if it is one, that is measured."""
-    kind = None if plant is None else context.spec(plant)
-    if plant is None or not isinstance(kind, PlantKind):
-        return [f"something is between the plant and the y of {observer!r}"]
-    if kind.follows_inputs and context.driver(Port(plant, "u")) != name:
-        return [f"something is between its u and the u of {plant!r}"]
-    return []
+    kind: Kind | None = context.spec(measured)
+    if isinstance(kind, SensorKind):
+        if kind.delay or kind.jitter or kind.most_in_a_step(measured, context):
+            problems.append(f"{measured!r} delays or samples y")
+        measured = context.driver(Port(measured, "u"))
+        kind = None if measured is None else context.spec(measured)
+    if measured is None or not isinstance(kind, PlantKind):
+        problems.append(f"something is between the plant and the y of {observer!r}")
+    elif kind.follows_inputs and context.driver(Port(measured, "u")) != name:
+        problems.append(f"something is between its u and the u of {measured!r}")
+    return problems
 
 
 def _limits(key: str, given: float | NumberRow | None, none: float, n_u: int) -> Vector:
-    values = none if given is None else given
-    limits = np.array(values, np.float64)
+    limits = np.array(none if given is None else given, np.float64)
     if limits.ndim == 0:
-        limits = np.full(n_u, float(limits))
+        return np.full(n_u, float(limits))
     if len(limits) != n_u:
         raise UsageError(f"{key}: expected one number, or one per input ({n_u}), got {len(limits)}")
     return limits
@@ -420,9 +409,157 @@ def _limits(key: str, given: float | NumberRow | None, none: float, n_u: int) ->
 
 def _array(name: str, given: NumberRow | NumberRows | None) -> Matrix | Vector | None:
     """Return the rows of a matrix, or one row, as an array."""
-    if given is None:
-        return None
-    rows = [row for row in given if isinstance(row, tuple)]
-    if not rows:
-        return np.array(given, np.float64)
-    return matrix(tuple(rows), name)
+    rows = tuple(row for row in given or () if isinstance(row, tuple))
+    if rows:
+        return matrix(rows, name)
+    return None if given is None else np.array(given, np.float64)
+
+
+# --- the disturbance class, and what the theta that drives it is of ---
+
+
+@dataclass(frozen=True, eq=False)
+class ClassTerm:
+    """A term of a disturbance class.
+
+    Parameters
+    ----------
+    label : str
+        For messages, such as ``terms[0] (sine)``.
+    family : Family
+    alpha : Alpha
+    """
+
+    label: str
+    family: Family
+    alpha: Alpha
+
+
+class _TermParameter(NamedTuple):
+    """A parameter of a term of a component: an element of theta."""
+
+    component: str
+    term: ClassTerm
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.name!r} of {self.term.label} of {self.component!r}"
+
+
+def class_terms(families: Sequence[Family], alphas: Sequence[Alpha]) -> list[ClassTerm]:
+    """Return the terms of families and their known factors."""
+    terms = []
+    for i, (family, alpha) in enumerate(zip(families, alphas, strict=True)):
+        terms.append(ClassTerm(f"terms[{i}] ({family.name})", family, alpha))
+    return terms
+
+
+def _identified_terms(identifier: str, context: BuildContext) -> list[ClassTerm]:
+    regression = IdentifierSource(identifier, context).regression
+    return class_terms(regression.families, regression.alphas)
+
+
+def _parameters(component: str, terms: Sequence[ClassTerm]) -> list[_TermParameter]:
+    parameters = []
+    for term in terms:
+        parameters += [_TermParameter(component, term, name) for name in term.family.parameters]
+    return parameters
+
+
+def _taken(source: Port, terms: Sequence[ClassTerm]) -> list[_TermParameter]:
+    """Return the parameters that an output theta, or elements of it, are."""
+    parameters = _parameters(source.component, terms)
+    match source.element:
+        case int(index):
+            return parameters[index : index + 1]
+        case range() as indices:
+            return parameters[indices.start : indices.stop]
+    return parameters
+
+
+def check_meaning(name: str, terms: Sequence[ClassTerm], context: BuildContext) -> None:
+    """Check what the theta of an internal model is of, where identifiers drive it.
+
+    A linear family may be a term of any other in another form, its alpha included, and a parameter
+    may be that of a family which differs in the others: both may be meant, and are said. So may
+    be a term of the identifier that the internal model has not, and does not reject.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is taken as another one, or is of a term whose alpha varies.
+    """
+    sources = context.sources(Port(name, "theta"))
+    identified: dict[str, list[ClassTerm]] = {}
+    taken: list[_TermParameter] = []
+    for source in sources:
+        identifier = source.component
+        if source.signal != "theta" or not isinstance(context.spec(identifier), IdentifierKind):
+            return
+        if identifier not in identified:
+            identified[identifier] = _identified_terms(identifier, context)
+        taken += _taken(source, identified[identifier])
+    own = _parameters(name, terms)
+    if len(own) != len(taken):
+        return  # sizes that differ are refused with the connections
+    for j, (target, parameter) in enumerate(zip(own, taken, strict=True)):
+        _check_parameter(f"theta[{j}]", target, parameter, context)
+    used = {parameter.term for parameter in taken}
+    for identifier, others in identified.items():
+        for other in others:
+            is_made = any(_includes(term.family, other.family) for term in terms)
+            if other in used or (is_made and not _varies(other.alpha, context.clock)):
+                continue
+            context.warn(
+                name,
+                f"{other.label} of {identifier!r} is not in the internal model, which does not "
+                "reject what that term makes",
+            )
+
+
+def _check_parameter(
+    element: str, target: _TermParameter, source: _TermParameter, context: BuildContext
+) -> None:
+    """Check that an element of theta is taken as the parameter that it is.
+
+    Raises
+    ------
+    UsageError
+        If it is taken as another one, or its alpha varies.
+    """
+    origin = f"{element} is {source}"
+    is_any = isinstance(target.term.family, LinearFamily)
+    if _varies(source.term.alpha, context.clock):
+        varying = f"{origin}, whose alpha = {source.term.alpha.text!r} varies"
+        if not is_any:
+            raise UsageError(
+                f"terms: {varying}; the internal model requires a constant alpha; expected a "
+                'term of family = "linear" that describes both together, or internal_model = '
+                "false with feedforward = true"
+            )
+        context.warn(target.component, f"{varying}; {target.term.label} has to make both together")
+        return
+    if target.term.family == source.term.family and target.name == source.name:
+        return
+    as_other = f"{origin}, and is taken as {target}"
+    if not is_any and target.name != source.name:
+        raise UsageError(
+            f"terms: {as_other}; expected the terms of {source.component!r} (the default)"
+        )
+    context.warn(target.component, f"{as_other}; the internal model rejects what that term makes")
+
+
+def _includes(family: Family, other: Family) -> bool:
+    """Return whether a family has all signals of another one, for the same theta."""
+    if isinstance(family, Polynomial) and isinstance(other, Polynomial):
+        return family.degree >= other.degree
+    return family == other
+
+
+def _varies(alpha: Alpha, clock: Clock) -> bool:
+    if isinstance(alpha, AlphaSignal):
+        return True
+    parts = np.arange(SAMPLES) * math.sqrt(2.0) % 1.0  # no period divides them
+    times = clock.start_time + (clock.stop - clock.start_time) * parts
+    values = evaluate_at([alpha], np.asarray(times, np.float64))
+    return bool(np.ptp(values) > 0.0)

@@ -23,7 +23,7 @@ from cosim.blocks.field_data import (
 from cosim.blocks.renaming import Renaming
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit, Signal, samples_of
+from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit, samples_of
 from cosim.errors import UsageError
 from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
@@ -34,7 +34,7 @@ from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.capabilities import DecidedByStep, HasSamples, RenamesMore
 from cosim.scenario.kinds.plants import PlantKind
-from cosim.scenario.kinds.table_keys import TableKeys
+from cosim.scenario.kinds.tables import TableKeys
 from cosim.scenario.kinds.values import StepDependence
 
 MOST_SAMPLES: Final = 1000  # in one communication step
@@ -147,19 +147,24 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
 
     def renamings(self, interface: Interface, given: Sequence[Renaming]) -> Sequence[Renaming]:
         """Add the samples of each renamed output."""
-        most = interface.by_name[SAMPLE_TIMES].size
         outputs = interface.by_name
+        most = outputs[SAMPLE_TIMES].size
         added = []
         for renaming in given:
-            samples = [_samples_behind(source, outputs, most) for source in renaming.sources]
-            sources = tuple(port for port in samples if port is not None)
-            if len(sources) == len(samples):
+            sources = []
+            for source in renaming.sources:
+                signal, elements = source.find(outputs) or (None, range(0))
+                name = "" if signal is None else samples_of(signal.name)
+                if name in outputs:
+                    places = range(elements.start * most, elements.stop * most)
+                    sources.append(Port(source.component, name, places))
+            if len(sources) == len(renaming.sources):
                 port = _samples_shown(renaming.port, most)
-                added.append(Renaming(port, sources, renaming.causality))
+                added.append(Renaming(port, tuple(sources), renaming.causality))
         return [*given, *added]
 
     def build(self, name: str, context: BuildContext) -> Component:
-        data = context.field_data(name, lambda: self._read(name, context))
+        data = self._data(name, context)
         points = context.clock.points
         hold = self.interpolation == "zero-order"
         extrapolate = self.extrapolation == "hold"
@@ -175,7 +180,7 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
                 f"{', '.join(data.discrete)}: between two samples they are neither; "
                 'interpolation = "zero-order" keeps the last one',
             )
-        most = max(data.most_in_a_step(points), self.places or 1)
+        most = self._most(data, points)
         if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(
                 f"{data.source}: expected at most {MOST_SAMPLES} samples per communication step, "
@@ -185,31 +190,28 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
         in_run = (data.t >= points[0]) & (data.t <= points[-1])
         samples = int(np.count_nonzero(data.measured & in_run))
         if samples < FEWEST_SAMPLES and not (hold and len(data.t) < FEWEST_SAMPLES):
-            context.warn(name, self._too_few(data, samples, points))
+            distance = float(np.median(np.diff(data.t))) if len(data.t) > 1 else 0.0
+            text = (
+                f"{data.source}: {samples} of {len(data.t)} samples are within the run, "
+                f"{points[0]:g} s to {points[-1]:g} s, as their median distance is {distance:g} s"
+            )
+            if self.time_unit is None:
+                text += '; are the times in another unit than s? Then time_unit says so, as "ms"'
+            context.warn(name, text)
         context.add_metadata(name, {"samples": samples, "samples_in_a_step": most})
         if data.zero_ns is not None:
             context.add_metadata(name, {"zero_ns": data.zero_ns})
-        end = np.inf if extrapolate else None
-        return FieldRecording(data, most=most, hold=hold, end=end)
-
-    def _too_few(self, data: FieldData, samples: int, points: Vector) -> str:
-        """Return what may be wrong where a run has hardly a sample."""
-        distance = float(np.median(np.diff(data.t))) if len(data.t) > 1 else 0.0
-        text = (
-            f"{data.source}: {samples} of {len(data.t)} samples are within the run, {points[0]:g} "
-            f"s to {points[-1]:g} s, as their median distance is {distance:g} s"
-        )
-        if self.time_unit is None:
-            text += '; are the times in another unit than s? Then time_unit says so, as "ms"'
-        return text
+        return FieldRecording(data, most=most, hold=hold, end=np.inf if extrapolate else None)
 
     def most_in_a_step(self, name: str, context: BuildContext) -> int:
         """Return for how many samples in a communication step there is a place."""
         recorded = context.recorded(name)
         if recorded is not None and SAMPLE_TIMES in recorded.by_name:
             return recorded.by_name[SAMPLE_TIMES].size
-        data = context.field_data(name, lambda: self._read(name, context))
-        return max(data.most_in_a_step(context.clock.points), self.places or 1)
+        return self._most(self._data(name, context), context.clock.points)
+
+    def _most(self, data: FieldData, points: Vector) -> int:
+        return max(data.most_in_a_step(points), self.places or 1)
 
     @property
     def _is_mcap(self) -> bool:
@@ -235,22 +237,25 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
                 fields[port.name] = [port.name]
         return fields
 
-    def _read(self, name: str, context: BuildContext) -> FieldData:
-        """Read the file; samples of communication points get these as their times."""
-        path = context.file(self.path)
-        if self._is_mcap:
-            data = self._read_mcap(path, self.fields(context.mapped(name)), context)
-        else:
-            data = field_data(path, self.field_form)
-        return at_points(data, context.clock.points)
+    def _data(self, name: str, context: BuildContext) -> FieldData:
+        """Return the samples; those of communication points have these as their times."""
 
-    def _read_mcap(
-        self, path: Path, columns: Mapping[str, Sequence[str]], context: BuildContext
-    ) -> FieldData:
+        def read() -> FieldData:
+            path = context.file(self.path)
+            if self._is_mcap:
+                data = self._of_mcap(name, path, context)
+            else:
+                data = field_data(path, self.field_form)
+            return at_points(data, context.clock.points)
+
+        return context.field_data(name, read)
+
+    def _of_mcap(self, name: str, path: Path, context: BuildContext) -> FieldData:
         """Read fields of an MCAP in one pass with those of the components from the same file.
 
         All of them have a sample at t = 0.
         """
+        columns = self.fields(context.mapped(name))
         check_asked(path, columns, self.same_time)
         together = list(chain.from_iterable(columns.values()))
         for other, spec in context.of_kind(FieldDataKind).items():
@@ -261,19 +266,6 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
             lambda: read_samples(path, together, self.field_form),
         )
         return recorded_data(path, columns, samples, self.field_form)
-
-
-def _samples_behind(source: Port, outputs: Mapping[str, Signal], most: int) -> Port | None:
-    """Return the samples of an output, ``most`` an element; None: it has none."""
-    matched = source.find(outputs)
-    if matched is None:
-        return None
-    signal, elements = matched
-    name = samples_of(signal.name)
-    if name not in outputs:
-        return None
-    places = range(elements.start * most, elements.stop * most)
-    return Port(source.component, name, places)
 
 
 def _samples_shown(shown: Port, most: int) -> Port:

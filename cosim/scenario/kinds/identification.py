@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import Vector
 from cosim.blocks.declared import with_units
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
@@ -48,21 +47,25 @@ from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.kinds.identification_source import (
     IdentifierSource,
     ObserverSource,
+    StartTable,
     sample_connections,
+    start_time,
 )
-from cosim.scenario.kinds.identification_start import StartTable, start_time
-from cosim.scenario.kinds.identified_plant import IdentifiedPlant, bounds_of
-from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
+from cosim.scenario.kinds.identified_plant import (
+    IdentifiedPlant,
+    bounds_of,
+    stated_covariance,
+)
+from cosim.scenario.kinds.reconstruction import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
-from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
-from cosim.scenario.kinds.variants import foreign_keys
+from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.theory.disturbances import regression
+from cosim.theory.disturbed_plant import disturbed_plant
 from cosim.theory.estimators import defaults
 from cosim.theory.estimators.rayleigh import rayleigh_constants
 
 if TYPE_CHECKING:
-    from cosim.blocks.identifier import LeastSquaresIdentifier
     from cosim.fmi.exporting.specifications import Exportable
     from cosim.theory.estimators.least_squares import Recovery
 
@@ -174,27 +177,22 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         Where y has samples at times of their own, these too.
         """
         implied: dict[Port, ImpliedConnection] = {}
+        inputs = METHODS[self.method].inputs
         regressor = _driver(connections, Port(name, "regressor"))
-        if "alpha" in METHODS[self.method].inputs:
-            implied |= _alphas(name, regressor, specs)
-        for signal, origin in self._origins(regressor, connections).items():
-            implied |= shared_connections(Port(name, signal), origin, connections)
+        if regressor is not None:
+            kind = specs.get(regressor)
+            if "alpha" in inputs and isinstance(kind, RegressorKind):
+                implied |= alpha_connections(name, kind.alphas, regressor)
+            origins = {"delta": Port(regressor, "delta")}
+            observer = _driver(connections, origins["delta"])
+            if observer is not None:
+                origins |= {"y": Port(observer, "y"), "u": Port(observer, "u")}
+            for signal, origin in origins.items():
+                if signal in inputs:
+                    implied |= shared_connections(Port(name, signal), origin, connections)
         if self.method == "output-error":
             implied |= sample_connections(name, connections, implied, specs)
         return implied
-
-    def _origins(
-        self, regressor: str | None, connections: Mapping[Port, Connection]
-    ) -> dict[str, Port]:
-        """Return the inputs of regressor and observer that take the signals of the method."""
-        if regressor is None:
-            return {}
-        origins = {"delta": Port(regressor, "delta")}
-        observer = _driver(connections, origins["delta"])
-        if observer is not None:
-            origins |= {"y": Port(observer, "y"), "u": Port(observer, "u")}
-        inputs = METHODS[self.method].inputs
-        return {signal: origin for signal, origin in origins.items() if signal in inputs}
 
     def build(self, name: str, context: BuildContext) -> Component:
         return with_units(*self._built(name, context))
@@ -204,64 +202,57 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         self._check_options()
         source = IdentifierSource(name, context)
         source.check_step()
-        self._check_parameters(source.regression)
-        self._check_regression(source.regression)
+        self._check_terms(source.regression)
         if self._needs_regression:
             source.regression.check_independent(context.clock)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
         for note in source.unchecked(is_judged=not problem):
             context.warn(name, note)
-        if source.observer is None or problem:
-            identified = None
-        else:
-            identified = self._identified(source, source.observer, context)
-        if self.method == "least-squares":
-            return self._least_squares(name, source.regression, begin, context), {}
+        identified = None if problem else self._identified(source, context)
+        if self.method in ("least-squares", "gradient", "drem"):
+            return self._on_regression(source, begin, context), {}
         context.add_metadata(name, {"method": self.method})
-        if self.method in ("gradient", "drem"):
-            return self._adaptive(source.regression, begin), {}
         if source.observer is None or identified is None:
             raise UsageError(f'method = "{self.method}": {problem}')
         identifier = self._of_model(source, source.observer, identified, begin, context)
         return identifier, source.observer.units(identifier.interface)
 
-    def _identified(
-        self, source: IdentifierSource, observer: ObserverSource, context: BuildContext
-    ) -> IdentifiedPlant:
+    def _identified(self, source: IdentifierSource, context: BuildContext) -> IdentifiedPlant:
         """Return the model of y; have the estimates judged by it at the end of the run."""
-        families = source.regression.families
-        problem = ""
+        observer = source.observer
+        assert observer is not None
+        design = source.regression
+        is_output_error = self.method == "output-error"
         sampled_by = observer.sampled_by
-        if self.method != "output-error" and sampled_by is not None:
+        problem = ""
+        if not is_output_error and sampled_by is not None:
             problem = (
                 f"y has values between the samples of {sampled_by!r}; only method = "
                 '"output-error" takes the samples, and only its estimates are judged'
             )
             context.warn(source.identifier, problem)
-        plant = observer.plant(source.regression.elements)
+        plant = disturbed_plant(observer.design.model.reduced, design.elements)
         stated = None
-        if self.method == "output-error":
+        if is_output_error:
             stated = stated_covariance(self.deviation, self.covariance, len(plant.C))
         bounds = {}
         if self.bounds is not None:
-            parameters = sum(len(family.parameters) for family in families)
+            parameters = sum(len(family.parameters) for family in design.families)
             bounds = bounds_of([list(row) for row in self.bounds], parameters)
         source.check_distinguishable(bounds)
         identified = IdentifiedPlant(
             problem=problem,
             observer=observer.name,
             plant=plant,
-            families=families,
-            alphas=source.regression.alphas,
+            families=design.families,
+            alphas=design.alphas,
             regressor=source.regressor,
-            check_alphas=partial(
-                source.regression.check_recorded, estimates_eta=self._needs_regression
-            ),
+            check_alphas=partial(design.check_recorded, estimates_eta=self._needs_regression),
             offset=self.offset,
             bounds=bounds,
             stated=stated,
-            has_offset_key=self.method == "output-error",
+            has_offset_key=is_output_error,
             irregular=self.irregular,
             closed_loop=self.closed_loop,
             window=math.inf if self.window is None else self.window,
@@ -272,26 +263,26 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
 
     # --- methods on the regression ---
 
-    def _least_squares(
-        self, name: str, design: RegressorDesign, begin: float, context: BuildContext
-    ) -> LeastSquaresIdentifier:
-        from cosim.blocks.identifier import LeastSquaresIdentifier
+    def _on_regression(
+        self, source: IdentifierSource, begin: float, context: BuildContext
+    ) -> Component:
         from cosim.theory.estimators import least_squares
 
+        design = source.regression
         recovery = least_squares.plan(design.terms, design.groups, design.delays)
-        metadata = {
-            "P0": self.P0,
-            "unknowns": recovery.n_eta,
-            "notes": _recovery_notes(recovery),
-        }
-        context.add_metadata(name, metadata)
-        return LeastSquaresIdentifier(recovery, start_time=begin, P0=self.P0)
+        if self.method == "least-squares":
+            from cosim.blocks.identifier import LeastSquaresIdentifier
 
-    def _adaptive(self, design: RegressorDesign, begin: float) -> Estimator[Vector]:
+            metadata = {
+                "P0": self.P0,
+                "unknowns": recovery.n_eta,
+                "notes": _recovery_notes(recovery),
+            }
+            context.add_metadata(source.identifier, metadata)
+            return LeastSquaresIdentifier(recovery, start_time=begin, P0=self.P0)
         from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
-        from cosim.theory.estimators import least_squares
 
-        recovery = least_squares.plan(design.terms, design.groups, design.delays)
+        context.add_metadata(source.identifier, {"method": self.method})
         is_gradient = self.method == "gradient"
         law = AdaptiveIdentifier(
             law="gradient" if is_gradient else "drem",
@@ -312,7 +303,22 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         begin: float,
         context: BuildContext,
     ) -> Component:
-        problem = _problem(source.regression, observer, identified)
+        design = source.regression
+        model, designed = observer.design
+        modes, row = delta_transient(model.reduced, designed, observer.reconstruction)
+        problem = IdentificationProblem(
+            plant=identified.plant,
+            modes=modes,
+            row=row,
+            rayleigh=rayleigh_constants(
+                design.families, design.groups, design.terms, design.delays
+            ),
+            products=design.constants,
+            alphas=design.alphas,
+            families=design.families,
+            stated=identified.stated,
+            disturbances=len(design.members),
+        )
         schedule = self._schedule(source, begin, context)
         lower, upper = identified.limits
         if self.method == "output-error":
@@ -326,8 +332,11 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
                 at_points=source.samples_at_points(),
             )
             late = source.late_steps()
-            estimator = Estimator(identifier)
-            return _waiting(estimator, late) if late else estimator
+            if not late:
+                return Estimator(identifier)
+            from cosim.blocks.late_samples import LateSamples
+
+            return LateSamples(Estimator(identifier), steps=late)
         if self.method == "projection":
             from cosim.blocks.projection_identifier import ProjectionIdentifier
 
@@ -347,14 +356,14 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             ExtendedKalmanIdentifier,
         )
 
-        size = self._number("size")
+        deviation = 1.0
         if self.covariance is None and not isinstance(self.deviation, tuple):
             deviation = self._number("deviation")
         else:
             outputs = len(problem.plant.C)
             stated = stated_covariance(self.deviation, self.covariance, outputs)
             problem = replace(problem, stated=stated)
-            deviation = 1.0
+        size = self._number("size")
         if self.method == "extended-kalman":
             extended = ExtendedKalmanIdentifier(problem=problem, deviation=deviation, size=size)
             return Estimator(extended)
@@ -373,17 +382,18 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         clock = context.clock
         step = clock.h
         gaps = np.diff(np.sort(np.array(source.regression.delays, np.float64)))
-        half_gap = 0.5 * float(gaps.min())
-        weight = 1.0 if self.forgetting is None else math.exp(-step / self.forgetting)
+        window = 0
+        if self.window is not None:
+            window = whole_steps(self.window, clock.step_ns, f"window of {source.identifier!r}")
         lag = source.regression.lag
         if "delta" in METHODS[self.method].inputs:
             lag = context.lag(Port(source.identifier, "delta"))
         return IdentificationSchedule(
             period=self.period_steps(source.identifier, clock.step_ns),
             steps=clock.steps,
-            average=max(1, round(half_gap / step)),
-            window=self._window_steps(source.identifier, clock.step_ns),
-            forgetting=weight,
+            average=max(1, round(0.5 * float(gaps.min()) / step)),
+            window=window,
+            forgetting=1.0 if self.forgetting is None else math.exp(-step / self.forgetting),
             start=begin,
             settled=clock.start_time + source.window,
             lag=lag,
@@ -397,24 +407,21 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         value = METHODS[self.method].own[key] if given is None else given
         return float(value)
 
-    def _check_parameters(self, design: RegressorDesign) -> None:
-        """Check that the method estimates amplitudes where the terms have nothing else."""
-        if any(family.parameters for family in design.families):
-            return
-        if self.method not in ("output-error", "projection"):
-            names = ", ".join(sorted({family.name for family in design.families}))
-            raise UsageError(
-                f'method = "{self.method}": the terms ({names}) have no parameter to estimate; for '
-                'their amplitudes use method = "output-error" or "projection"'
-            )
-
     @property
     def _needs_regression(self) -> bool:
         """Whether theta rests on the regression, which else only gives a start, or nothing."""
         return self.method not in ("output-error", "extended-kalman")
 
-    def _check_regression(self, design: RegressorDesign) -> None:
-        """Check that the method can do with the regression of these terms."""
+    def _check_terms(self, design: RegressorDesign) -> None:
+        """Check that the method can do with these terms, and with their regression."""
+        of_method = f'method = "{self.method}"'
+        has_parameters = any(family.parameters for family in design.families)
+        if not has_parameters and self.method not in ("output-error", "projection"):
+            names = ", ".join(sorted({family.name for family in design.families}))
+            raise UsageError(
+                f"{of_method}: the terms ({names}) have no parameter to estimate; for "
+                'their amplitudes use method = "output-error" or "projection"'
+            )
         problem = ""
         if design.each and self.method != "output-error":
             problem = f"expected terms of one element of delta, got {len(design.each)}"
@@ -425,7 +432,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             problem = f"expected at most {MOST_TERMS} terms of the regression, got {terms}"
         if problem:
             raise AssumptionError(
-                f'method = "{self.method}": {problem}; method = "output-error" needs no regression'
+                f'{of_method}: {problem}; method = "output-error" needs no regression'
             )
 
     def _check_options(self) -> None:
@@ -440,11 +447,6 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             value = getattr(self, key)
             if value is not None and not 0.0 < value < math.inf:
                 raise UsageError(f"{key}: expected a positive finite time, got {value} s")
-
-    def _window_steps(self, name: str, step_ns: StepNs) -> int:
-        if self.window is None:
-            return 0
-        return whole_steps(self.window, step_ns, f"window of {name!r}")
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         from cosim.blocks.identifier import LeastSquaresMethod
@@ -483,34 +485,6 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         )
 
 
-def _problem(
-    design: RegressorDesign,
-    observer: ObserverSource,
-    identified: IdentifiedPlant,
-) -> IdentificationProblem:
-    """Return what is identified: the model of y, and the regression for a start."""
-    families = design.families
-    transient = observer.transient
-    return IdentificationProblem(
-        plant=identified.plant,
-        modes=transient.A,
-        row=transient.C[0],
-        rayleigh=rayleigh_constants(families, design.groups, design.terms, design.delays),
-        products=design.constants,
-        alphas=design.alphas,
-        families=families,
-        stated=identified.stated,
-        disturbances=1 + max(design.elements),
-    )
-
-
-def _waiting(estimator: Estimator[Any], steps: int) -> Component:
-    """Return the estimator as one that waits for samples which come after their instants."""
-    from cosim.blocks.late_samples import LateSamples
-
-    return LateSamples(estimator, steps=steps)
-
-
 def _recovery_notes(recovery: Recovery) -> list[str]:
     """Return what the recovery of theta cannot distinguish."""
     from cosim.theory.estimators.least_squares import RecoveryKind
@@ -526,16 +500,6 @@ def _recovery_notes(recovery: Recovery) -> list[str]:
         if group.kind is RecoveryKind.EXPONENTIALS:
             notes.append(f"{names}: two exponentials under one alpha come back the larger first")
     return notes
-
-
-def _alphas(
-    name: str, regressor: str | None, specs: Mapping[str, Kind]
-) -> dict[Port, ImpliedConnection]:
-    """Return what drives the alphas of the regressor that are signals."""
-    spec = None if regressor is None else specs.get(regressor)
-    if not isinstance(spec, RegressorKind):
-        return {}
-    return alpha_connections(name, spec.alphas, regressor)
 
 
 def _driver(connections: Mapping[Port, Connection], to: Port) -> str | None:

@@ -1,4 +1,4 @@
-"""What a report needs to judge an identifier: its model, and where its data are."""
+"""What is needed to judge an identifier: its model, and where its data are."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.numerics.programs import evaluate_at
+from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorProblem
@@ -205,25 +206,19 @@ class SampleRows:
         t = np.union1d(times, points)
         y = np.full((len(t), outputs), np.nan)
         y[np.searchsorted(t, times)] = values
-        return t, y, _inputs_at(t, points, u, held)
+        before = np.searchsorted(points, t, side="right") - 1
+        columns = []
+        for column, is_held in zip(u.T, held, strict=True):
+            columns.append(column[before] if is_held else np.interp(t, points, column))
+        return t, y, np.array(columns).T.reshape(len(t), u.shape[1])
 
     def flat(self, outputs: int) -> tuple[Vector, Matrix]:
         """Return the times and values of the samples, shapes (N,) and (N, n_y)."""
         by_output = self.values.reshape(len(self.t), outputs, -1)
         values = by_output.transpose(0, 2, 1)
-        points = self.t[:, np.newaxis]
-        times = np.where(np.isnan(self.times), points, self.times)
+        times = np.where(np.isnan(self.times), self.t[:, np.newaxis], self.times)
         is_there = np.isfinite(values).any(axis=2)
         return times[is_there], values[is_there]
-
-
-def _inputs_at(t: Vector, points: Vector, u: Matrix, held: Mask) -> Matrix:
-    """Return the inputs at times within the communication points, shape (N, n_u)."""
-    before = np.searchsorted(points, t, side="right") - 1
-    columns = []
-    for column, is_held in zip(u.T, held, strict=True):
-        columns.append(column[before] if is_held else np.interp(t, points, column))
-    return np.array(columns).T.reshape(len(t), u.shape[1])
 
 
 def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
@@ -261,21 +256,55 @@ def _bounds_of_one(row: object, j: int) -> tuple[float, float]:
             f"none, such as [-1, inf], got {row}"
         )
     lower, upper = map(float, row)
-    if not lower <= upper:
+    if not lower <= upper or lower == np.inf or upper == -np.inf:
         raise UsageError(
-            f"bounds of theta[{j}]: expected lower <= upper, got [{lower:g}, {upper:g}]"
-        )
-    if lower == np.inf or upper == -np.inf:
-        raise UsageError(
-            f"bounds of theta[{j}]: expected an interval that contains numbers, -inf or inf where "
-            f"there is no bound, got [{lower:g}, {upper:g}]"
+            f"bounds of theta[{j}]: expected lower <= upper with numbers between them, -inf or "
+            f"inf where there is no bound, got [{lower:g}, {upper:g}]"
         )
     return lower, upper
 
 
 def _is_number(value: object) -> bool:
-    if isinstance(value, float):
-        return not math.isnan(value)
-    if isinstance(value, bool) or not isinstance(value, int):
+    """Return whether a value is one of a double: not NaN, nor an integer that is too large."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) <= sys.float_info.max
+    return abs(value) <= sys.float_info.max or abs(value) == math.inf
+
+
+def stated_covariance(
+    deviation: float | Sequence[float] | None,
+    covariance: Sequence[Sequence[float]] | None,
+    outputs: int,
+) -> Matrix | None:
+    """Return the covariance of the noise of y, shape (n_y, n_y); None: nothing is stated.
+
+    Raises
+    ------
+    UsageError
+        If both are given, or they are no deviations or covariance of so many outputs.
+    """
+    if deviation is not None and covariance is not None:
+        raise UsageError("expected at most one of deviation and covariance, got both")
+    if deviation is not None:
+        deviations = np.array(deviation, np.float64)
+        if deviations.ndim and deviations.shape != (outputs,):
+            raise UsageError(
+                f"deviation: expected one number, or one per output ({outputs}), got "
+                f"{deviations.size}"
+            )
+        if not ((deviations > 0.0) & (deviations < np.inf)).all():
+            raise UsageError(f"deviation: expected positive finite numbers, got {deviation}")
+        return np.diag(np.broadcast_to(deviations, outputs) ** 2)
+    if covariance is None:
+        return None
+    if any(len(row) != outputs for row in covariance) or len(covariance) != outputs:
+        raise UsageError(
+            f"covariance: expected {outputs} rows of {outputs} numbers, got "
+            f"{[list(row) for row in covariance]}"
+        )
+    matrix = np.array(covariance, np.float64)
+    if not is_covariance(matrix):
+        raise UsageError(
+            f"covariance: expected a symmetric positive definite matrix, got {matrix.tolist()}"
+        )
+    return matrix

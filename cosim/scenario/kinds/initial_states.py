@@ -14,7 +14,6 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.graph import Graph
-from cosim.core.signals import Channel
 from cosim.scenario.record import StateChange
 from cosim.theory.plants.descriptor import UserCoordinates
 
@@ -60,36 +59,19 @@ def changed_states(
     """
     changes = {}
     for name, states in given.items():
-        signals = _signals(graph.layout[name], row)
+        columns = graph.layout[name].signal_columns
+        signals = {signal: row[own] for signal, own in columns.items()}
         coordinates = states.coordinates
-        if not _has_all(signals, coordinates):
+        n_u = coordinates.Xu.shape[1]
+        n_delta = coordinates.Xd.shape[1]
+        sizes = {"x": len(states.values), "u": n_u, "delta": n_delta}
+        if any(size and signal not in signals for signal, size in sizes.items()):
             continue
-        u = signals.get("u", np.zeros(0))[: coordinates.Xu.shape[1]]
-        delta = signals.get("delta", np.zeros(0))
-        changed = states.changes(u=u, delta=delta, x=signals["x"])
+        u = signals.get("u", row[:0])[:n_u]
+        changed = states.changes(u=u, delta=signals.get("delta", row[:0]), x=signals["x"])
         if changed:
             changes[name] = changed
     return changes
-
-
-def _has_all(signals: Mapping[str, Vector], coordinates: UserCoordinates) -> bool:
-    """Return whether there are the states and the inputs on which they depend."""
-    needed = [("u", coordinates.Xu), ("delta", coordinates.Xd)]
-    names = {"x"} | {name for name, gains in needed if gains.shape[1] > 0}
-    return names <= signals.keys()
-
-
-def _signals(channel: Channel, row: Vector) -> dict[str, Vector]:
-    """Return the signals of a component by name."""
-    interface = channel.interface
-    signals = {}
-    for columns, begin in (
-        (interface.input_columns(), channel.inputs.start),
-        (interface.output_columns(), channel.outputs.start),
-    ):
-        for signal, block in columns.items():
-            signals[signal] = row[begin + block.start : begin + block.stop]
-    return signals
 
 
 def change_text(changes: Sequence[StateChange]) -> str:

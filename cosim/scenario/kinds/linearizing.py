@@ -71,22 +71,12 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
     known, unknown = split(linearization, disturbances)
     c, d = linearization.constants
     constant = bool(c.any() or d.any())
-    B_1 = linearization.B[:, known]
-    C_4 = linearization.D[:, known]
-    if constant:
-        B_1 = np.hstack([B_1, c[:, np.newaxis]])
-        C_4 = np.hstack([C_4, d[:, np.newaxis]])
-    n = len(linearization.states)
-    reduced = ReducedSystem(
-        A_a=linearization.A,
-        B_1a=B_1,
-        B_2a=linearization.B[:, unknown],
-        C3=linearization.C,
-        C4=C_4,
-        C5=_direct(linearization, unknown),
-        Kx=np.zeros((0, n)),
-        Ku=np.zeros((0, len(known) + constant)),
-        Kd=np.zeros((0, len(unknown))),
+    reduced = _reduced(
+        (linearization.A, linearization.B, linearization.C, linearization.D),
+        known,
+        unknown,
+        constants=(c, d) if constant else None,
+        error=linearization.errors["D"] or 0.0,
     )
     units = {
         "u": _units(linearization, [linearization.inputs[i] for i in known]),
@@ -97,13 +87,40 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
     return DesignModel(reduced, constant, units)
 
 
-def _direct(linearization: Linearization, unknown: Sequence[int]) -> Matrix:
+def _reduced(
+    matrices: tuple[Matrix, Matrix, Matrix, Matrix],
+    known: Sequence[int],
+    unknown: Sequence[int],
+    *,
+    constants: tuple[Vector, Vector] | None,
+    error: float,
+) -> ReducedSystem:
+    """Return the design model of A, B, C, D, with constants c, d as one more input.
+
+    ``error`` is that of an entry of D.
+    """
+    A, B, C, D = matrices
+    B_1 = B[:, known]
+    C_4 = D[:, known]
+    if constants is not None:
+        c, d = constants
+        B_1 = np.column_stack([B_1, c])
+        C_4 = np.column_stack([C_4, d])
+    return ReducedSystem(
+        A_a=A,
+        B_1a=B_1,
+        B_2a=B[:, unknown],
+        C3=C,
+        C4=C_4,
+        C5=_direct(D[:, unknown], error),
+        Kx=np.zeros((0, len(A))),
+        Ku=np.zeros((0, B_1.shape[1])),
+        Kd=np.zeros((0, len(unknown))),
+    )
+
+
+def _direct(D: Matrix, error: float) -> Matrix:
     """Return the direct paths from delta to y; what may be the error of a difference is none."""
-    D = linearization.D[:, unknown]
-    return _beyond_error(D, linearization.errors["D"] or 0.0)
-
-
-def _beyond_error(D: Matrix, error: float) -> Matrix:
     return np.where(np.abs(D) > MOST_OF_ERROR * error, D, 0.0)
 
 
@@ -151,17 +168,7 @@ class MovingModel:
         c = at.dx - A @ x - B @ inputs
         d = at.y - C @ x - D @ inputs
         error = 0.0 if at.error is None else float(at.error[n:, n:].max(initial=0.0))
-        return ReducedSystem(
-            A_a=A,
-            B_1a=np.column_stack([B[:, self._known], c]),
-            B_2a=B[:, self._unknown],
-            C3=C,
-            C4=np.column_stack([D[:, self._known], d]),
-            C5=_beyond_error(D[:, self._unknown], error),
-            Kx=np.zeros((0, n)),
-            Ku=np.zeros((0, len(self._known) + 1)),
-            Kd=np.zeros((0, len(self._unknown))),
-        )
+        return _reduced((A, B, C, D), self._known, self._unknown, constants=(c, d), error=error)
 
 
 def _units(linearization: Linearization, names: Sequence[str]) -> tuple[Unit, ...]:
@@ -182,7 +189,11 @@ def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[li
     """
     unknown: list[int] = []
     for name in disturbances:
-        columns = _columns(linearization, name)
+        columns = [
+            i
+            for i, element in enumerate(linearization.inputs)
+            if name in (element, linearization.ports.get(element))
+        ]
         if not columns:
             advice = nearest(name, linearization.inputs)
             raise UsageError(
@@ -195,15 +206,6 @@ def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[li
     return known, unknown
 
 
-def _columns(linearization: Linearization, name: str) -> list[int]:
-    """Return the columns of an element or of all elements of a port."""
-    columns = []
-    for i, element in enumerate(linearization.inputs):
-        if name in (element, linearization.ports.get(element)):
-            columns.append(i)
-    return columns
-
-
 def model_toml(linearization: Linearization, disturbances: Sequence[str]) -> str:
     """Write a linearization as a table of [models], in the general form.
 
@@ -213,43 +215,40 @@ def model_toml(linearization: Linearization, disturbances: Sequence[str]) -> str
         If a disturbance is none of the inputs, or no states or outputs are there.
     """
     known, unknown = split(linearization, disturbances)
-    _check_not_empty(linearization, "state", linearization.states)
-    _check_not_empty(linearization, "output", linearization.outputs)
-    B = linearization.B
+    for what, columns in (("state", linearization.states), ("output", linearization.outputs)):
+        if not columns:
+            inputs = ", ".join(linearization.inputs) or "none"
+            raise UsageError(
+                f"{linearization.name}: a table of [models] requires a {what}; inputs: {inputs}"
+            )
+    lines = _header(linearization, known, unknown)
+    lines = [" ".join(line.splitlines()) for line in lines]  # a name of an FMU may have several
     matrices = {
         "A": linearization.A,
-        "Bu": B[:, known],
-        "Bd": B[:, unknown],
+        "Bu": linearization.B[:, known],
+        "Bd": linearization.B[:, unknown],
         "C": linearization.C,
         "Du": linearization.D[:, known],
-        "Dd": _direct(linearization, unknown),
+        "Dd": _direct(linearization.D[:, unknown], linearization.errors["D"] or 0.0),
     }
-    lines = _header(linearization, known, unknown)
     for name, matrix in matrices.items():
         if matrix.any() or (matrix.size and not name.startswith("D")):
-            lines.append(f"{name} = {_rows(matrix)}")
+            rows = (matrix + 0.0).tolist()  # + 0.0: no -0.0 in the file
+            lines.append(f"{name} = {rows!r}")
     return "\n".join(lines) + "\n"
-
-
-def _check_not_empty(linearization: Linearization, what: str, columns: Sequence[object]) -> None:
-    if not columns:
-        inputs = ", ".join(linearization.inputs) or "none"
-        raise UsageError(
-            f"{linearization.name}: a table of [models] requires a {what}; inputs: {inputs}"
-        )
 
 
 def _header(
     linearization: Linearization, known: Sequence[int], unknown: Sequence[int]
 ) -> list[str]:
-    name = linearization.name
-    u = ", ".join(linearization.inputs[i] for i in known)
-    delta = ", ".join(linearization.inputs[i] for i in unknown)
-    x = ", ".join(linearization.states)
-    y = ", ".join(linearization.outputs)
+    """Return the name of the table, and comments: the operating point, what the signals are."""
+    name = re.sub(r"[^A-Za-z0-9_-]", "_", linearization.name)
+    names = [*linearization.states, *linearization.inputs]
+    values = [*linearization.x.tolist(), *linearization.u.tolist()]
+    point = ", ".join(f"{name} = {value!r}" for name, value in zip(names, values, strict=True))
     lines = [
-        f"[models.{re.sub(r'[^A-Za-z0-9_-]', '_', name)}]",
-        f"# {name} linearized at t = {linearization.t} s, {_operating_point(linearization)}",
+        f"[models.{name}]",
+        f"# {linearization.name} linearized at t = {linearization.t} s, {point}",
     ]
     c, d = linearization.constants
     if c.any() or d.any():
@@ -257,23 +256,11 @@ def _header(
             f"# for deviations from this point: it lacks c = {c.tolist()} of x' = ... + c "
             f"and d = {d.tolist()} of y = ... + d"
         )
-    names = {"x": x, "u": u, "delta": delta, "y": y}
-    listed = "; ".join(f"{signal}: {listing}" for signal, listing in names.items() if listing)
-    lines.append(f"# {listed}")
-    return [" ".join(line.splitlines()) for line in lines]  # a name of an FMU may have several
-
-
-def _operating_point(linearization: Linearization) -> str:
-    names = [*linearization.states, *linearization.inputs]
-    values = [*linearization.x.tolist(), *linearization.u.tolist()]
-    pairs = zip(names, values, strict=True)
-    return ", ".join(f"{name} = {value!r}" for name, value in pairs)
-
-
-def _rows(matrix: Matrix) -> str:
-    """Write a matrix in TOML."""
-    rows = []
-    for row in (matrix + 0.0).tolist():  # + 0.0: no -0.0 in the file
-        numbers = ", ".join(map(repr, row))
-        rows.append(f"[{numbers}]")
-    return f"[{', '.join(rows)}]"
+    signals = {
+        "x": linearization.states,
+        "u": [linearization.inputs[i] for i in known],
+        "delta": [linearization.inputs[i] for i in unknown],
+        "y": linearization.outputs,
+    }
+    listed = [f"{signal}: {', '.join(names)}" for signal, names in signals.items() if names]
+    return [*lines, f"# {'; '.join(listed)}"]

@@ -43,7 +43,6 @@ from cosim.scenario.kinds.reconstruction import (
     averaging_kernel,
     averaging_observer,
     choice,
-    delta_transient,
     noise_gains,
     numbers_hash,
     plain_reconstruction,
@@ -63,7 +62,7 @@ from cosim.theory.reconstruction.filters import (
 )
 
 if TYPE_CHECKING:
-    from cosim.blocks.averages import AveragedModel
+    from cosim.blocks.averages import Smoothed, Windowed
     from cosim.blocks.relinearized_observer import RelinearizedObserver
     from cosim.fmi.exporting.specifications import Exportable
     from cosim.fmi.linearizing.request import LinearizationRequest
@@ -205,12 +204,16 @@ class UnknownInputObserverKind(
             context.warn(name, model.reduced.inaccuracy)
         if self.relinearize:
             return self._relinearized(name, context)
-        if isinstance(reconstruction, DirectReconstruction):
-            self._warn_of_filter(name, context)
-        if not isinstance(reconstruction, AveragedReconstruction):
-            return Linear(self._filter_model(model, design))
-        averaged = self._averaged_model(model, design)
-        return averaging_observer(averaged, model.reduced, reconstruction)
+        if isinstance(reconstruction, AveragedReconstruction):
+            return self._averaging(model, design, reconstruction)
+        useless = [key for key in ("filter_rate", "q0") if getattr(self, key) is not None]
+        if useless and isinstance(reconstruction, DirectReconstruction):
+            context.warn(
+                name,
+                f"{' and '.join(useless)}: without effect, as delta follows from y directly, "
+                "without a derivative that is to be filtered; leave it out",
+            )
+        return Linear(self._filter_model(model, design))
 
     def _relinearized(self, name: str, context: BuildContext) -> RelinearizedObserver:
         """Return the observer that is designed anew on the way."""
@@ -230,12 +233,12 @@ class UnknownInputObserverKind(
             raise UsageError(
                 f"x_a0: expected {len(local.x)} numbers, one per state of the FMU, got {len(x_a0)}"
             )
-        interface = model.declare(linear).interface
         context.warn(
             name,
             "eigenvalues, noise gains, bias and T_id are those of the operating point; where it is "
             "linearized anew they are others",
         )
+        interface = model.declare(linear).interface
         return RelinearizedObserver(local, self._design_on, interface, x_a0)
 
     def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
@@ -246,8 +249,7 @@ class UnknownInputObserverKind(
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         """Return the observer with a first-order filter as a linear model."""
-        model, design = self.design(name, context)
-        return self._filter_model(model, design)
+        return self._filter_model(*self.design(name, context))
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         from cosim.fmi.exporting.kernels import DiscreteModel  # a run does not need it
@@ -260,11 +262,8 @@ class UnknownInputObserverKind(
             )
         if not isinstance(reconstruction, AveragedReconstruction):
             return self.linear_model(name, context)
-        model, design = self.design(name, context)
-        averaged = self._averaged_model(model, design)
-        component = averaging_observer(averaged, model.reduced, reconstruction)
-        design_arrays = component.design(context.h, wiring.held)
-        kernel = averaging_kernel(design_arrays)
+        component = self._averaging(*self.design(name, context), reconstruction)
+        kernel = averaging_kernel(component.design(context.h, wiring.held))
         reason = (
             "delta is an average over communication steps, so the observer is a discrete-time "
             "component"
@@ -281,12 +280,20 @@ class UnknownInputObserverKind(
         )
         return model.declare(linear)
 
-    def _averaged_model(self, model: DesignModel, design: observer.ObserverDesign) -> AveragedModel:
+    def _averaging(
+        self,
+        model: DesignModel,
+        design: observer.ObserverDesign,
+        reconstruction: AveragedReconstruction,
+    ) -> Windowed | Smoothed:
         x_a0 = self._initial(model.reduced)
         averaged = averaged_observer(model.reduced, design, x_a0=x_a0, constant=model.constant)
-        linear = model.declare(averaged.linear)
-        lagging = model.declared(averaged.lagging)
-        return replace(averaged, linear=linear, lagging=lagging)
+        declared = replace(
+            averaged,
+            linear=model.declare(averaged.linear),
+            lagging=model.declared(averaged.lagging),
+        )
+        return averaging_observer(declared, model.reduced, reconstruction)
 
     def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
         coordinates = self.design_model_of(name, context).reduced.coordinates
@@ -333,19 +340,20 @@ class UnknownInputObserverKind(
         self._check_keys()
         if self._is_unfiltered(self.design(name, context).design):
             return DirectReconstruction()
-        self._check_needed()
-        step = context.h
+        for key in FILTERS[self.filter].needed:
+            if getattr(self, key) is None:
+                raise UsageError(f"{key} is missing; filter = {self.filter!r} requires it")
         if self.filter == "auto":
             return self._chosen(name, context)
         if self.filter == "savitzky-golay":
             assert self.half_width is not None
             half_width = whole_steps(self.half_width, context.step_ns, "half_width")
             order = DEFAULT_ORDER if self.order is None else self.order
-            return SavitzkyGolay(half_width, order, step)
+            return SavitzkyGolay(half_width, order, context.h)
         assert self.filter_rate is not None
         if self.filter == "consistent":
-            return ConsistentFilter(self.filter_rate, step)
-        return FirstOrderFilter(self.filter_rate, step)
+            return ConsistentFilter(self.filter_rate, context.h)
+        return FirstOrderFilter(self.filter_rate, context.h)
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
         if output not in ("delta", "x_b", "x"):
@@ -354,35 +362,9 @@ class UnknownInputObserverKind(
         lagging = _lagging_outputs(self.design(name, context).model) if lag else ()
         return lag if output in lagging else 0.0
 
-    def transient(self, name: str, context: BuildContext) -> observer.StateSpace:
-        """Return the dynamics of the errors of delta, which are the output; there are no inputs.
-
-        An average has the modes of the observer too, with other constants before them; that of a
-        filter has its own beside them.
-        """
-        model, design = self.design(name, context)
-        reconstruction = self.reconstruction(name, context)
-        return delta_transient(model.reduced, design, reconstruction)
-
     def _is_unfiltered(self, design: observer.ObserverDesign) -> bool:
         """Return whether there is no derivative that a first-order filter would be of."""
-        is_of_derivative = self.filter == "first-order"
-        return is_of_derivative and design.is_direct and not self.relinearize
-
-    def _warn_of_filter(self, name: str, context: BuildContext) -> None:
-        """Warn of keys of a filter that have no effect."""
-        given = [key for key in ("filter_rate", "q0") if getattr(self, key) is not None]
-        if given:
-            context.warn(
-                name,
-                f"{' and '.join(given)}: without effect, as delta follows from y directly, without "
-                "a derivative that is to be filtered; leave it out",
-            )
-
-    def _check_needed(self) -> None:
-        for key in FILTERS[self.filter].needed:
-            if getattr(self, key) is None:
-                raise UsageError(f"{key} is missing; filter = {self.filter!r} requires it")
+        return self.filter == "first-order" and design.is_direct and not self.relinearize
 
     def _check_keys(self) -> None:
         for key in sorted(foreign_keys(FILTERS, self.filter)):
@@ -391,10 +373,8 @@ class UnknownInputObserverKind(
                 raise UsageError(
                     f"{key}: expected with filter = {filters} only, got filter = {self.filter!r}"
                 )
-        if self.relinearize:
-            self._check_relinearized()
-
-    def _check_relinearized(self) -> None:
+        if not self.relinearize:
+            return
         if isinstance(self.model, str):
             raise UsageError(
                 'relinearize: expected model = { fmu = "x.fmu", disturbance = "d" }, got the '
@@ -416,30 +396,42 @@ class UnknownInputObserverKind(
             )
         model = self.design_model_of(name, context)
         n_y = len(model.reduced.C3)
-        self._check_noise(n_y)
+        given = self._given_noise(n_y)
         spectrum = self._spectrum(name, context)
-        step = context.h
         request = {
             "noise": self.noise,
             "noise_from": self.noise_from,
             "amplitude": self.amplitude,
             "bandwidth": self.bandwidth,
-            "step": step,
-            "delta": None if spectrum is None else dict(spectrum.source),
+            "step": context.h,
+            "delta": dict(spectrum.source) or None,
             "model": numbers_hash(self._numbers(model, context)),
         }
 
         def choose() -> dict[str, Any]:
-            noise = self._noise(name, context, n_y)
-            G = self.design(name, context).design.G
-            return choice(G, noise, self._known(spectrum), step)
+            noise = given
+            if self.noise_from is not None:
+                noise = recorded_noise(context.recording(self.noise_from), name, n_y)
+            return choice(self.design(name, context).design.G, noise, spectrum, context.h)
 
         plain_request = json.loads(json.dumps(request))
         result = context.chosen(name, plain_request, choose)
         try:
-            return SavitzkyGolay(result["half_width_steps"], result["order"], step)
+            return SavitzkyGolay(result["half_width_steps"], result["order"], context.h)
         except AssumptionError as error:
             raise LogError(f"the recorded choice of {name!r} cannot be used: {error}") from error
+
+    def _given_noise(self, n_y: int) -> Vector:
+        """Return the deviation of the noise of each element of y; none where a log has it."""
+        if self.noise is None:
+            return np.zeros(0)
+        given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
+        noise = np.array(given, np.float64)
+        if len(noise) != n_y:
+            raise UsageError(f"noise: expected {n_y} numbers, one per output, got {len(noise)}")
+        if (noise < 0.0).any():
+            raise UsageError(f"noise: expected standard deviations >= 0, got {noise.tolist()}")
+        return noise
 
     def _numbers(self, model: DesignModel, context: BuildContext) -> tuple[Matrix, ...]:
         """Return the numbers of the design model, as they are written or recorded."""
@@ -450,50 +442,24 @@ class UnknownInputObserverKind(
         reduced = model.reduced
         return reduced.A_a, reduced.B_1a, reduced.B_2a, reduced.C3, reduced.C4
 
-    def _spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
-        """Return what the tables say of delta: those of the components that it drives."""
-        if self.amplitude is not None and self.bandwidth is not None:
-            return None
+    def _spectrum(self, name: str, context: BuildContext) -> Spectrum:
+        """Return amplitude and bandwidth of delta, as given, or by the tables of what it drives."""
+        amplitude = self.amplitude
+        bandwidth = self.bandwidth
+        if amplitude is not None and bandwidth is not None:
+            return Spectrum(amplitude, bandwidth, {}, "amplitude and bandwidth of delta as given")
         known = context.spectra(name)
         if not known:
             raise UsageError(
                 "filter = 'auto' requires amplitude and bandwidth of delta; give both, or connect "
                 "a regressor with exponential terms only and time-varying alphas"
             )
-        return max(known, key=lambda spectrum: spectrum.bandwidth)
-
-    def _known(self, spectrum: Spectrum | None) -> tuple[float, float, str]:
-        """Return amplitude and bandwidth of delta, and what was assumed."""
-        amplitude = self.amplitude
-        bandwidth = self.bandwidth
-        assumption = "amplitude and bandwidth of delta as given"
-        if spectrum is not None:
-            amplitude = spectrum.amplitude if amplitude is None else amplitude
-            bandwidth = spectrum.bandwidth if bandwidth is None else bandwidth
-            assumption = spectrum.assumption
-        assert amplitude is not None
-        assert bandwidth is not None
-        return amplitude, bandwidth, assumption
-
-    def _noise(self, name: str, context: BuildContext, n_y: int) -> Vector:
-        """Return the deviation of the noise of each element of y."""
-        if self.noise_from is not None:
-            return recorded_noise(context.recording(self.noise_from), name, n_y)
-        return self._given_noise(n_y)
-
-    def _check_noise(self, n_y: int) -> None:
-        """Check the deviations that are given, before anything is made of them."""
-        if self.noise is None:
-            return
-        noise = self._given_noise(n_y)
-        if len(noise) != n_y:
-            raise UsageError(f"noise: expected {n_y} numbers, one per output, got {len(noise)}")
-        if (noise < 0.0).any():
-            raise UsageError(f"noise: expected standard deviations >= 0, got {noise.tolist()}")
-
-    def _given_noise(self, n_y: int) -> Vector:
-        given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
-        return np.array(given, np.float64)
+        fastest = max(known, key=lambda spectrum: spectrum.bandwidth)
+        return replace(
+            fastest,
+            amplitude=fastest.amplitude if amplitude is None else amplitude,
+            bandwidth=fastest.bandwidth if bandwidth is None else bandwidth,
+        )
 
     def _record(
         self,
@@ -504,18 +470,15 @@ class UnknownInputObserverKind(
         reconstruction: AnyReconstruction,
     ) -> None:
         """Record what the design is, and what its delta costs."""
-        gains: dict[str, list[float]] = {}
-        step = context.h
-        for key, held in (("noise_gain", False), ("noise_gain_held", True)):
-            of_y = noise_gains(model.reduced, design, reconstruction, h=step, held=held)
-            gains[key] = of_y.ravel().tolist()
         metadata: dict[str, Any] = {
             "eigenvalues": plain_modes(design.eigenvalues),
             "fixed_modes": plain_modes(design.fixed_modes),
             "lambda_obs": design.lambda_obs,
             "reconstruction": plain_reconstruction(reconstruction),
-            **gains,
         }
+        for key, held in (("noise_gain", False), ("noise_gain_held", True)):
+            gains = noise_gains(model.reduced, design, reconstruction, h=context.h, held=held)
+            metadata[key] = gains.ravel().tolist()
         if reconstruction.lag:
             metadata["lags"] = dict.fromkeys(_lagging_outputs(model), reconstruction.lag)
         context.add_metadata(name, metadata)

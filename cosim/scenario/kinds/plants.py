@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -14,16 +12,10 @@ from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.core.contracts import Component
 from cosim.core.linear import DescriptorModel, LinearModel
-from cosim.core.recording import SignalEvent, Substep
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS, Grid
-from cosim.scenario.document.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    Whole,
-)
+from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import (
     BuildContext,
     Kind,
@@ -139,30 +131,23 @@ class DescriptorKind(PlantKind, LinearKind, HasDescription, HasGivenStates):
         UsageError
             If they are missing, or those of the other form are there.
         """
-        name, foreign = initial_keys(system)
-        check_foreign_initial(self.model, foreign, getattr(self, foreign))
-        values: NumberRow | None = getattr(self, name)
+        general = system.n_a is None
+        values = self.x0 if general else self.x_a0
+        if general:
+            check_foreign_initial(self.model, "x_a0", self.x_a0)
+        else:
+            check_foreign_initial(self.model, "x0", self.x0)
         if values is None:
-            n = len(system.A) if system.n_a is None else system.n_a
+            key = "x0" if general else "x_a0"
+            n = system.n_a or len(system.A)
             raise UsageError(
-                f"{name} is missing; expected {n} numbers, the states of {self.model!r}"
+                f"{key} is missing; expected {n} numbers, the states of {self.model!r}"
             )
         return values
 
 
-def initial_keys(system: DescriptorSystem) -> tuple[str, str]:
-    """Return the key of the initial states that the form of a model has, and that of the other."""
-    return ("x0", "x_a0") if system.n_a is None else ("x_a0", "x0")
-
-
 def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> None:
-    """Refuse initial states of the other form.
-
-    Raises
-    ------
-    UsageError
-        If they are given.
-    """
+    """Raise UsageError where initial states of the other form of a model are given."""
     if values is not None:
         form = "has n_a: its states are x_a and x_b" if name == "x0" else "has the states x"
         needed = "x_a0" if name == "x0" else "x0"
@@ -240,16 +225,8 @@ class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart, TunedInP
     def build(self, name: str, context: BuildContext) -> Component:
         from cosim.fmi.options import FmuOptions
 
-        options = FmuOptions(
-            interface_type=self.interface_type,
-            solver=self.solver,
-            tolerance=self.tolerance,
-            max_step=self.max_step,
-            dae=self.dae,
-            start=self.start,
-            outputs=self.outputs,
-            step=float(self.period or context.h),
-        )
+        keys = self.given("path", "period", "input_interpolation")
+        options = FmuOptions(**keys, step=float(self.period or context.h))
         return context.fmu(name, self.path, options)
 
     def tuned_fmu(self, name: str, context: BuildContext) -> Fmu:
@@ -267,51 +244,23 @@ class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart, TunedInP
 
         Raises
         ------
-        UsageError
-            If a start value is no number.
         FmuError
             If it cannot be linearized.
         """
         from cosim.fmi.linearizing.linearize import linearize
 
-        path = context.file(self.path)
-        start = self._numeric_start(path)
         fmu = context.opened(name)
-        outputs = _continuous_outputs(fmu.description)
-        if fmu.interface_type == "me":
-            linearization = linearize(fmu.instance, start=start, outputs=outputs)
-        else:
-            linearization = linearize(path, start=start, outputs=outputs)
-        errors = [error or 0.0 for error in linearization.errors.values()]
-        return LinearSystem(
-            linearization.A,
-            linearization.B,
-            linearization.C,
-            linearization.D,
-            error=max(errors, default=0.0),
-        )
-
-    def _numeric_start(self, path: Path) -> Mapping[str, float]:
-        numbers: dict[str, float] = {}
-        for variable, value in self.start.items():
-            if not isinstance(value, (int, float)):
-                raise UsageError(
-                    f"{path}: only numbers are allowed as start values of a linearization"
-                )
-            numbers[variable] = float(value)
-        return numbers
-
-
-def _continuous_outputs(description: Description) -> list[str]:
-    """Return the variables of the output ports, states among them, that can be linearized for."""
-    names = []
-    for _, variables in description.ports("output"):
-        for variable in variables:
-            is_known = variable.causality == "output" or variable.name in description.local_states
-            is_continuous = variable.signal_type == "real" and variable.variability == "continuous"
-            if is_known and is_continuous:
-                names.append(variable.name)
-    return names
+        outputs = []  # states among them
+        for _, variables in fmu.description.ports("output"):
+            for variable in variables:
+                is_smooth = (variable.signal_type, variable.variability) == ("real", "continuous")
+                is_state = variable.name in fmu.description.local_states
+                if is_smooth and (is_state or variable.causality == "output"):
+                    outputs.append(variable.name)
+        which = fmu.instance if fmu.interface_type == "me" else context.file(self.path)
+        found = linearize(which, start=self.start, outputs=outputs)
+        errors = [error or 0.0 for error in found.errors.values()]
+        return LinearSystem(found.A, found.B, found.C, found.D, error=max(errors, default=0.0))
 
 
 class RecordingKind(PlantKind):
@@ -352,48 +301,25 @@ class RecordingKind(PlantKind):
         if lags:
             context.add_metadata(name, {"lags": lags})
         outputs = {f"{self.component}.{signal.name}" for signal in replay.interface.outputs}
-        self._warn_of_jumps(name, outputs, recording.events(), context)
-        self._warn_of_events(name, recording.substeps(), context)
+        jumps = [event.time_ns for event in recording.events() if event.signal in outputs]
+        if jumps:  # a row has one value, here that before the jump
+            count = len(set(jumps))
+            context.warn(
+                name,
+                f"{self.component!r} of {self.log} jumps at {count} instant{'s' * (count > 1)}, "
+                f"the first at t = {min(jumps) / NANOSECONDS} s: what it drives gets a ramp of a "
+                "step instead; a replay of that log itself has the jumps",
+            )
+        substeps = recording.substeps()
+        ends = [one.end for one in substeps if one.accepted and one.event == self.component]
+        if ends:
+            context.warn(
+                name,
+                f"{self.component!r} of {self.log} has {len(ends)} event{'s' * (len(ends) > 1)} "
+                f"between communication points, the first at t = {ends[0]} s: between its rows it "
+                "is linear here; a replay of that log itself takes the substeps that end there",
+            )
         return replay
-
-    def _warn_of_jumps(
-        self,
-        name: str,
-        outputs: Collection[str],
-        events: Iterable[SignalEvent],
-        context: BuildContext,
-    ) -> None:
-        """Warn where recorded outputs jump: a row has one value, here that before the jump."""
-        times = []
-        for event in events:
-            if event.signal in outputs:
-                times.append(event.time_ns)
-        if times:
-            count = len(set(times))
-            instants = "1 instant" if count == 1 else f"{count} instants"
-            context.warn(
-                name,
-                f"{self.component!r} of {self.log} jumps at {instants}, the first at t = "
-                f"{min(times) / NANOSECONDS} s: what it drives gets a ramp of a step instead; "
-                "a replay of that log itself has the jumps",
-            )
-
-    def _warn_of_events(
-        self, name: str, substeps: Iterable[Substep], context: BuildContext
-    ) -> None:
-        """Warn where a recorded component had events inside steps: its rows do not have them."""
-        times = []
-        for substep in substeps:
-            if substep.accepted and substep.event == self.component:
-                times.append(substep.end)
-        if times:
-            events = "1 event" if len(times) == 1 else f"{len(times)} events"
-            context.warn(
-                name,
-                f"{self.component!r} of {self.log} has {events} between communication points, the "
-                f"first at t = {times[0]} s: between its rows it is linear here; a replay of that "
-                "log itself takes the substeps that end there",
-            )
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
         record = component_record(context.recording(self.log), self.component)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
@@ -17,6 +16,7 @@ from cosim.core.recording import Recording
 from cosim.documents import plain
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
+from cosim.scenario.kinds.values import Spectrum
 from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.scenario.record import Reconstruction
 from cosim.theory.observers import observer
@@ -53,12 +53,14 @@ FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
 
 def plain_reconstruction(reconstruction: AnyReconstruction) -> dict[str, Any]:
     """Return what a recording keeps of a reconstruction."""
-    told = Reconstruction(reconstruction.name, reconstruction.lag, reconstruction.bias)
+    own: dict[str, Any] = {}
     if isinstance(reconstruction, SavitzkyGolay):
-        told = replace(told, half_width=reconstruction.lag, order=reconstruction.order)
+        own = {"half_width": reconstruction.lag, "order": reconstruction.order}
     elif not isinstance(reconstruction, DirectReconstruction):
-        told = replace(told, filter_rate=reconstruction.rate)
-    return plain(told)
+        own = {"filter_rate": reconstruction.rate}
+    return plain(
+        Reconstruction(reconstruction.name, reconstruction.lag, reconstruction.bias, **own)
+    )
 
 
 def averaging_observer(
@@ -87,28 +89,25 @@ def averaging_kernel(arrays: Design) -> Kernel:
 
 def delta_transient(
     reduced: ReducedSystem, design: observer.ObserverDesign, reconstruction: AnyReconstruction
-) -> observer.StateSpace:
-    """Return the modes of the errors of delta, and how they enter it; there are no inputs."""
-    n_a = len(reduced.A_a)
+) -> tuple[Matrix, Vector]:
+    """Return A of the modes of the errors of delta, and the row by which they enter it.
+
+    An average has the modes of the observer too, with other constants before them; that of a
+    filter has its own beside them.
+    """
     if not isinstance(reconstruction, AveragedReconstruction):
         system = observer.realize(reduced, design)
-        return _autonomous(system.A, system.C[observer.delta_rows(reduced)][0])
+        return system.A, system.C[observer.delta_rows(reduced)][0]
     realization = observer.realize_averages(reduced, design)
     A = realization.system.A
     of_delta = realization.system.C[-2 * realization.width]
     if isinstance(reconstruction, SavitzkyGolay):
-        return _autonomous(A, of_delta)
+        return A, of_delta
+    n_a = len(A)
     rate = reconstruction.rate
-    filtered = np.append(rate * of_delta, -rate)
     of_observer = np.hstack([A, np.zeros((n_a, 1))])
-    with_filter = np.vstack([of_observer, filtered])
-    return _autonomous(with_filter, np.eye(n_a + 1)[n_a])
-
-
-def _autonomous(A: Matrix, row: Vector) -> observer.StateSpace:
-    no_input = np.zeros((len(A), 0))
-    no_feedthrough = np.zeros((1, 0))
-    return observer.StateSpace(A, no_input, row[np.newaxis], no_feedthrough)
+    filtered = np.append(rate * of_delta, -rate)
+    return np.vstack([of_observer, filtered]), np.eye(n_a + 1)[n_a]
 
 
 def noise_gains(
@@ -121,55 +120,48 @@ def noise_gains(
 ) -> Matrix:
     """Compute the deviation of delta for white noise of deviation 1 in each element of y."""
     n_y, n_u = reduced.C4.shape
-    n_d = len(design.G)
-    of_y = slice(n_u, n_u + n_y)
     mask = np.full(n_u + n_y, held)
     if not isinstance(reconstruction, AveragedReconstruction):
         system = observer.realize(reduced, design)
         discrete = first_order_hold(system.A, system.B, h, mask)
         delta = observer.delta_rows(reduced)
         gains = noise_gain(discrete, system.C[delta], system.D[delta])
-        return gains[:, of_y]
-    model = averaged_observer(reduced, design)
-    component = averaging_observer(model, reduced, reconstruction)
+        return gains[:, n_u:]
+    component = averaging_observer(averaged_observer(reduced, design), reduced, reconstruction)
     arrays = component.design(h, mask)
     discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
     if isinstance(reconstruction, SavitzkyGolay):
-        Jx = arrays["Jx"][:n_d]
-        J0 = arrays["J0"][:n_d]
-        J1 = arrays["J1"][:n_d]
-        gains = windowed_noise_gain(discrete, (Jx, J0, J1), arrays["weights"])
-        return gains[:, of_y]
-    first = len(arrays["C"]) - model.width
-    delta = slice(first, first + n_d)
-    gains = noise_gain(discrete, arrays["C"][delta], arrays["D"][delta])
-    return gains[:, of_y]
+        n_d = len(design.G)
+        increments = (arrays["Jx"][:n_d], arrays["J0"][:n_d], arrays["J1"][:n_d])
+        gains = windowed_noise_gain(discrete, increments, arrays["weights"])
+    else:
+        delta = component.interface.output_columns()["delta"]
+        gains = noise_gain(discrete, arrays["C"][delta], arrays["D"][delta])
+    return gains[:, n_u:]
 
 
-def choice(
-    G: Matrix, noise: Vector, known: tuple[float, float, str], step: float
-) -> dict[str, Any]:
+def choice(G: Matrix, noise: Vector, of_delta: Spectrum, step: float) -> dict[str, Any]:
     """Choose a window for the element of delta that has the most noise; G is the design's."""
     from cosim.theory.reconstruction.filter_choice import Conditions, choose  # rarely needed
 
-    amplitude, bandwidth, assumption = known
     if not G.any():
         raise AssumptionError(
             "filter = 'auto' weighs the noise of a derivative, but delta feeds through to y; "
             "expected another filter"
         )
-    of_delta = np.sqrt(np.sum((G * noise) ** 2, axis=1))
-    conditions = Conditions(float(of_delta.max()), amplitude, bandwidth, step)
-    chosen = choose(conditions)
+    deviations = np.sqrt(np.sum((G * noise) ** 2, axis=1))
+    chosen = choose(
+        Conditions(float(deviations.max()), of_delta.amplitude, of_delta.bandwidth, step)
+    )
     return {
         "noise": noise.tolist(),
-        "amplitude": amplitude,
-        "bandwidth": bandwidth,
+        "amplitude": of_delta.amplitude,
+        "bandwidth": of_delta.bandwidth,
         "half_width_steps": chosen.window.half_width,
         "order": chosen.window.order,
         "error_by_noise": chosen.error.noise,
         "error_by_bias": chosen.error.bias,
-        "assumption": assumption,
+        "assumption": of_delta.assumption,
     }
 
 
@@ -178,23 +170,18 @@ def recorded_noise(recording: Recording, name: str, n_y: int) -> Vector:
     from cosim.theory.reconstruction.noise_level import noise_level  # rarely needed
 
     port = f"{name}.y"
-    is_recorded = name in recording.channels and "y" in recording.channels[name].by_name
-    if not is_recorded:
+    if name not in recording.channels or "y" not in recording.channels[name].by_name:
         raise UsageError(
             f"noise_from: expected a log of this observer, got {recording.label} without {port!r}"
         )
     y = as_columns(recording[port])
+    of_y = f"noise_from: {port!r} in {recording.label}"
     if y.shape[1] != n_y:
-        raise UsageError(
-            f"noise_from: {port!r} in {recording.label}: expected size {n_y}, got {y.shape[1]}"
-        )
-    levels = []
-    for column in y.T:
-        try:
-            levels.append(noise_level(column))
-        except AssumptionError as error:
-            raise UsageError(f"noise_from: {port!r} in {recording.label}: {error}") from error
-    return np.array(levels)
+        raise UsageError(f"{of_y}: expected size {n_y}, got {y.shape[1]}")
+    try:
+        return np.array([noise_level(column) for column in y.T])
+    except AssumptionError as error:
+        raise UsageError(f"{of_y}: {error}") from error
 
 
 def numbers_hash(arrays: Iterable[Matrix]) -> str:

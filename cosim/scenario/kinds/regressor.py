@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
+from functools import cached_property, partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,8 @@ from cosim.scenario.kinds.alphas import (
     TermAlpha,
     alpha_connections,
     alphas_of,
-    known_alphas,
+    known_functions,
+    signals_of,
     unchecked,
 )
 from cosim.scenario.kinds.base import (
@@ -38,7 +41,7 @@ from cosim.scenario.kinds.base import (
     Wiring,
 )
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
-from cosim.scenario.kinds.values import ImpliedConnection, Spectrum
+from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal, Spectrum
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
@@ -64,56 +67,94 @@ class RegressorDesign:
         Of the components of the disturbance.
     alphas : sequence of Alpha
         The known factor of each.
-    known : KnownAlphas
-        What is known of those of the groups before the run.
-    groups : sequence of AlphaGroup
-        The components that share an alpha.
-    terms : sequence of Term
-        The expansion of the determinant.
+    elements : sequence of int
+        Which element of delta each component belongs to.
+    functions : mapping of text to KnownSignal
+        The alphas that are known before the run.
     steps : sequence of int
         The delays in communication steps.
     delays : sequence of float
         The delays [s].
     lag : float
         How far delta lags behind the disturbance [s].
-    elements : sequence of int
-        Which element of delta each component belongs to.
-    each : sequence of RegressorDesign
-        Those of the elements, where there are several.
     """
 
     families: Sequence[Family]
     alphas: Sequence[Alpha]
-    known: KnownAlphas
-    groups: Sequence[AlphaGroup]
-    terms: Sequence[regression.Term]
+    elements: Sequence[int]
+    functions: Mapping[str, KnownSignal]
     steps: Sequence[int]
     delays: Sequence[float]
     lag: float
-    elements: Sequence[int]
-    each: Sequence[RegressorDesign] = ()
+
+    @cached_property
+    def members(self) -> list[list[int]]:
+        """The components of each element of delta."""
+        members: list[list[int]] = [[] for _ in range(1 + max(self.elements))]
+        for component, element in enumerate(self.elements):
+            members[element].append(component)
+        return members
+
+    @cached_property
+    def each(self) -> list[RegressorDesign]:
+        """The regressions of the elements of delta, of the first delays; none of one alone."""
+        if len(self.members) == 1:
+            return []
+        designs = []
+        for own in self.members:
+            families = [self.families[i] for i in own]
+            needed = sum(family.v for family in families) + 1
+            design = replace(
+                self,
+                families=families,
+                alphas=[self.alphas[i] for i in own],
+                elements=[0] * len(own),
+                steps=self.steps[:needed],
+                delays=self.delays[:needed],
+            )
+            designs.append(design)
+        return designs
 
     @property
     def by_element(self) -> Sequence[RegressorDesign]:
         """The regression of each element of delta."""
         return self.each or [self]
 
+    @cached_property
+    def groups(self) -> list[AlphaGroup]:
+        """The components of an element that share an alpha."""
+        groups = []
+        for own in self.members:
+            texts = [self.alphas[i].text for i in own]
+            for group in group_by_alpha(texts, [self.families[i] for i in own]):
+                components = tuple(own[i] for i in group.components)
+                groups.append(replace(group, components=components))
+        return groups
+
     @property
+    def sizes(self) -> tuple[int, ...]:
+        """The number of basis functions of each group."""
+        return tuple(group.size for group in self.groups)
+
+    @cached_property
     def is_expanded(self) -> bool:
         """Whether mu is that of (25); else it is delta at its delays."""
-        return bool(self.terms[0].parts)
+        return not self.each and regression.count_terms(self.sizes) <= MOST_TERMS
+
+    @cached_property
+    def terms(self) -> Sequence[regression.Term]:
+        """The expansion of the determinant."""
+        if self.is_expanded:
+            return regression.expand(self.sizes)
+        count = sum(len(part.terms) for part in self.each) or len(self.delays)
+        return regression.delayed(count)
 
     @property
     def needs_independence(self) -> bool:
         """Whether the products of the alphas have to be independent: eta can be estimated."""
         return self.is_expanded and not regression.linear_route_problem(self.sizes)
 
-    @property
-    def sizes(self) -> list[int]:
-        """The number of basis functions of each group."""
-        return [group.size for group in self.groups]
-
-    @property
+    @cached_property
     def constants(self) -> RegressorConstants:
         """The numbers of what makes mu; of several elements their alphas, and how many mu has."""
         if not self.each:
@@ -134,10 +175,10 @@ class RegressorDesign:
         """The alpha of each group."""
         return [self.alphas[group.components[0]] for group in self.groups]
 
-    @property
-    def samples_of_signals(self) -> int:
-        """How many samples of the signals among the alphas are before the first mu."""
-        return self.constants.alphas.samples
+    @cached_property
+    def known(self) -> KnownAlphas:
+        """What is known of the alphas of the groups before the run."""
+        return KnownAlphas(self.group_alphas, self.functions)
 
     def times_before(self, clock: Clock) -> Matrix:
         """Return the instants that the alphas are needed at, shape ``(N, rows)`` [s].
@@ -151,7 +192,7 @@ class RegressorDesign:
             grid = np.linspace(min(first, clock.stop), clock.stop, SAMPLES)
         return grid[:, np.newaxis] - ages
 
-    def check_alphas(self, clock: Clock) -> None:
+    def check_different(self, clock: Clock) -> None:
         """Check, as far as it is known before the run, that the alphas are different ones.
 
         Raises
@@ -159,8 +200,9 @@ class RegressorDesign:
         AssumptionError
             If they are not.
         """
-        if len(self.groups) > 1 and not self.known.unknown:
-            self._check_different(self.known, self.times_before(clock))
+        for part in self.by_element:
+            if not part.known.unknown:
+                part._check_different(part.known, part.times_before(clock))
 
     def check_independent(self, clock: Clock) -> None:
         """Check, as far as it is known before the run, that eta can be estimated.
@@ -171,29 +213,11 @@ class RegressorDesign:
             If the products of the alphas are not independent.
         """
         for part in self.by_element:
-            if part.needs_independence and len(part.groups) > 1 and not part.known.unknown:
+            if not part.known.unknown:
                 part._check_independent(part.known, part.times_before(clock))
 
-    def _check_different(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
-        """Check alphas ``(N, groups)`` at instants ``(N,)``, in a run at ``times (N, rows)``."""
-        names, sampled = self._sampled(alphas, times)
-        regression.check_proportional(sampled, names)
-        families = [[self.families[i] for i in group.components] for group in self.groups]
-        check_exchangeable(times.ravel(), sampled.reshape(-1, len(names)), families, names)
-
-    def _check_independent(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
-        names, sampled = self._sampled(alphas, times)
-        regression.check_alpha_products(self.terms, sampled, names)
-
-    def _sampled(
-        self, alphas: Callable[[Vector], Matrix], times: Matrix
-    ) -> tuple[list[str], NDArray[np.float64]]:
-        """Return the names of the alphas, and their values, shape ``(N, rows, groups)``."""
-        names = [alpha.text for alpha in self.group_alphas]
-        return names, alphas(times.ravel()).reshape(*times.shape, len(names))
-
     def check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
-        """Check the alphas where only the run has computed them.
+        """Check the alphas where only the run has computed them, if it is longer than the delays.
 
         Parameters
         ----------
@@ -209,85 +233,60 @@ class RegressorDesign:
         AssumptionError
             If they are not different, or their products are not independent.
         """
-        for element, part in enumerate(self.each):
-            own = [i for i, of_term in enumerate(self.elements) if of_term == element]
-            part.check_recorded(t, alpha[:, own], estimates_eta=estimates_eta)
-        if self.known.unknown and len(self.groups) > 1 and not self.each:
-            self._check_recorded(t, alpha, estimates_eta=estimates_eta)
+        for own, part in zip(self.members, self.by_element, strict=True):
+            ages = np.array(part.delays)
+            first = t[0] + ages.max()
+            if not part.known.unknown or not first < t[-1]:
+                continue
+            columns = [alpha[:, own[group.components[0]]] for group in part.groups]
+            recorded = partial(_interpolated, t, columns)
+            times = np.linspace(first, t[-1], SAMPLES)[:, np.newaxis] - ages
+            part._check_different(recorded, times)
+            if estimates_eta:
+                part._check_independent(recorded, times)
 
-    def _check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
-        """Check the alphas of one element, if the run is longer than its delays."""
-        ages = np.array(self.delays)
-        first = t[0] + ages.max()
-        if not first < t[-1]:
-            return
-        columns = [alpha[:, group.components[0]] for group in self.groups]
+    def _check_different(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
+        """Check alphas ``(N, groups)`` at instants ``(N,)``, in a run at ``times (N, rows)``."""
+        if len(self.groups) > 1:
+            names, sampled = self._sampled(alphas, times)
+            regression.check_proportional(sampled, names)
+            families = [[self.families[i] for i in group.components] for group in self.groups]
+            check_exchangeable(times.ravel(), sampled.reshape(-1, len(names)), families, names)
 
-        def recorded(times: Vector) -> Matrix:
-            return np.array([np.interp(times, t, column) for column in columns]).T
+    def _check_independent(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
+        if len(self.groups) > 1 and self.needs_independence:
+            names, sampled = self._sampled(alphas, times)
+            regression.check_alpha_products(self.terms, sampled, names)
 
-        grid = np.linspace(first, t[-1], SAMPLES)
-        times = grid[:, np.newaxis] - ages
-        self._check_different(recorded, times)
-        if estimates_eta and self.needs_independence:
-            self._check_independent(recorded, times)
+    def _sampled(
+        self, alphas: Callable[[Vector], Matrix], times: Matrix
+    ) -> tuple[list[str], NDArray[np.float64]]:
+        """Return the names of the alphas, and their values, shape ``(N, rows, groups)``."""
+        names = [alpha.text for alpha in self.group_alphas]
+        return names, alphas(times.ravel()).reshape(*times.shape, len(names))
 
     def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
         if not self.each:
             return self._of_one()
-        signals = [signals_among(part.group_alphas) for part in self.each]
+        signals = [signals_among(part.alphas) for part in self.each]
         return ElementRegressors([part._of_one() for part in self.each], signals)
 
     def _of_one(self) -> Regressor:
         """Return the regressor of one element of delta: its input alpha has its own signals."""
-        own = {
-            signal.element: place for place, signal in enumerate(signals_among(self.group_alphas))
-        }
+        own = [signal.element for signal in signals_among(self.alphas)]
         alphas: list[Alpha] = []
         for alpha in self.group_alphas:
             if isinstance(alpha, AlphaSignal):
-                alpha = replace(alpha, element=own[alpha.element])
+                alpha = replace(alpha, element=own.index(alpha.element))
             alphas.append(alpha)
         return Regressor(
-            self.terms,
-            alphas=alphas,
-            steps=self.steps,
-            delays=self.delays,
-            lag=self.lag,
+            self.terms, alphas=alphas, steps=self.steps, delays=self.delays, lag=self.lag
         )
 
 
-class _Timing(NamedTuple):
-    """The delays in communication steps and in seconds, and the lag of delta [s]."""
-
-    steps: Sequence[int]
-    delays: Sequence[float]
-    lag: float
-
-
-def _design_of_element(
-    families: Sequence[Family], alphas: Sequence[Alpha], timing: _Timing, context: BuildContext
-) -> RegressorDesign:
-    """Return the regression of one element of delta: of the first delays."""
-    groups = group_by_alpha([alpha.text for alpha in alphas], families)
-    sizes = tuple(group.size for group in groups)
-    needed = sum(sizes) + 1
-    is_expanded = regression.count_terms(sizes) <= MOST_TERMS
-    firsts = [alphas[group.components[0]] for group in groups]
-    design = RegressorDesign(
-        families=families,
-        alphas=alphas,
-        known=known_alphas(firsts, context),
-        groups=groups,
-        terms=regression.expand(sizes) if is_expanded else regression.delayed(needed),
-        steps=timing.steps[:needed],
-        delays=timing.delays[:needed],
-        lag=timing.lag,
-        elements=[0] * len(families),
-    )
-    design.check_alphas(context.clock)
-    return design
+def _interpolated(t: Vector, columns: Sequence[Vector], times: Vector) -> Matrix:
+    return np.array([np.interp(times, t, column) for column in columns]).T
 
 
 class RegressorKind(ExportableKind):
@@ -347,17 +346,27 @@ class RegressorKind(ExportableKind):
         if any(term.family != "exponential" for term in self.terms):
             return None
         distinct = {alpha.text: alpha for alpha in unchecked(self.alphas)}
-        names = sorted(distinct)
-        known = known_alphas([distinct[text] for text in names], context)
+        alphas = [distinct[text] for text in sorted(distinct)]
+        known = KnownAlphas(alphas, known_functions(alphas, context))
         if known.unknown:
             return None
-        amplitude, bandwidth = _together(known, context.clock)
+        measured = []
+        for alpha in alphas:
+            of_one = KnownAlphas([alpha], known.functions)
+            measured.append(_rms_and_rate(of_one, context.clock))
+        amplitude = math.sqrt(sum(rms**2 for rms, _ in measured))
+        bandwidth = max(rate for _, rate in measured)
         if not (math.isfinite(amplitude) and 0.0 < bandwidth < math.inf):
             return None
+        source: dict[str, Any] = {"alpha": known.names}
+        # the tables that signals follow from
+        for component in sorted({port.component for port in signals_of(self.alphas)}):
+            table = context.spec(component).model_dump(mode="json", by_alias=True)
+            source.setdefault("sources", {})[component] = table
         return Spectrum(
             amplitude,
             bandwidth,
-            source={"alpha": names, **_sources(known.known, context)},
+            source,
             assumption="amplitude and bandwidth of delta are those of alpha: each exponential of "
             "size 1, and slower than alpha",
         )
@@ -371,85 +380,49 @@ class RegressorKind(ExportableKind):
         steps = self.delay_steps(context)  # before what needs all times of the run
         alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
         self.check_distinguishable(context)
-        count = element_count(self.terms)
-        members: list[list[int]] = [[] for _ in range(count)]
-        for i, term in enumerate(self.terms):
-            members[term.element].append(i)
-        self._check_elements(members, families)
-        lag = context.lag(Port(name, "delta"))
-        timing = _Timing(steps, self.delays, lag)
-        each = []
-        for own in members:
-            own_families = [families[i] for i in own]
-            own_alphas = [alphas[i] for i in own]
-            each.append(_design_of_element(own_families, own_alphas, timing, context))
-        if count == 1:
-            return each[0]
-        return self._of_all(members, each, alphas, timing, context)
-
-    def _of_all(
-        self,
-        members: Sequence[Sequence[int]],
-        each: Sequence[RegressorDesign],
-        alphas: Sequence[Alpha],
-        timing: _Timing,
-        context: BuildContext,
-    ) -> RegressorDesign:
-        """Return the regressions of all elements side by side."""
-        groups = []
-        for own, part in zip(members, each, strict=True):
-            for group in part.groups:
-                components = tuple(own[i] for i in group.components)
-                groups.append(replace(group, components=components))
-        firsts = [alphas[group.components[0]] for group in groups]
-        return RegressorDesign(
-            families=families_of(self.terms),
+        elements = [term.element for term in self.terms]
+        sizes = [0] * element_count(self.terms)
+        for family, element in zip(families, elements, strict=True):
+            sizes[element] += family.v
+        if 0 in sizes:
+            raise UsageError(
+                f"terms: expected at least one term for each of {len(sizes)} elements of delta, "
+                f"got none for element {sizes.index(0)}"
+            )
+        regression.check_delays(self.delays, max(sizes) + 1)
+        design = RegressorDesign(
+            families=families,
             alphas=alphas,
-            known=known_alphas(firsts, context),
-            groups=groups,
-            terms=regression.delayed(sum(len(one.terms) for one in each)),
-            steps=timing.steps,
-            delays=timing.delays,
-            lag=timing.lag,
-            elements=[term.element for term in self.terms],
-            each=each,
+            elements=elements,
+            functions=known_functions(alphas, context),
+            steps=steps,
+            delays=self.delays,
+            lag=context.lag(Port(name, "delta")),
         )
+        design.check_different(context.clock)
+        return design
 
-    def check_distinguishable(self, context: BuildContext) -> None:
-        """Check that no two terms say the same, whatever theta is.
+    def check_distinguishable(
+        self,
+        context: BuildContext,
+        bounds: Mapping[int, tuple[float, float]] = MappingProxyType({}),
+    ) -> None:
+        """Check that no two terms say the same, whatever theta within the bounds is.
 
         Raises
         ------
         AssumptionError
             If two do.
         """
-        clock = context.clock
-        families = families_of(self.terms)
-        alphas = unchecked(self.alphas)
-        texts = [alpha.text for alpha in alphas]
+        texts = [alpha.text for alpha in unchecked(self.alphas)]
         elements = [term.element for term in self.terms]
         check_distinguishable(
-            families,
+            families_of(self.terms),
             list(zip(texts, elements, strict=True)),
             texts,
-            bounds={},
-            span=clock.steps * clock.h,
+            bounds=bounds,
+            span=context.clock.steps * context.clock.h,
         )
-
-    def _check_elements(
-        self,
-        members: Sequence[Sequence[int]],
-        families: Sequence[Family],
-    ) -> None:
-        """Check that every element of delta has terms, and the longest of them its delays."""
-        for element, own in enumerate(members):
-            if not own:
-                raise UsageError(
-                    f"terms: expected at least one term for each of {len(members)} elements of "
-                    f"delta, got none for element {element}"
-                )
-        longest = max(sum(families[i].v for i in own) for own in members)
-        regression.check_delays(self.delays, longest + 1)
 
     def delay_steps(self, context: BuildContext) -> list[int]:
         """Return the delays in communication steps."""
@@ -457,22 +430,6 @@ class RegressorKind(ExportableKind):
         for j, delay in enumerate(self.delays):
             steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
         return steps
-
-
-def _together(alphas: KnownAlphas, clock: Clock) -> tuple[float, float]:
-    """Return the root mean square of all alphas together, and their highest rate [rad/s]."""
-    measured = [_rms_and_rate(alpha, clock) for alpha in alphas.each]
-    amplitude = math.sqrt(sum(rms**2 for rms, _ in measured))
-    return amplitude, max(rate for _, rate in measured)
-
-
-def _sources(alphas: Sequence[Alpha], context: BuildContext) -> dict[str, Any]:
-    """Return the tables that signals among alphas follow from; none without them."""
-    components = {Port.parse(signal.text).component for signal in signals_among(alphas)}
-    tables = {}
-    for name in sorted(components):
-        tables[name] = context.spec(name).model_dump(mode="json", by_alias=True)
-    return {"sources": tables} if tables else {}
 
 
 def _rms_and_rate(alpha: KnownAlphas, clock: Clock) -> tuple[float, float]:

@@ -4,6 +4,9 @@ The same for every method: output error is fitted to what the observer took in a
 the identifier says is held against it. Where the identifier takes samples of y at times of their
 own, it is fitted to these; where it has a moving window, to the last one. They are results, not
 signals: they rest on linear algebra whose last bits depend on the processor.
+
+The same tests tell whether the samples of a residual are what noise leaves: it is the output of a
+plant without states, input and disturbance.
 """
 
 from __future__ import annotations
@@ -20,15 +23,22 @@ from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant, SampleRows
-from cosim.scenario.record import IdentifierVerdicts, IrregularPart
+from cosim.scenario.record import IdentifierVerdicts, IrregularEffect, IrregularPart
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.noise_color import largest_power
 from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.verdicts import Assessment, judge
+from cosim.theory.bounded.feasible_program import Watch
+from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
+from cosim.theory.disturbances.families import Polynomial
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.estimators.output_error import OutputErrorProblem
 
 OUTPUT_ERROR: Final = "output-error"
 IDENTIFY_WITH_OFFSET: Final = "`cosim identify --offset`"
+FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
 
 class Assessor:
@@ -133,12 +143,134 @@ def verdicts_of(assessment: Assessment) -> IdentifierVerdicts:
 
 def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
     """Return what an irregular part within its bound leaves open, or why that is not known."""
-    # rarely needed
-    from cosim.scenario.kinds.irregular import interval_of, irregular_part
-    from cosim.theory.bounded.irregular_part import Programs
-
     try:
         interval = interval_of(assessment, bound, Programs.BEYOND_FIRST_ORDER)
     except (AssumptionError, RunError) as error:
         return IrregularPart(bound, problem=str(error))
     return irregular_part(bound, interval)
+
+
+def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:
+    """Return what an interval that is guaranteed for a bound says of every theta."""
+    effects = []
+    for j, half_width in enumerate(interval.half_width.tolist()):
+        lower = float(interval.lower[j])
+        upper = float(interval.upper[j])
+        effects.append(
+            IrregularEffect(
+                name=f"theta[{j}]",
+                first_order=half_width,
+                holds=bool(interval.first_order_holds[j]),
+                is_explained=not (np.isnan(lower) or np.isnan(upper)),
+                lower=lower if np.isfinite(lower) else None,
+                upper=upper if np.isfinite(upper) else None,
+            )
+        )
+    return IrregularPart(
+        bound=bound,
+        effects=tuple(effects),
+        confidence=interval.confidence,
+        unsolved=0 if interval.feasible is None else interval.feasible.unsolved,
+    )
+
+
+def interval_of(
+    assessment: Assessment, bound: float, programs: Programs, watch: Watch | None = None
+) -> GuaranteedInterval:
+    """Return which theta data allow if an irregular part of delta is within a bound.
+
+    Where the noise of y is not stated it is as large as the residual, which holds the irregular
+    part too; errors of step and quantization are allowed for.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        Of one data set.
+    bound : float
+        Of the irregular part, ``|delta_0| <= bound``.
+    programs : Programs
+        When linear programs are solved.
+    watch : callable, optional
+        Is told after every linear program how many have been solved.
+
+    Raises
+    ------
+    AssumptionError
+        If not every theta was estimated, samples are missing or at unequal distances, or the plant
+        is unstable.
+    """
+    problem = assessment.problem
+    estimated = assessment.fit.estimated
+    if not estimated.all():
+        missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~estimated))
+        raise AssumptionError(
+            f"{missing} was not estimated; bounding theta for an irregular part of the "
+            "disturbance takes an estimate of every theta"
+        )
+    accuracy = assessment.consistency.accuracy[0]
+    sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())
+    outputs = accuracy.step.shape[1]
+    sigma = _largest_deviations(assessment)
+    if problem.stated is not None:
+        sigma = np.sqrt(np.diag(problem.stated))
+    return guaranteed_interval(
+        problem.data[0],
+        problem.plant,
+        problem.families,
+        assessment.fit,
+        bound=bound,
+        sigma=sigma,
+        sampling_error=sampling_error,
+        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros((outputs, 0))),
+        programs=programs,
+        watch=watch,
+    )
+
+
+def _largest_deviations(assessment: Assessment) -> Vector:
+    """Return deviations of white noise whose means are as large as those of each residual.
+
+    Of colored noise that is the one at the frequency where its spectrum is largest.
+    """
+    noise = assessment.noise
+    if assessment.consistency.is_exact:
+        return np.zeros(len(noise.a))
+    frequencies = np.linspace(0.0, np.pi, FREQUENCIES)
+    lags = np.arange(1, noise.order + 1)
+    waves = np.exp(-1j * np.outer(frequencies, lags))
+    gains = 1.0 / np.abs(1.0 - waves @ noise.a.T)
+    return np.asarray(assessment.deviations * gains.max(axis=0), np.float64)
+
+
+def residual_noise(t: Vector, residual: Vector) -> tuple[str, float, float]:
+    """Test samples of a residual, shape (N,), at ascending instants t [s].
+
+    Returns
+    -------
+    problem : str
+        Why it is not what noise leaves; empty: it is.
+    power : float
+        The largest power of the noise at a frequency, over its mean; 1: it is white.
+    freedom : float
+        Degrees of freedom of that power.
+
+    Raises
+    ------
+    AssumptionError
+        If there are hardly any.
+    """
+    samples = len(residual)
+    data = DataSet(t, residual[:, np.newaxis], np.zeros((samples, 0)), np.zeros((samples, 1)))
+    nothing = np.zeros((0, 0))
+    plant = DisturbedPlant(
+        A=nothing,
+        B=nothing,
+        Bd=np.zeros((0, 1)),
+        C=np.zeros((1, 0)),
+        D=np.zeros((1, 0)),
+        Dd=np.ones((1, 1)),
+    )
+    found = assess(OutputErrorProblem([data], plant, [Polynomial(0)]), None)
+    problem = "" if found.consistency.passed else found.consistency.contradiction
+    power = largest_power(found.noise.a[0])
+    return problem.replace(" in y[0]", ""), power, found.noise.freedom

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pydantic import Field
 
@@ -25,15 +25,14 @@ from cosim.theory.disturbances.families import (
     Polynomial,
     family_named,
 )
-
-if TYPE_CHECKING:
-    from cosim.theory.disturbances.linear_family import LinearFamily, Rows
+from cosim.theory.disturbances.linear_family import LinearFamily, Rows
 
 LINEAR: Final = "linear"
 LARGEST_DEGREE: Final = 8
 MOST_ELEMENTS: Final = 64
 ONE_BY_ONE: Final = ("amplitude", "phase", "level", "slope")  # constants with keys of their own
 DEFAULTS: Final = MappingProxyType({"amplitude": 1.0, "phase": 0.0})  # the others are needed
+NEEDED: Final = ("degree", "G0", "c")  # of the settings of a family
 IN_A_LIST: Final = ("polynomial", LINEAR)  # families with as many constants as are said
 
 
@@ -72,43 +71,35 @@ class FamilyTerm(TomlTable):
         UsageError
             If a setting is missing, or belongs to another family.
         """
-        self._check_settings()
-        if self.family == "polynomial":
-            assert self.degree is not None
+        given = self.model_fields_set
+        own = SETTINGS.get(self.family, ())
+        for owner, keys in SETTINGS.items():
+            foreign = [key for key in keys if key in given and key not in own]
+            if foreign:
+                raise UsageError(
+                    f"{foreign[0]}: expected with family {owner!r} only, got family {self.family!r}"
+                )
+        for key in own:
+            if key in NEEDED and key not in given:
+                raise UsageError(f"{key} is missing; family {self.family!r} requires it")
+        if self.degree is not None:
             if not 0 <= self.degree <= LARGEST_DEGREE:
                 raise UsageError(
                     f"degree: expected 0 to {LARGEST_DEGREE}, got {self.degree}; data hardly "
                     "distinguish higher powers of t"
                 )
             return Polynomial(self.degree)
-        if self.family == LINEAR:
-            return self._linear()
+        if self.G0 is not None and self.c is not None:
+            return self._linear(self.G0, self.c)
         return family_named(self.family)
 
-    def _check_settings(self) -> None:
-        own = SETTINGS.get(self.family, ())
-        for owner, keys in SETTINGS.items():
-            foreign = [key for key in keys if key in self.model_fields_set and key not in own]
-            if foreign:
-                raise UsageError(
-                    f"{foreign[0]}: expected with family {owner!r} only, got family {self.family!r}"
-                )
-        for key in own:
-            needed = key in ("degree", "G0", "c")
-            if needed and key not in self.model_fields_set:
-                raise UsageError(f"{key} is missing; family {self.family!r} requires it")
-
-    def _linear(self) -> LinearFamily:
-        from cosim.theory.disturbances.linear_family import LinearFamily  # rarely needed
-
-        assert self.G0 is not None
-        assert self.c is not None
+    def _linear(self, G0: NumberRows, c: NumberRow) -> Family:
         slopes = [_rows(rows, f"G[{j}]") for j, rows in enumerate(self.G or ())]
         names = self.parameters
         if names is None:
             names = tuple(f"theta_{j}" for j in range(1, len(slopes) + 1))
         ranges = None if self.search is None else tuple(map(_range, self.search))
-        return LinearFamily(_rows(self.G0, "G0"), tuple(slopes), self.c, names, ranges)
+        return LinearFamily(_rows(G0, "G0"), tuple(slopes), c, names, ranges)
 
 
 class ValuedTerm(FamilyTerm):
@@ -136,24 +127,10 @@ class ValuedTerm(FamilyTerm):
     )
 
     def values(self, family: Family) -> tuple[float, ...]:
-        """Return theta.
-
-        Raises
-        ------
-        UsageError
-            If these are not as many as the family has parameters.
-        """
-        values: Sequence[float] = ()
-        if self.theta is not None:
-            values = self.theta if isinstance(self.theta, tuple) else (self.theta,)
-        names = family.parameters
-        if len(values) != len(names):
-            what = ", ".join(names)
-            expected = f"{len(names)} ({what})" if names else "none"
-            raise UsageError(
-                f"theta of family {family.name!r}: expected {expected}, got {_numbers(values)}"
-            )
-        return tuple(map(float, values))
+        """Return theta; raise UsageError if the family has not as many parameters."""
+        given = () if self.theta is None else self.theta
+        values = given if isinstance(given, tuple) else (given,)
+        return _as_many("theta", family, values, family.parameters)
 
     def constant_values(self, family: Family) -> tuple[float, ...]:
         """Return the constants in the order of the family.
@@ -163,11 +140,17 @@ class ValuedTerm(FamilyTerm):
         UsageError
             If they are not as many as the family has, or there is a key that it has not.
         """
-        self._check_constant_keys(family)
-        if family.name in IN_A_LIST:
-            return self._listed_constants(family)
+        in_a_list = family.name in IN_A_LIST
+        own = ("constants",) if in_a_list else family.constants
+        for key in (*ONE_BY_ONE, "constants"):
+            if getattr(self, key) is not None and key not in own:
+                raise UsageError(
+                    f"{key}: not a constant of family {family.name!r}; available: {', '.join(own)}"
+                )
+        if in_a_list:
+            return _as_many("constants", family, self.constants or (), family.constants)
         values = []
-        for key in family.constants:
+        for key in own:
             given = getattr(self, key)
             value = DEFAULTS.get(key) if given is None else given
             if value is None:
@@ -175,24 +158,16 @@ class ValuedTerm(FamilyTerm):
             values.append(float(value))
         return tuple(values)
 
-    def _listed_constants(self, family: Family) -> tuple[float, ...]:
-        constants = self.constants or ()
-        names = family.constants
-        if len(constants) != len(names):
-            raise UsageError(
-                f"constants of family {family.name!r}: expected {len(names)} "
-                f"({', '.join(names)}), got {_numbers(constants)}"
-            )
-        return tuple(map(float, constants))
 
-    def _check_constant_keys(self, family: Family) -> None:
-        """Refuse keys of constants that the family has not."""
-        own = ("constants",) if family.name in IN_A_LIST else family.constants
-        for key in (*ONE_BY_ONE, "constants"):
-            if getattr(self, key) is not None and key not in own:
-                raise UsageError(
-                    f"{key}: not a constant of family {family.name!r}; available: {', '.join(own)}"
-                )
+def _as_many(
+    key: str, family: Family, values: Sequence[float], names: Sequence[str]
+) -> tuple[float, ...]:
+    if len(values) != len(names):
+        expected = f"{len(names)} ({', '.join(names)})" if names else "none"
+        raise UsageError(
+            f"{key} of family {family.name!r}: expected {expected}, got {_numbers(values)}"
+        )
+    return tuple(map(float, values))
 
 
 def element_count(terms: Sequence[FamilyTerm]) -> int:
@@ -220,43 +195,18 @@ def function_text(family: Family, theta: Sequence[float], constants: Sequence[fl
 
     Not of a linear family, which is none.
     """
-    return _FUNCTIONS[family.name](theta, constants)
-
-
-def _exponential(theta: Sequence[float], constants: Sequence[float]) -> str:
-    return f"{constants[0]!r}*exp({theta[0]!r}*t)"
-
-
-def _sine(theta: Sequence[float], constants: Sequence[float]) -> str:
-    return f"{constants[0]!r}*sin({theta[0]!r}*t + {constants[1]!r})"
-
-
-def _damped_sine(theta: Sequence[float], constants: Sequence[float]) -> str:
-    return f"{_exponential([-theta[0]], constants)}*sin({theta[1]!r}*t + {constants[1]!r})"
-
-
-def _polynomial(theta: Sequence[float], constants: Sequence[float]) -> str:
+    match family.name:
+        case "exponential":
+            return f"{constants[0]!r}*exp({theta[0]!r}*t)"
+        case "sine":
+            return f"{constants[0]!r}*sin({theta[0]!r}*t + {constants[1]!r})"
+        case "damped-sine":
+            decaying = f"{constants[0]!r}*exp({-theta[0]!r}*t)"
+            return f"{decaying}*sin({theta[1]!r}*t + {constants[1]!r})"
     text = f"{constants[-1]!r}"
     for coefficient in reversed(constants[:-1]):
         text = f"({coefficient!r} + t*{text})"
-    return text
-
-
-def _t_exponential(theta: Sequence[float], constants: Sequence[float]) -> str:
-    return f"{_polynomial((), constants)}*exp({theta[0]!r}*t)"
-
-
-_FUNCTIONS: Mapping[str, Callable[[Sequence[float], Sequence[float]], str]] = MappingProxyType(
-    {
-        "exponential": _exponential,
-        "sine": _sine,
-        "damped-sine": _damped_sine,
-        "constant": _polynomial,
-        "ramp": _polynomial,
-        "polynomial": _polynomial,
-        "t-exponential": _t_exponential,
-    }
-)
+    return f"{text}*exp({theta[0]!r}*t)" if family.name == "t-exponential" else text
 
 
 def _rows(rows: NumberRows, name: str) -> Rows:

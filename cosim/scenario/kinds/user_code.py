@@ -31,8 +31,7 @@ import re
 import sys
 import threading
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
@@ -71,22 +70,8 @@ class UserClass:
     distribution: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _FolderModule:
-    """A module that was imported from a folder, and the hashes of all files that this took."""
-
-    module: ModuleType
-    hashes: Mapping[Path, str]
-
-    def is_current(self) -> bool:
-        """Return whether its files are those that were imported."""
-        try:
-            return all(_hash(path.read_bytes()) == text for path, text in self.hashes.items())
-        except OSError:
-            return False
-
-
-_of_folders: Final[dict[tuple[Path, str], _FolderModule]] = {}
+# of folders: the module of a folder and a name, with the hashes of all files that this took
+_of_folders: Final[dict[tuple[Path, str], tuple[ModuleType, Mapping[Path, str]]]] = {}
 _of_ordinary: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()  # hashes at first sight
 
 
@@ -100,18 +85,11 @@ def class_name_parts(name: str) -> tuple[str, str]:
     """
     module, colon, class_name = name.partition(":")
     names = [*module.split("."), class_name]
-    if not colon or not all(map(str.isidentifier, names)):
-        raise UsageError(f"expected 'package.module:Class', got {quoted(name)}{_meant(name)}")
-    return module, class_name
-
-
-def _meant(name: str) -> str:
-    """Return what may be meant by ``package.module.Class``; empty: nobody knows."""
+    if colon and all(map(str.isidentifier, names)):
+        return module, class_name
     module, dot, class_name = name.rpartition(".")
-    if not dot or ":" in name:
-        return ""
-    corrected = f"{module}:{class_name}"
-    return f"; did you mean {corrected!r}?"
+    meant = f"; did you mean {f'{module}:{class_name}'!r}?" if dot and ":" not in name else ""
+    raise UsageError(f"expected 'package.module:Class', got {quoted(name)}{meant}")
 
 
 class OtherSource(UsageError):
@@ -167,25 +145,32 @@ def load_class(
         )
     with _lock:
         importlib.invalidate_caches()  # a file may be younger than the listing of its folder
-        inside = None if folder is None else _FolderFinder(folder)
-        if inside is None or not inside.has(module_name):
+        finder = None if folder is None else _FolderFinder(folder, needed)
+        if finder is None or not finder.has(module_name):
             if needed is not None and module_name not in sys.modules:
                 _check_ordinary(module_name, needed)
             user_class = _ordinary_class(name, module_name, class_name, folder)
             package = distribution or _distribution_of(module_name)
             return replace(user_class, distribution=package)
-        key = (inside.folder, module_name)
-        imported = _of_folders.get(key)
-        if imported is None or not imported.is_current():
-            inside.needed = needed
-            imported = _of_folders[key] = _import_from(inside, module_name)
+        key = (finder.folder, module_name)
+        if key not in _of_folders or not _are_current(_of_folders[key][1]):
+            _of_folders[key] = finder.imported(module_name)
+        module, hashes = _of_folders[key]
     sources = {}
-    for path, text in imported.hashes.items():
-        sources[path.relative_to(inside.folder).as_posix()] = text
-    return UserClass(name, _class_in(imported.module, class_name), sources, tuple(imported.hashes))
+    for path, digest in hashes.items():
+        sources[path.relative_to(finder.folder).as_posix()] = digest
+    return UserClass(name, _class_in(module, class_name), sources, tuple(hashes))
 
 
 # --- modules of a folder ---
+
+
+def _are_current(hashes: Mapping[Path, str]) -> bool:
+    """Return whether files are those that were imported."""
+    try:
+        return all(_hash(path.read_bytes()) == digest for path, digest in hashes.items())
+    except OSError:
+        return False
 
 
 class _HashingLoader(SourceFileLoader):
@@ -196,15 +181,15 @@ class _HashingLoader(SourceFileLoader):
         self._finder = finder
 
     def get_code(self, fullname: str) -> CodeType:
-        """Return the code of the module.
-
-        Raises
-        ------
-        OtherSource
-            If it is not the one that is needed.
-        """
+        """Return the code of the module; raise OtherSource if it is not the one that is needed."""
         source = self.get_data(self.path)
-        self._finder.take(Path(self.path), _hash(source))
+        path = Path(self.path)
+        digest = _hash(source)
+        file = path.relative_to(self._finder.folder).as_posix()
+        needed = self._finder.needed
+        if needed is not None and needed.get(file) != digest:
+            raise OtherSource(file, digest)
+        self._finder.hashes[path] = digest
         code: CodeType = self.source_to_code(source, self.path)
         return code
 
@@ -215,54 +200,59 @@ class _FolderFinder(MetaPathFinder):
     Attributes
     ----------
     folder : Path
+    needed : mapping of file name to str, or None
+        The SHA-256 that these have to have; None: anything.
     hashes : dict of Path to str
         The SHA-256 of every file that was imported, the first one first.
-    needed : mapping of file name to str, or None
-        What these have to be; None: anything.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, needed: Mapping[str, str] | None) -> None:
         self.folder = folder.resolve()
+        self.needed = needed
         self.hashes: dict[Path, str] = {}
-        self.needed: Mapping[str, str] | None = None
         self._own: dict[str, bool] = {}  # names without a dot, and whether the folder has them
 
     def has(self, name: str) -> bool:
         """Return whether the folder has the file of a module, whose packages are not imported."""
         *packages, last = name.split(".")
-        if not self.owns(name.partition(".")[0]):
+        if not self._owns(name):
             return False
         spec = PathFinder.find_spec(last, [str(self.folder.joinpath(*packages))])
         return spec is not None and spec.origin is not None
+
+    def imported(self, name: str) -> tuple[ModuleType, Mapping[Path, str]]:
+        """Import a module before all finders; return it and the hashes, and leave none behind."""
+        aside = self._taken_out()
+        sys.meta_path.insert(0, self)
+        try:
+            module = _imported(name, self.folder)
+        finally:
+            sys.meta_path.remove(self)
+            self._taken_out()
+            sys.modules.update(aside)
+        path = Path(str(module.__file__))
+        if path not in self.hashes:  # it was compiled before, such as a C extension
+            self.hashes[path] = _hash(path.read_bytes())
+        return module, self.hashes
+
+    def _taken_out(self) -> dict[str, ModuleType]:
+        """Take the modules with names of the folder out of ``sys.modules``."""
+        return {name: sys.modules.pop(name) for name in list(sys.modules) if self._owns(name)}
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Find a module that the folder has; None: it is one of others."""
-        if not self.owns(fullname.partition(".")[0]):
+        if not self._owns(fullname):
             return None
         spec = PathFinder.find_spec(fullname, [str(self.folder)] if path is None else path)
-        if spec is None or spec.origin is None:
-            return spec
-        if isinstance(spec.loader, SourceFileLoader):
+        if spec is not None and spec.origin and isinstance(spec.loader, SourceFileLoader):
             spec.loader = _HashingLoader(fullname, spec.origin, self)
         return spec
 
-    def take(self, path: Path, digest: str) -> None:
-        """Note the hash of a file that is about to be run.
-
-        Raises
-        ------
-        OtherSource
-            If it is not the one that is needed.
-        """
-        file = path.relative_to(self.folder).as_posix()
-        if self.needed is not None and self.needed.get(file) != digest:
-            raise OtherSource(file, digest)
-        self.hashes[path] = digest
-
-    def owns(self, top: str) -> bool:
-        """Return whether a module without a package is one of the folder's."""
+    def _owns(self, name: str) -> bool:
+        """Return whether a module, or the package that it is in, is one of the folder's."""
+        top = name.partition(".")[0]
         if top not in self._own:
             self._own[top] = self._is_own(top)
         return self._own[top]
@@ -271,81 +261,42 @@ class _FolderFinder(MetaPathFinder):
         if top in sys.stdlib_module_names or top == "__main__":
             return False
         spec = PathFinder.find_spec(top, [str(self.folder)])
-        if spec is None:
-            return False
-        ordinary = self._ordinary_spec(top)
-        if ordinary is None:
-            return True
-        if spec.origin is None:  # a folder without __init__.py, behind which all others come
+        ordinary = None if spec is None else self._ordinary_spec(top)
+        if spec is None or ordinary is None:
+            return spec is not None
+        if spec.origin is None or ordinary.origin is None:
+            # a folder without __init__.py comes behind all others
             return ordinary.origin is None
-        if ordinary.origin is None:
-            return True
         return Path(ordinary.origin).resolve() != Path(spec.origin).resolve()
 
     def _ordinary_spec(self, top: str) -> ModuleSpec | None:
         """Return what Python itself has or finds under a name."""
         if top in sys.modules:
             return getattr(sys.modules[top], "__spec__", None)
-        for finder in sys.meta_path:
-            if finder is not self:
-                spec = finder.find_spec(top, None)
-                if spec is not None:
-                    return spec
-        return None
-
-
-def _import_from(finder: _FolderFinder, name: str) -> _FolderModule:
-    with _in_front(finder):
-        module = _imported(name, finder.folder)
-    for path in _files_without_source(finder, module):
-        finder.hashes[path] = _hash(path.read_bytes())
-    return _FolderModule(module, dict(finder.hashes))
-
-
-@contextmanager
-def _in_front(finder: _FolderFinder) -> Iterator[None]:
-    """Import with a finder before all others; leave none of its modules behind."""
-    aside = {}
-    for name in list(sys.modules):
-        if finder.owns(name.partition(".")[0]):
-            aside[name] = sys.modules.pop(name)
-    sys.meta_path.insert(0, finder)
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(finder)
-        for name in list(sys.modules):
-            if finder.owns(name.partition(".")[0]):
-                del sys.modules[name]
-        sys.modules.update(aside)
-
-
-def _files_without_source(finder: _FolderFinder, module: ModuleType) -> list[Path]:
-    """Return the file of a module that was compiled before, such as a C extension."""
-    path = Path(str(module.__file__))
-    return [] if path in finder.hashes else [path]
+        others = [finder for finder in sys.meta_path if finder is not self]
+        specs = (finder.find_spec(top, None) for finder in others)
+        return next((spec for spec in specs if spec is not None), None)
 
 
 # --- ordinary modules ---
 
 
-def _check_ordinary(name: str, needed: Mapping[str, str]) -> None:
-    """Refuse a module that would be run, and is another one than was needed.
+def _source_name(module: str, path: Path) -> str:
+    """Return how a log names the file of a module."""
+    parts = Path(*module.split("."))
+    source = parts / path.name if path.stem == "__init__" else parts.with_suffix(path.suffix)
+    return source.as_posix()
 
-    Raises
-    ------
-    OtherSource
-        If it is.
-    """
+
+def _check_ordinary(name: str, needed: Mapping[str, str]) -> None:
+    """Raise OtherSource if a module that would be run is another one than was needed."""
     try:
         spec = importlib.util.find_spec(name)
         path = Path(str(None if spec is None else spec.origin))
         digest = _hash(path.read_bytes())
     except (ImportError, OSError):  # its import says what is wrong
         return
-    source = Path(*name.split(".")).with_suffix(path.suffix).as_posix()
-    if path.stem == "__init__":
-        source = Path(*name.split("."), path.name).as_posix()
+    source = _source_name(name, path)
     if needed.get(source, digest) != digest:
         raise OtherSource(source, digest)
 
@@ -368,15 +319,12 @@ def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path |
             f"{path}, the source of {quoted(name)}, cannot be read ({error.strerror}); the log "
             "of a run records its hash"
         ) from error
-    known = _of_ordinary.setdefault(loaded, digest)
-    if digest != known:
+    if digest != _of_ordinary.setdefault(loaded, digest):
         raise UsageError(
             f"{path} has changed since {quoted(name)} was imported; start a new process, or use "
             "importlib.reload"
         )
-    source = Path(*loaded.__module__.split(".")).with_suffix(path.suffix).as_posix()
-    if path.stem == "__init__":
-        source = Path(*loaded.__module__.split("."), path.name).as_posix()
+    source = _source_name(loaded.__module__, path)
     return UserClass(name, loaded, {source: digest}, (path.resolve(),))
 
 
@@ -404,16 +352,12 @@ def _imported(name: str, folder: Path | None) -> ModuleType:
         return importlib.import_module(name)
     except OtherSource:
         raise
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-            raise _not_importable(name, error) from error
-        raise UsageError(_no_module(name, folder)) from error
     except (Exception, SystemExit) as error:  # it is the user's code, which may raise anything
-        raise _not_importable(name, error) from error
-
-
-def _not_importable(name: str, error: BaseException) -> UsageError:
-    return UsageError(f"{name!r} cannot be imported: {in_words(error)}")
+        text = f"{name!r} cannot be imported: {in_words(error)}"
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing is not None and f"{name}.".startswith(f"{missing}."):
+            text = _no_module(name, folder)
+        raise UsageError(text) from error
 
 
 def _no_module(name: str, folder: Path | None) -> str:
@@ -425,15 +369,11 @@ def _no_module(name: str, folder: Path | None) -> str:
 
 
 def _class_in(module: ModuleType, name: str) -> type:
-    try:
-        candidate = getattr(module, name)
-    except AttributeError as error:
-        classes = []
-        for key, value in vars(module).items():
-            if isinstance(value, type) and value.__module__ == module.__name__:
-                classes.append(key)
-        text = f"{module.__name__!r} has no class {name!r}; {nearest(name, classes)}"
-        raise UsageError(text) from error
+    candidate = getattr(module, name, None)
+    if candidate is None:
+        own = [value for value in vars(module).values() if isinstance(value, type)]
+        classes = [value.__name__ for value in own if value.__module__ == module.__name__]
+        raise UsageError(f"{module.__name__!r} has no class {name!r}; {nearest(name, classes)}")
     if not isinstance(candidate, type):
         raise UsageError(
             f"{f'{module.__name__}:{name}'!r}: expected a class, got a {type(candidate).__name__}"

@@ -1,4 +1,4 @@
-"""Variants of a component: methods of an identifier, filters of an observer.
+"""Variants of a component: methods of an identifier, here, and filters of an observer.
 
 A key of the table names the variant. Each is declared once, with what only it and some others take.
 """
@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from types import MappingProxyType
+from typing import Literal, TypeAlias, TypeVar
 
 from cosim.arrays import NAN
+from cosim.theory.estimators import defaults
 
 VariantName = TypeVar("VariantName", bound=str)
 
@@ -50,3 +52,52 @@ def foreign_keys(variants: Mapping[VariantName, Variant], name: VariantName) -> 
 def variants_with(variants: Mapping[VariantName, Variant], key: str) -> list[VariantName]:
     """Return the variants that have a key of their own."""
     return [name for name, variant in variants.items() if key in variant.own]
+
+
+IdentificationMethod: TypeAlias = Literal[
+    "output-error",
+    "least-squares",
+    "projection",
+    "rayleigh",
+    "augmented-kalman",
+    "extended-kalman",
+    "drem",
+    "gradient",
+]
+
+# The inputs are those beside the regressor: alphas that are signals, and what drives the observer.
+METHODS: Mapping[IdentificationMethod, Variant] = MappingProxyType(
+    {
+        "output-error": Variant(
+            inputs=frozenset({"alpha", "delta", "y", "u"}),
+            own=without_default(
+                "offset", "window", "forgetting", "bounds", "deviation", "covariance"
+            ),
+        ),
+        "least-squares": Variant(own=without_default("P0")),
+        "projection": Variant(
+            inputs=frozenset({"alpha", "delta"}),
+            own=without_default("window", "bounds"),
+        ),
+        "rayleigh": Variant(inputs=frozenset({"alpha"})),
+        "augmented-kalman": Variant(
+            inputs=frozenset({"alpha", "y", "u"}),
+            own={
+                "deviation": defaults.AUGMENTED_DEVIATION,
+                **without_default("covariance"),
+                "size": defaults.KALMAN_SIZE,
+                "intensity": defaults.AUGMENTED_INTENSITY,
+            },
+        ),
+        "extended-kalman": Variant(
+            inputs=frozenset({"alpha", "y", "u"}),
+            own={
+                "deviation": defaults.EXTENDED_DEVIATION,
+                **without_default("covariance"),
+                "size": defaults.KALMAN_SIZE,
+            },
+        ),
+        "drem": Variant(own={"gain": defaults.DREM_GAIN, "forgetting": defaults.DREM_FORGETTING}),
+        "gradient": Variant(own={"gain": defaults.GRADIENT_GAIN}),
+    }
+)

@@ -20,13 +20,14 @@ from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import plain
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
-from cosim.scenario.building.experiment import Experiment, MessageSource
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.initial_states import change_text, changed_states
 from cosim.scenario.kinds.run_verdicts import Assessor
 from cosim.scenario.record import IDENTIFICATION, INITIAL_STATES, UNTIL
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
+    from cosim.fmi.component import Fmu
 
 MEANS = (
     "every step sets {} to the mean of both of its ends, which are what the log has (no input "
@@ -35,7 +36,7 @@ MEANS = (
 
 
 def terminated(
-    fmus: Mapping[str, MessageSource], error: BaseException | None
+    fmus: Mapping[str, Fmu], error: BaseException | None
 ) -> tuple[BaseException | None, list[tuple[str, str]]]:
     """End the run of every FMU.
 

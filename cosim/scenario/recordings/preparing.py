@@ -46,7 +46,7 @@ def build_experiment(
     experiment = _built(scenario, resources, block, unpacked, reports)
     if not experiment.settings:
         return experiment
-    from cosim.scenario.building.settings import prepare_settings
+    from cosim.scenario.building.actions import prepare_settings
 
     step_ns = experiment.clock.step_ns
     experiment.setting_designs = prepare_settings(

@@ -17,10 +17,9 @@ from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.documents import plain
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
+from cosim.scenario.building.actions import SETTINGS
 from cosim.scenario.building.build import asks_for_means
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.fingerprint import fingerprint
-from cosim.scenario.building.settings import SETTINGS
+from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.record import MEANS
 from cosim.scenario.recordings.viewer_panels import viewer_panels
 

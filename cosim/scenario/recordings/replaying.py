@@ -20,8 +20,7 @@ from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import is_map_key
 from cosim.scenario.kinds import Kind
@@ -286,7 +285,7 @@ def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecord
     experiment.events = events
     experiment.settings = {}
     if any(event.cause == "set" for event in events):
-        from cosim.scenario.building.settings import SettingBuilder, recorded_settings
+        from cosim.scenario.building.actions import SettingBuilder, recorded_settings
 
         making = SettingBuilder(experiment.scenario, builder.context, builder.components)
         experiment.settings = recorded_settings(making, events, experiment.recorded)
@@ -312,7 +311,7 @@ def add_setting_designs(
     """
     if not experiment.settings:
         return
-    from cosim.scenario.building.settings import prepare_settings, recorded_designs
+    from cosim.scenario.building.actions import prepare_settings, recorded_designs
 
     taken = {}
     for key, design in recorded_designs(source).items():
@@ -400,7 +399,7 @@ def designs_anew(experiment: Experiment) -> dict[str, Design]:
         if recorded and name not in experiment.recorded:
             anew[name] = experiment.graph.prepare_one(name, step_ns, {})
     if experiment.setting_designs:
-        from cosim.scenario.building.settings import prepare_settings
+        from cosim.scenario.building.actions import prepare_settings
 
         texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
         anew |= {key: decode_design(text) for key, text in texts.items()}

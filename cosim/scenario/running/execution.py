@@ -1,11 +1,13 @@
-"""Run a scenario."""
+"""Run a scenario, or start it to be advanced by hand."""
 
 from __future__ import annotations
 
-import math
+import hashlib
+import json
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
@@ -13,25 +15,27 @@ from cosim.arguments import (
     callable_argument,
     fillable_argument,
     mapping_argument,
-    number_argument,
+    positive_argument,
     setting_arguments,
     truth_argument,
     whole_argument,
 )
 from cosim.core.arguments import check_recorder
 from cosim.core.recorded.signals import warning_texts
-from cosim.core.recorders import Memory
+from cosim.core.recorders import Memory, Nothing
 from cosim.core.recording import Recorder
-from cosim.errors import UsageError, option, warn
+from cosim.core.simulation import Simulation
+from cosim.errors import UsageError, warn
 from cosim.log import Log
+from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
 from cosim.scenario.building.build import parse
-from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
     Beside,
@@ -40,14 +44,18 @@ from cosim.scenario.recordings.recording import (
     Progress,
     Target,
     check_target,
+    chosen_of,
+    log_recorder,
     record,
     run_into,
     shown,
 )
+from cosim.scenario.recordings.records import metadata_of
+from cosim.scenario.running.real_time import paced
+from cosim.scenario.session import Opened, Session
 
 if TYPE_CHECKING:
     from cosim.scenario.running.certificate import Certification
-    from cosim.scenario.session import Session
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 
@@ -67,14 +75,59 @@ def load(name: str | Path) -> Scenario:
 
 def load_document(document: Document) -> Scenario:
     """Read and validate a document; the scenario can be started."""
-    return replace(parse(document), parse=load_document, starter=_start)
+    return replace(parse(document), parse=load_document, starter=start)
 
 
-def _start(scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool) -> Session:
-    # A run needs none of it.
-    from cosim.scenario.running.starting import start
+def start(
+    scenario: Scenario, out: str | Path | None, *, force: bool = False, numbered: bool = False
+) -> Session:
+    """Start a scenario; see :meth:`cosim.scenario.building.parsing.Scenario.start`.
 
-    return start(scenario, out, force=force, numbered=numbered)
+    Raises
+    ------
+    CosimError
+        If it cannot be built, initialized, or recorded.
+    """
+    force = truth_argument("force", force)
+    numbered = truth_argument("numbered", numbered)
+    check_target(out, force=force, numbered=numbered)
+    return Session(partial(_opened, scenario, Target(out, force, numbered)))
+
+
+def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: bool) -> Opened:
+    """Build a scenario, and begin its simulation and its log."""
+    experiment = build_experiment(scenario, resources, None)
+    values = metadata_of(experiment)
+    del values["cosim.run"]  # its times: states go on whatever they are
+    identity = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    out = target.out
+    log = None
+    if out is None:
+        recorder = MessageRecorder(Nothing(), replace(experiment, identified={}))
+    else:
+        if is_next:
+            target = Target(out, numbered=True)
+        elif log_path(out).resolve() in experiment.built.files and not target.numbered:
+            raise UsageError(f"{out} is read by this run; choose another path for the log")
+        log = log_recorder(experiment, out, target, events=True)
+        recorder = MessageRecorder(chosen_of(experiment, log), experiment)
+    with ExitStack() as entered:
+        entered.enter_context(recorder)
+        plan = experiment.plan or experiment.graph.prepare(experiment.clock.step_ns)
+        recorder.begin(plan)
+        simulation = Simulation(
+            experiment.graph,
+            experiment.clock,
+            plan,
+            recorder=None if log is None else recorder,
+            identity=identity,
+            actions=experiment.actions,
+            reactions=experiment.reactions,
+            until=experiment.until,
+        )
+        entered.pop_all()  # the session closes it
+    path = (lambda: None) if log is None else (lambda: log.path)
+    return Opened(simulation, recorder, path, lambda: recorder.warnings)
 
 
 @overload
@@ -247,19 +300,29 @@ def run(
     if recorder is not None:
         check_recorder(recorder)
     check_target(out, force=force, numbered=numbered)
-    interval = _flush_interval(flush)
+    interval = FLUSH_INTERVAL if flush is None else positive_argument("flush", flush)
     rotation = None if rotate is None else read_rotation(rotate)
-    pace = None if realtime is None else _pace_of(realtime)
+    pace = None if realtime is None else positive_argument("realtime", realtime)
     with ExitStack() as resources:
         settings = setting_arguments(set, stop=stop, step=step, verdicts=verdicts)
         changes = resources.enter_context(settings)
         loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
         edited = loaded.edit(swap=swap, map=map, set=changes)
-        edited, certification = _certified(edited, find_step, progress, certify=certify)
+        certification: Certification | None = None
+        if find_step is not None:
+            from cosim.scenario.running.step_search import find_step as search_step  # costly
+
+            search = search_step(edited, mapping_argument("find_step", find_step), progress)
+            edited = edited.edit(set={"scenario.step": search.step})
+            certification = search.certifier.certification()
+        elif certify:
+            from cosim.scenario.running.certificate import certification_of  # costly
+
+            certification = certification_of(edited, progress)
         beside: Beside | None = None if certification is None else certification.beside
         experiment = build_experiment(edited, resources, block)
         if pace is not None:
-            experiment, beside = _paced(experiment, pace, beside)
+            beside = paced(experiment, pace, beside)
 
         def finish() -> None:
             if certification is not None:
@@ -287,65 +350,3 @@ def run(
         )
     warn(warning_texts(recorded.warnings))
     return recorded
-
-
-def _flush_interval(flush: float | None) -> float:
-    """Return the flush interval of a log [s].
-
-    Raises
-    ------
-    UsageError
-        If it is not positive.
-    """
-    if flush is None:
-        return FLUSH_INTERVAL
-    interval = number_argument("flush", flush)
-    if not 0 < interval < math.inf:
-        raise UsageError(f"{option('flush')}: expected a time > 0 s, got {flush!r}")
-    return interval
-
-
-def _certified(
-    scenario: Scenario,
-    tolerances: Mapping[str, float] | None,
-    progress: Progress | None,
-    *,
-    certify: bool,
-) -> tuple[Scenario, Certification | None]:
-    """Return a scenario, with the step that keeps tolerances if any, and what certifies its run."""
-    # Most runs need none of it.
-    if tolerances is not None:
-        from cosim.scenario.running.step_search import find_step
-
-        search = find_step(scenario, mapping_argument("find_step", tolerances), progress)
-        found = scenario.edit(set={"scenario.step": search.step})
-        return found, search.certifier.certification()
-    if certify:
-        from cosim.scenario.running.certificate import certification_of
-
-        return scenario, certification_of(scenario, progress)
-    return scenario, None
-
-
-def _pace_of(factor: float) -> float:
-    # Most runs need none of it.
-    from cosim.scenario.running.real_time import pace_of
-
-    return pace_of(factor)
-
-
-def _paced(
-    experiment: Experiment, factor: float, beside: Beside | None
-) -> tuple[Experiment, Beside]:
-    """Return an experiment in short blocks, and what keeps their pace before a recorder."""
-    from cosim.scenario.running.real_time import RealTimePace, block_steps
-
-    clock = experiment.clock
-    if clock.block is None:
-        clock = replace(clock, block=block_steps(clock, factor))
-    pace = RealTimePace(factor, clock.start_time)
-
-    def paced(recorder: Recorder) -> Recorder:
-        return pace.beside(recorder if beside is None else beside(recorder))
-
-    return replace(experiment, clock=clock), paced

@@ -34,8 +34,7 @@ from cosim.scenario.kinds.identified_plant import (
     ThetaBounds,
     bounds_of,
 )
-from cosim.scenario.kinds.irregular import interval_of
-from cosim.scenario.kinds.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR
+from cosim.scenario.kinds.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR, interval_of
 from cosim.scenario.record import component_record
 from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised

@@ -6,20 +6,20 @@ the wall time changes: the rows have the same bits.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final, final
 
-from cosim.arguments import number_argument
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block
 from cosim.core.passing_recorders import Watched
 from cosim.core.recorders import close
 from cosim.core.recording import Recorder
 from cosim.documents import plain
-from cosim.errors import UsageError, option
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.record import REAL_TIME, Lateness
+from cosim.scenario.recordings.recording import Beside
 
 BLOCK: Final = 0.01  # s of wall time between two waits, about
 
@@ -54,15 +54,6 @@ class RealTimePace:
         self._sleep = sleep
         self._began = 0.0
         self._lateness = Lateness(factor, 0, 0, 0.0, start_time)
-
-    def beside(self, recorder: Recorder) -> Recorder:
-        """Return a recorder that passes everything on, at this pace, and then how late it was."""
-        return Watched(
-            recorder,
-            lambda block, _: self.wait(block),
-            began=self.begin,
-            ended=self.end,
-        )
 
     def begin(self) -> None:
         """Take the wall time of now as that of the start."""
@@ -114,20 +105,33 @@ class RealTimePace:
             close(recorder, error)
 
 
-def pace_of(factor: object, name: str = "realtime") -> float:
-    """Return how much simulated time passes by wall time.
-
-    Raises
-    ------
-    UsageError
-        If it is no number above 0.
-    """
-    value = number_argument(name, factor)
-    if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(f"{option(name)}: expected a finite number > 0, got {value}")
-    return value
-
-
 def block_steps(clock: Clock, factor: float) -> int:
     """Return the communication steps of a block, as many as last about ``BLOCK``."""
     return max(1, round(BLOCK * factor / clock.h))
+
+
+def paced(experiment: Experiment, factor: float, beside: Beside | None) -> Beside:
+    """Have an experiment run in short blocks; return what keeps their pace before a recorder.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    factor : float
+        Simulated time by wall time.
+    beside : callable or None
+        What else is before the recorder.
+    """
+    clock = experiment.clock
+    if clock.block is None:
+        experiment.clock = replace(clock, block=block_steps(clock, factor))
+    pace = RealTimePace(factor, clock.start_time)
+
+    def before(recorder: Recorder) -> Recorder:
+        return Watched(
+            recorder if beside is None else beside(recorder),
+            lambda block, _: pace.wait(block),
+            began=pace.begin,
+            ended=pace.end,
+        )
+
+    return before

@@ -19,6 +19,7 @@ from cosim.native.numerics.linear import DiscretizedDynamics
 _MOST_DOUBLINGS = 64  # 2^64 steps: no observer is slower than the spacing of numbers
 
 
+@np.errstate(over="raise", invalid="raise")
 def noise_gain(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> Matrix:
     """Compute the deviations of ``C x + D u`` for white noise of deviation 1 in each input alone.
 
@@ -32,6 +33,11 @@ def noise_gain(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> Matrix:
     -------
     Matrix
         Shape ``(p, m)``.
+
+    Raises
+    ------
+    FloatingPointError
+        If it is beyond the range of numbers.
     """
     first = D + C @ discrete.B1
     b = discrete.Ad @ discrete.B1 + discrete.B0
@@ -41,6 +47,7 @@ def noise_gain(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> Matrix:
     return np.sqrt(variances)
 
 
+@np.errstate(over="raise", invalid="raise")
 def windowed_noise_gain(
     discrete: DiscretizedDynamics,
     increments: tuple[Matrix, Matrix, Matrix],

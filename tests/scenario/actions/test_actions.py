@@ -430,7 +430,9 @@ def test_a_session_meets_the_conditions_too(write, tmp_path):
 def test_a_component_is_set_at_a_condition_or_at_times(write):
     """What it would be else depends on which comes first."""
     actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
-    with pytest.raises(ScenarioError, match=r"actions\[4\]\..*'log' is also set by actions\[3\]"):
+    with pytest.raises(
+        ScenarioError, match=r"actions\[4\]\..*'log' is also changed by actions\[3\]"
+    ):
         cosim.run(write(actions))
 
 

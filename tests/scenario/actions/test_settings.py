@@ -203,7 +203,7 @@ CASES = {
     ),
     "not tunable": (
         'set = { "x.initial" = 1.0 }',
-        r"set\.x\.initial: 'x' has no tunable parameter 'initial'; tunable: time_constant$",
+        r"set\.x\.initial: 'x' has no tunable parameter 'initial'; available: time_constant$",
     ),
     "unknown parameter": (
         'set = { "pid.gian" = 1.0 }',
@@ -239,21 +239,21 @@ CASES = {
     ),
     "twice": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
-        r"actions\[1\]\.set\.g\.K: is also set by actions\[0\] at the same instant",
+        r"actions\[1\]\.set\.g\.K: 'g' is also changed by actions\[0\] at the same instant; ",
     ),
     "before or after a condition": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }',
-        r"actions\[1\]\.set\.g\.K: 'g' is also set by actions\[0\], .*condition",
+        r"actions\[1\]\.set\.g\.K: 'g' is also changed by actions\[0\], .*condition",
     ),
     "at two conditions": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 2"\nset = { "g.K" = 3.0 }',
-        r"actions\[2\]\.set\.g\.K: 'g' is also set by actions\[1\], .*condition",
+        r"actions\[2\]\.set\.g\.K: 'g' is also changed by actions\[1\], .*condition",
     ),
     "twice at one condition": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 3.0 }',
-        r"actions\[2\]\.set\.g\.K: is also set by actions\[1\] at the same instant",
+        r"actions\[2\]\.set\.g\.K: 'g' is also changed by actions\[1\] at the same instant; ",
     ),
     "no parameter": (
         'set = { "g" = 1.0 }',
@@ -261,7 +261,7 @@ CASES = {
     ),
     "matrix that is not tunable": (
         'set = { "k.A" = [[1.0]] }',
-        r"set\.k\.A: 'k' has no tunable parameter 'A'; none is tunable$",
+        r"set\.k\.A: 'k' has no tunable parameter 'A'; none is available$",
     ),
     "what the table leaves out": (
         'set = { "pid.tracking_time" = 1.0 }',

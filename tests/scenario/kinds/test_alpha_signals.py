@@ -27,7 +27,7 @@ from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.building.build import Builder
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.parameters import parameters_of
+from cosim.scenario.kinds import parameters_of
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.record import recorded_identification, recorded_warnings
 from cosim.testing import check_component

@@ -17,7 +17,7 @@ from cosim.report.inspection import describe_log
 from cosim.report.verification import verify
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
-from cosim.scenario.kinds.jumps import held_from_points
+from cosim.scenario.kinds.tables import held_from_points
 from tests.scenario.refusals import check_refused
 
 H = 0.125

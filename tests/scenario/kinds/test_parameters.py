@@ -1,7 +1,6 @@
 """The parameters of component kinds, as ``cosim list`` shows them."""
 
-from cosim.scenario.kinds import KINDS
-from cosim.scenario.kinds.parameters import parameters_of
+from cosim.scenario.kinds import KINDS, parameters_of
 
 
 def test_every_parameter_is_explained():

@@ -5,10 +5,9 @@ from typing import get_args
 import pytest
 
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.methods import METHODS
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import FILTERS
-from cosim.scenario.kinds.variants import Variant, foreign_keys, variants_with
+from cosim.scenario.kinds.variants import METHODS, Variant, foreign_keys, variants_with
 
 KINDS = {
     "method": (IdentifierKind, METHODS),

@@ -101,7 +101,7 @@ def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
 def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, subtests):
     """Each with one error."""
     for options, message in [
-        ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a time > 0 s, got 0\.0"),
+        ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a finite number > 0, got 0\.0"),
         ({"flush": "1", "out": "a.mcap"}, "flush: expected a number, got '1'"),
         ({"flush": 1.0}, "flush applies to a log; expected out"),
         ({"sync": True}, "sync=True applies to a log; expected out"),

@@ -15,7 +15,7 @@ import pytest
 
 import cosim
 from cosim.scenario.document.document import shipped
-from cosim.scenario.kinds.methods import METHODS
+from cosim.scenario.kinds.variants import METHODS
 from tests.scenario.online import COARSE, ONLINE, noisy
 
 EVERYTHING = """

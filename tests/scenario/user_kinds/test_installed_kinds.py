@@ -12,7 +12,7 @@ from cosim.log import open_log
 from cosim.report.inspection import describe_scenario
 from cosim.report.tables.catalog import print_catalog, print_kind
 from cosim.report.verification import verify
-from cosim.scenario.kinds.installed_kinds import installed_class
+from cosim.scenario.kinds.user_component import installed_class
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
 SCENARIO = THERMOSTAT.replace('kind = "python"\nclass = "relay:Relay"\n', 'kind = "relay"\n')

@@ -440,3 +440,10 @@ def test_a_lag_is_taken_out_of_the_response():
     # the step adds (rate h)^2/12 relatively, of the order of 1e-7
     assert ConsistentFilter(1.0, H).response(1.0) == pytest.approx(expected, rel=1e-6)
     assert ConsistentFilter(1.0, H).lag == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_noise_gain_beyond_all_numbers_is_no_result():
+    """A log could not have it: it is refused where it is computed."""
+    dynamics = first_order_hold(np.array([[-1.0]]), np.array([[1.0]]), H, FREE)
+    with pytest.raises(FloatingPointError, match="overflow"):
+        noise_gain(dynamics, np.array([[1e200]]), np.zeros((1, 1)))
