@@ -340,12 +340,12 @@ def test_each_row_is_a_replay_of_its_own(log, monkeypatch):
     """
     rows = []
 
-    def recorded(source, *arguments, **options):
-        rows.append(source.rows("plant"))
-        return record_replay(source, *arguments, **options)
+    def recorded(replays, *arguments, **options):
+        rows.append(replays.source.rows("plant"))
+        return record(replays, *arguments, **options)
 
-    record_replay = replay.record_replay
-    monkeypatch.setattr(replay, "record_replay", recorded)
+    record = Replays.record
+    monkeypatch.setattr(Replays, "record", recorded)
     common = {"observer.filter_rate": 500.0}
     vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
     sweep = cosim.replay_sweep(log.path, vary=vary, set=common)
@@ -498,3 +498,13 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         cosim.replay_sweep(path, vary=vary, map=BOTH)
     with pytest.raises(UsageError, match="omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)
+
+
+def test_a_sweep_ends_where_stop_says(failing):
+    """Like each of its replays; and the same time is not given twice."""
+    sweep = cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]}, stop=0.1)
+    assert sweep.rows[0].summary.end == 0.1
+    with pytest.raises(UsageError, match=r"stop and set\['scenario\.stop'\]"):
+        cosim.replay_sweep(
+            failing, vary={"u.amplitude": [1.0]}, stop=0.1, set={"scenario.stop": 0.2}
+        )
