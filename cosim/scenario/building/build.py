@@ -563,14 +563,9 @@ class Builder:
     def _warnings(self, graph: Graph) -> Iterator[tuple[str, str]]:
         """Yield the warnings of the components, knowing what drives them, and of the graph."""
         scenario = self.scenario
-        for name, left_out in scenario.unfollowed.items():
-            text = (
-                f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
-                "[truth] compares with need not be true of the data"
-            )
-            yield name, text
-        for recorded in scenario.recorded_inputs:
-            yield recorded.port.component, recorded.text()
+        for name, text in scenario.notes:
+            if name in scenario.specs:  # not of another part
+                yield name, text
         for name, spec in scenario.specs.items():
             for text in self.advice(name, spec, graph):
                 yield name, text

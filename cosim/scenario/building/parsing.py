@@ -21,8 +21,6 @@ from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
 from cosim.scenario.document.swaps import (
     MapEntry,
     PortNames,
-    RecordedInput,
-    ports_in,
     record_inputs,
     resolve_maps,
 )
@@ -60,8 +58,8 @@ class Scenario:
         values that stand for others; what rests on them cannot be checked.
     actions : mapping of number to ActionTable
         Those of [[actions]] whose tables are right.
-    recorded_inputs : tuple of RecordedInput
-        Inputs of recorded components that their maps name.
+    notes : tuple of (component name, text)
+        What becomes of the inputs of components that follow none.
     starter : callable or None
         Starts the scenario (:mod:`cosim.scenario.running.starting`); None: it is only read here.
     """
@@ -76,7 +74,7 @@ class Scenario:
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
     invalid: frozenset[Key] = frozenset()
     actions: Mapping[int, ActionTable] = field(default_factory=dict)
-    recorded_inputs: tuple[RecordedInput, ...] = ()
+    notes: tuple[tuple[str, str], ...] = ()
     starter: Callable[..., Session] | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -106,17 +104,6 @@ class Scenario:
             if to.component == component:
                 drivers.update(source.component for source in connection.sources)
         return frozenset(drivers)
-
-    @property
-    def unfollowed(self) -> dict[str, list[str]]:
-        """Inputs that the file connects, by component, of those that follow none."""
-        outputs = [recorded.port for recorded in self.recorded_inputs]
-        inputs: dict[str, list[str]] = {}
-        for to in ports_in(self.file.connections):
-            spec = self.specs.get(to.component)
-            if spec is not None and not spec.follows_inputs and to not in outputs:
-                inputs.setdefault(to.component, []).append(to.name)
-        return inputs
 
     def upstream(self, component: str) -> Scenario:
         """Return the scenario of a component and of all that it depends on, without the others."""
@@ -233,11 +220,20 @@ def read(
     originals = {n: tables.replaced[n] for n in specs if n in tables.replaced and n not in recorded}
     replaced = _validate_components(originals, document.foreign_kinds, [])
     implied = _add_implied({**specs, **replaced}, connections, problems)
-    inputs: list[RecordedInput] = []
-    for name in [name for name in recorded if name in maps]:
-        maps[name], own_inputs, input_problems = record_inputs(maps[name], connections, written)
-        inputs += own_inputs
-        problems += input_problems
+    notes: list[tuple[str, str]] = []
+    for name in recorded:
+        outputs: dict[Port, str] = {}
+        if name in maps:
+            maps[name], outputs, wrong = record_inputs(maps[name], connections, written)
+            problems += wrong
+        left_out = [to.name for to in written if to.component == name and to not in outputs]
+        if left_out:
+            text = (
+                f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
+                "[truth] compares with need not be true of the data"
+            )
+            notes.append((name, text))
+        notes += [(name, text) for text in outputs.values()]
     invalid |= {key[:2] for key, _ in problems if key[:1] == ("connections",)}
     actions: dict[int, ActionTable] = {}
     for number, table in enumerate(file.actions):
@@ -255,7 +251,7 @@ def read(
         parse,
         frozenset(invalid),
         actions,
-        tuple(inputs),
+        tuple(notes),
     )
     return scenario, problems
 

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from datetime import date, time
 from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -162,6 +163,8 @@ def plain(value: Any, level: int = 0) -> Any:
             return plain(value.tolist(), level + 1)
         case complex():
             return str(value)  # as TOML can have it
+        case date() | time():
+            return value  # no table takes one: its schema refuses it at its place
     raise UsageError(
         f"expected a number, true or false, a string, a list or a table, got {quoted(value)}"
     )
@@ -492,11 +495,8 @@ class Document:
         except tomllib.TOMLDecodeError as error:
             raise ScenarioError(self._syntax(str(error))) from error
         problems = _flatten(tree)
-        edits: dict[str, str] = {}
-        for name in self.swaps:
-            edits |= dict.fromkeys((f"swap.{name}", f"{COMPONENTS}.{name}"), option("swap", name))
-        for port in self.maps:
-            edits[written((MAP, port))] = option("map", port)
+        edits = {written(("swap", name)): option("swap", name) for name in self.swaps}
+        edits |= {written((MAP, port)): option("map", port) for port in self.maps}
         replaced = {}
         if self.swapped:
             replaced = replace_components(tree, self.swaps, problems)

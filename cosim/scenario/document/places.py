@@ -115,7 +115,7 @@ def _label(
 ) -> str:
     """Return where a key stands and its name: what a message begins with."""
     name = shortened(key)
-    for outer in _outwards(key):
+    for outer in (*_outwards(key), *_outwards(in_file)):
         if outer in edits:
             return edits[outer] if outer == key else f"{edits[outer]}: {name}"
     beginnings = (f"{key}.", f"{key}[")

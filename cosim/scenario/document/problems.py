@@ -23,6 +23,7 @@ _TYPES: Final = {
     "list_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
+    "is_instance_of": 'a fraction such as "1/60"',
 }
 _RANGES: Final = {
     "finite_number": "a finite number",

@@ -370,45 +370,17 @@ def ports_in(values: Iterable[Any]) -> list[Port]:
 # --- recorded inputs ---
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedInput:
-    """An input of a recorded component that its map names: an output, in the place of its source.
+def record_inputs(
+    entries: Iterable[MapEntry],
+    connections: dict[Port, Connection],
+    written: Mapping[Port, Connection],
+) -> tuple[list[MapEntry], dict[Port, str], list[Problem]]:
+    """Make outputs of the recorded inputs in the map of a component that follows no inputs.
 
     ``plant.u`` of samples from the field is what the plant was driven with. An observer that takes
     the same signal, ``u.y``, has to take what was recorded too, else it would see the difference as
     a disturbance: ``"plant.u" = "u.y"`` and ``"observer.u" = "u.y"`` become
     ``"observer.u" = "plant.u"``.
-
-    Parameters
-    ----------
-    port : Port
-        Of the recorded component, an output of it now.
-    replaced : tuple of Port
-        Outputs that drove it.
-    followers : tuple of Port
-        Inputs that took one of these and take the recorded values now.
-    """
-
-    port: Port
-    replaced: tuple[Port, ...]
-    followers: tuple[Port, ...]
-
-    def text(self) -> str:
-        """Return what that means, in words."""
-        drivers = ", ".join(map(str, self.replaced))
-        if not self.followers:
-            return f"'{self.port}' is recorded; nothing else takes {drivers}"
-        followers = ", ".join(map(str, self.followers))
-        takes = "takes" if len(self.followers) == 1 else "take"
-        return f"'{self.port}' is recorded: {followers} {takes} it in the place of {drivers}"
-
-
-def record_inputs(
-    entries: Iterable[MapEntry],
-    connections: dict[Port, Connection],
-    written: Mapping[Port, Connection],
-) -> tuple[list[MapEntry], list[RecordedInput], list[Problem]]:
-    """Make outputs of the recorded inputs in the map of a component that follows no inputs.
 
     Parameters
     ----------
@@ -422,12 +394,13 @@ def record_inputs(
     -------
     list of MapEntry
         Without those whose values nobody else can take.
-    list of RecordedInput
+    dict of Port to str
+        What follows of each such input, in words.
     list of Problem
-        Of these entries.
+        Of the entries that are left out.
     """
     kept: list[MapEntry] = []
-    inputs: list[RecordedInput] = []
+    texts: dict[Port, str] = {}
     problems: list[Problem] = []
     for entry in entries:
         if entry.renaming.causality != "input":
@@ -442,11 +415,17 @@ def record_inputs(
         for to, connection in connections.items():
             sources = [_followed(source, replaced) for source in connection.sources]
             if tuple(sources) != connection.sources:
-                followers.append(to)
+                followers.append(str(to))
                 connections[to] = replace(connection, source=sources)
-        inputs.append(RecordedInput(entry.renaming.port, tuple(replaced), tuple(followers)))
+        drivers = ", ".join(map(str, replaced))
+        takes = "takes" if len(followers) == 1 else "take"
+        text = f"; nothing else takes {drivers}"
+        if followers:
+            text = f": {', '.join(followers)} {takes} it in the place of {drivers}"
+        port = entry.renaming.port
+        texts[port] = f"'{port}' is recorded{text}"
         kept.append(replace(entry, renaming=replace(entry.renaming, causality="output")))
-    return kept, inputs, problems
+    return kept, texts, problems
 
 
 def _replaced(renaming: Renaming, written: Mapping[Port, Connection]) -> dict[Port, Port]:
