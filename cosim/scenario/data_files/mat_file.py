@@ -90,17 +90,23 @@ def read_variables(label: str, content: bytes) -> dict[str, MatVariable]:
                 variables[name] = value
         return variables
     except (ValueError, IndexError, struct.error, zlib.error) as error:
-        problem = f"damaged: {error or 'truncated'}"
+        problem = error or "truncated"
         raise UsageError(f"{label}: not a valid MAT-file: {problem}; {_CURE}") from error
 
 
 def _read_version_4(content: bytes) -> dict[str, MatVariable]:
     """Return the variables as scipy reads them."""
-    from scipy.io import loadmat  # rarely needed
+    # rarely needed
+    from scipy.io import loadmat
+    from scipy.io.matlab import matfile_version
 
+    stream = BytesIO(content)
     try:
+        version, _ = matfile_version(stream)
+        if version != 0:  # which scipy calls version 4; the others it reads without checks
+            raise ValueError("of another version, or with bytes in the other order")
         with collected_warnings("") as warned:
-            found = loadmat(BytesIO(content), chars_as_strings=False)
+            found = loadmat(stream, chars_as_strings=False)
     except Exception as error:  # scipy raises whatever a damaged byte leads to
         raise ValueError(f"expected a MAT-file of version 4 to 7: {error}") from error
     if warned:  # of byte orders that are read wrongly

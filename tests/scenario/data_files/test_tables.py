@@ -465,12 +465,17 @@ def test_a_trajectory_of_dymola_has_names_units_and_aliases(tmp_path, form):
 
 
 def test_matrices_of_equally_many_rows_are_read(tmp_path):
-    """As MATLAB saves them; a converted log is refused, as the log itself says more."""
+    """As MATLAB saves them, in the usual order of bytes; a converted log is refused."""
     arrays = {"t": T, "y": np.array(Y), "x": np.ones((4, 2)), "gain": 3.0, "name": "tank"}
     scipy.io.savemat(tmp_path / "b.mat", arrays)
     data = read_field_data(tmp_path / "b.mat")
     assert (data.t.tolist(), data["y"][:, 0].tolist(), data["x"].shape) == (T, Y, (4, 2))
     assert [signal.name for signal in data.signals] == ["y", "x"]
+    content = (tmp_path / "b.mat").read_bytes()
+    for mark in (b"\1\0MI", b"\0\1XX"):  # scipy would read the first, without checks
+        (tmp_path / "other.mat").write_bytes(content[:124] + mark + content[128:])
+        with pytest.raises(UsageError, match=r"MAT-file: expected .* version 4 to 7: .*save -v7"):
+            read_field_data(tmp_path / "other.mat")
     log = cosim.run("pair", set={"scenario.stop": 0.1}, out=tmp_path / "a.mcap")
     convert(LogChoice.of(log), tmp_path / "a.mat")
     with pytest.raises(UsageError, match=r"a\.mat': .*use the log itself"):
