@@ -27,8 +27,14 @@ from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit, samples_of
 from cosim.errors import UsageError
 from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
-from cosim.scenario.data_files.field_file import field_data, listed_columns
-from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
+from cosim.scenario.data_files.field_file import (
+    MCAP,
+    check_asked,
+    field_data,
+    listed_columns,
+    read_samples,
+    recorded_data,
+)
 from cosim.scenario.data_files.table import FieldForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext

@@ -19,9 +19,8 @@ from cosim.core.contracts import Component
 from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import Extrapolation
-from cosim.scenario.data_files.headers import second_of
-from cosim.scenario.data_files.headers import unit_of as header_unit
-from cosim.scenario.data_files.table import TableForm
+from cosim.scenario.data_files.table import TableForm, second_of
+from cosim.scenario.data_files.table import unit_of as header_unit
 from cosim.scenario.data_files.tables import read_table
 from cosim.scenario.document.schema import NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind

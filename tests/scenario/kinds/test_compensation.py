@@ -10,7 +10,7 @@ import pytest
 import cosim
 from cosim.report.summary import summarize
 from cosim.report.tables.run import print_summary
-from cosim.scenario.assumptions.compensation import ACTIVATION
+from cosim.scenario.assumptions.method import ACTIVATION
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document

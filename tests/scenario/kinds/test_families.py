@@ -8,8 +8,8 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
-from cosim.scenario.assumptions.regression import ALPHAS as OF_ALPHAS
-from cosim.scenario.assumptions.regression import CLASS, DELAYS
+from cosim.scenario.assumptions.method import ALPHAS as OF_ALPHAS
+from cosim.scenario.assumptions.method import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
