@@ -275,7 +275,7 @@ def _start(name: str, kind: IdentifierKind, beginning: Beginning) -> Evidence:
         values |= {key: times[key] for key in ("T_obs", "T_f", "D_max", "T_id")}
         parts = [f"{key} {times[key]:.4g}" for key in ("T_obs", "T_f", "D_max")]
         evidence += f" = {' + '.join(parts)} s"
-    evidence += f", of a run that ends at {stop:g} s"
+    evidence += f"; the run ends at {stop:g} s"
     if T_id >= stop:
         cure = "use a longer run, faster poles, a faster filter or shorter delays"
         raise AssumptionError(evidence, cure=cure)
