@@ -359,12 +359,14 @@ def _of_disturbance(
 def _determined(what: str, smallest: float) -> Evidence:
     """Return whether something determines theta, by how it changes along directions of theta."""
     if smallest <= INSEPARABLE:
+        cause = "a component is absent, or two are alike"
         cure = "use amplitudes that are not 0, and components that differ"
         if what == "regression":
+            cause += ", or the alphas or delays differ too little"
             cure += ', other delays, or method = "output-error"'
         raise AssumptionError(
             f"the {what} does not determine theta: along one direction of theta it changes by "
-            f"{smallest:.2g} of itself; a component is absent, or two are alike",
+            f"{smallest:.2g} of itself; {cause}",
             cure=cure,
         )
     return (

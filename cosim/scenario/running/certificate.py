@@ -42,8 +42,7 @@ from cosim.scenario.document.document import short
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
-from cosim.scenario.recordings.preparing import build_experiment
-from cosim.scenario.recordings.recording import Progress, run_into
+from cosim.scenario.recordings.recording import Progress, build_experiment, run_into
 from cosim.scenario.running.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.theory.documents import StepError
 from cosim.theory.richardson import step_error

@@ -36,13 +36,13 @@ from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.recordings.message_recorder import MessageRecorder
-from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
     Beside,
     LiveView,
     Notice,
     Progress,
     Target,
+    build_experiment,
     check_target,
     chosen_of,
     log_recorder,

@@ -29,12 +29,14 @@ from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.identified_plant import (
+    IDENTIFY_WITH_OFFSET,
+    OUTPUT_ERROR,
     IdentifiedPlant,
     SampleRows,
     ThetaBounds,
     bounds_of,
+    interval_of,
 )
-from cosim.scenario.kinds.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR, interval_of
 from cosim.scenario.record import component_record
 from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised

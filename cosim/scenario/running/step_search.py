@@ -24,8 +24,7 @@ from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, 
 from cosim.instants import NANOSECONDS, step_value
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.record import StepSearch, StepTrial
-from cosim.scenario.recordings.preparing import build_experiment
-from cosim.scenario.recordings.recording import Progress
+from cosim.scenario.recordings.recording import Progress, build_experiment
 from cosim.scenario.running.certificate import Certification
 from cosim.scenario.running.thinned_rows import QUARTERS
 from cosim.theory.documents import StepError
