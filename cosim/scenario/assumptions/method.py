@@ -204,11 +204,8 @@ def _delays(kind: RegressorKind, beginning: Beginning, theta: Vector | None) -> 
     evidence = f"{len(kind.delays)} distinct delays, whole multiples of {divisor:g} s apart"
     if theta is None:
         return f"{evidence}; a rate above {limit:.3g} rad/s would alias to a slower one", values
-    rates = [0.0]
-    for component in generators(families_of(kind.terms)).each:
-        eigenvalues = np.linalg.eigvals(component.matrix(theta[component.theta]))
-        rates.append(float(np.abs(eigenvalues.imag).max()))
-    rate = max(rates)
+    matrices = [each.matrix(theta[each.theta]) for each in generators(families_of(kind.terms)).each]
+    rate = float(max(np.abs(np.linalg.eigvals(G).imag).max() for G in matrices))
     values["fastest_rate"] = rate
     if rate >= limit:
         raise AssumptionError(
