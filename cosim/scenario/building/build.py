@@ -42,7 +42,7 @@ from cosim.errors import (
 )
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.actions import ActionChecker, condition_problem
+from cosim.scenario.building.actions import ActionChecker, check_condition
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.document import Document
@@ -386,10 +386,11 @@ class Builder:
         right = self._right
         if until is None or not right:
             return
-        unknown = self._names - right.keys()
-        problem = condition_problem(until, right, unknown, self.context.step_ns)
-        if problem is not None:
-            self.problems.append((("scenario", "until"), problem))
+        step_ns = self.context.step_ns
+        try:
+            check_condition(until, right, self._names - right.keys(), step_ns)
+        except UsageError as error:
+            self.problems.append((("scenario", "until"), str(error)))
 
     def _check_record(self) -> None:
         """Add the problem of what is chosen to be recorded, where all components are known."""
