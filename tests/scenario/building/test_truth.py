@@ -17,14 +17,9 @@ ROOM = """
 name = "room"
 stop = 1.0
 step = 0.01
-[components.room]
-kind = "constant"
-value = 20.0
-unit = "degC"
-[components.sensor]
-kind = "sum"
-signs = [1.0]
-unit = "{unit}"
+[components]
+room = {{ kind = "constant", value = 20.0, unit = "degC" }}
+sensor = {{ kind = "sum", signs = [1.0], unit = "{unit}" }}
 [connections]
 "sensor.u1" = {{ from = "room.y", unit = "{unit}", gain = {gain} }}
 [truth]
