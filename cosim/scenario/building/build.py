@@ -83,8 +83,6 @@ class Builder:
         Where components come from, beside their tables.
     problems : iterable of Problem
         Of the scenario, as far as they are known.
-    block : int, optional
-        Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
@@ -119,14 +117,12 @@ class Builder:
         origins: Origins = TABLES_ALONE,
         *,
         problems: Iterable[Problem] = (),
-        block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
         self._origins = origins
-        self._block = block
         self._replaced = replaced or {}
         invalid = self._check_times()
         self.context = BuildContext(beside or scenario, resources, origins, invalid)
@@ -198,7 +194,7 @@ class Builder:
 
     @property
     def clock(self) -> Clock:
-        """The clock of the run.
+        """The clock of the run, with blocks of any size.
 
         Raises
         ------
@@ -206,7 +202,7 @@ class Builder:
             If one of its times is wrong, with every problem of the file.
         """
         try:
-            return replace(self.context.clock, block=self._block)
+            return self.context.clock
         except DependsOnInvalid as error:
             raise self.scenario.document.report(self.problems) from error
 
