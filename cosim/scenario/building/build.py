@@ -745,23 +745,23 @@ def check_truth(
             ports = [Port.parse(text) for text in (estimate, *named_ports(truth))]
             if not missing.isdisjoint(port.component for port in ports):
                 continue
-            units = []
-            for port in ports:
-                match = port.find(signals.get(port.component, {}))
-                if match is None:
-                    break
-                signal, elements = match
-                units.append(signal.measures_of(elements))
-            else:
-                _check_units(ports, units, truth, warn)
-                kept[estimate] = truth
+            found = {port: port.find(signals.get(port.component, {})) for port in ports}
+            absent = [port for port in ports if found[port] is None]
+            swapped = [port for port in absent if port.component in file.swap]
+            if swapped:
+                text = f"has no {str(swapped[0])!r}: the report leaves out {estimate!r}"
+                warn(swapped[0].component, text)
                 continue
-            if port.component not in file.swap:
+            if absent:
                 names: list[str] = []
                 for name, own in signals.items():
-                    names += [f"{name}.{signal_name}" for signal_name in own]
-                raise GraphError(f"unknown signal {str(port)!r}; {nearest(str(port), names)}")
-            warn(port.component, f"has no {str(port)!r}: the report leaves out {estimate!r}")
+                    names += [f"{name}.{signal}" for signal in own]
+                text = str(absent[0])
+                raise GraphError(f"unknown signal {text!r}; {nearest(text, names)}")
+            matches = filter(None, map(found.get, ports))
+            units = [signal.measures_of(elements) for signal, elements in matches]
+            _check_units(ports, units, truth, warn)
+            kept[estimate] = truth
         except GraphError as error:
             problems.append((("truth", estimate), str(error)))
     return kept, problems
