@@ -124,7 +124,6 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
 def build_experiment(
     scenario: Scenario,
     resources: ExitStack,
-    block: int | None,
     *,
     unpacked: UnpackedFmus | None = None,
     reports: SwapReports | None = None,
@@ -136,8 +135,6 @@ def build_experiment(
     scenario : Scenario
     resources : ExitStack
         Closes what was opened, when the run is over.
-    block : int or None
-        Fixed number of communication steps in a block.
     unpacked : UnpackedFmus, optional
         Where FMUs are unpacked and loaded for all builds of a process.
     reports : SwapReports, optional
@@ -150,12 +147,12 @@ def build_experiment(
     """
 
     def build() -> Experiment:
-        return Builder(scenario, resources, Origins(unpacked=unpacked), block=block).experiment()
+        return Builder(scenario, resources, Origins(unpacked=unpacked)).experiment()
 
     if scenario.file.swap and reports is None:
         from cosim.scenario.recordings.swap_comparison import build_swapped  # few runs need it
 
-        experiment, reports = build_swapped(scenario, resources, block, unpacked)
+        experiment, reports = build_swapped(scenario, resources, unpacked)
     else:
         experiment = build()
 

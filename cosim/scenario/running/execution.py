@@ -96,7 +96,7 @@ def start(
 
 def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: bool) -> Opened:
     """Build a scenario, and begin its simulation and its log."""
-    experiment = build_experiment(scenario, resources, None)
+    experiment = build_experiment(scenario, resources)
     values = metadata_of(experiment)
     del values["cosim.run"]  # its times: states go on whatever they are
     identity = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
@@ -321,7 +321,8 @@ def run(
             certification = Certification(edited, progress)
             certification.check()
         beside: Beside | None = None if certification is None else certification.beside
-        experiment = build_experiment(edited, resources, block)
+        experiment = build_experiment(edited, resources)
+        experiment.clock = replace(experiment.clock, block=block)
         if pace is not None:
             beside = paced(experiment, pace, beside)
 

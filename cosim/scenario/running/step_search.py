@@ -182,7 +182,7 @@ class _StepSearch:
         self._progress = progress
         self.trials: list[_TriedStep] = []
         with ExitStack() as resources:
-            experiment = build_experiment(scenario, resources, None)
+            experiment = build_experiment(scenario, resources)
             clock = experiment.clock
             self._tolerances = _tolerances(experiment.graph, tolerances)
         if not isinstance(clock.step_ns, int):
@@ -268,7 +268,7 @@ class _StepSearch:
         if step_ns not in self._possible:
             self._possible[step_ns] = False
             with ExitStack() as resources, suppress(CosimError):
-                build_experiment(self._at(step_ns), resources, None)
+                build_experiment(self._at(step_ns), resources)
                 self._possible[step_ns] = True
         return self._possible[step_ns]
 
