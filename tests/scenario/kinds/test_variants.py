@@ -9,10 +9,7 @@ from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import FILTERS
 from cosim.scenario.kinds.variants import METHODS, Variant, foreign_keys, variants_with
 
-KINDS = {
-    "method": (IdentifierKind, METHODS),
-    "filter": (UnknownInputObserverKind, FILTERS),
-}
+KINDS = {"method": (IdentifierKind, METHODS), "filter": (UnknownInputObserverKind, FILTERS)}
 
 
 @pytest.mark.parametrize("key", KINDS)
