@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.errors import LogError
 from cosim.log.foreign.topics import is_foreign
-from cosim.scenario.recordings.recorded_span import check_whole
+from cosim.scenario.recordings.recorded_scenario import check_whole
 from tests import pages
 from tests.log.recordings import layout, record
 

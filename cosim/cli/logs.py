@@ -170,7 +170,7 @@ def play(given: Given) -> None:
     """
     from cosim.live.playback import Playback
     from cosim.log.contents.viewer_layout import LAYOUT_FILE
-    from cosim.scenario.recordings.interrupting import interruptible
+    from cosim.scenario.recordings.recording import interruptible
 
     log = cosim.open_log(given.log)
     if given.layout is not None:

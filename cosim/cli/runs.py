@@ -181,7 +181,7 @@ def replay(given: Given) -> bool:
     Needs only the log; for a recording of another tool also --scenario and --map.
     """
     from cosim.report.tables.run import print_summary
-    from cosim.scenario.running.replay import LogReplays, replayed_once, replays_of
+    from cosim.scenario.running.replay import replayed_once, replays_of
 
     start_collecting()
     imported = perf_counter()
@@ -218,7 +218,7 @@ def replay(given: Given) -> bool:
             replayed = replayed_once(replays, progress=progress, notice=notice, live=view, **target)
             again = resources.enter_context(replayed)
         _draw(again, given.plot)
-        if given.verify and isinstance(replays, LogReplays):
+        if given.verify and replays.source is not None:
             from cosim.report.tables.logs import print_verification
             from cosim.report.verification import verify
 

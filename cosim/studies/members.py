@@ -29,8 +29,7 @@ from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.comparing import results_of
 from cosim.report.summary import summarize
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.recordings.preparing import build_experiment
-from cosim.scenario.recordings.recording import Target, record, run_rows
+from cosim.scenario.recordings.recording import Target, build_experiment, record, run_rows
 from cosim.scenario.running.replay import replays_of
 from cosim.studies.contracts import (
     COMPLETE,

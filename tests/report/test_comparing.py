@@ -15,8 +15,7 @@ from cosim.report.summary import summarize
 from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
-from cosim.scenario.running import replay
-from cosim.scenario.running.replay import LogReplays
+from cosim.scenario.running.replay import Replays
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 from tests.scenario.swapping.renamed import MAP, renamed
 
@@ -186,7 +185,7 @@ def test_an_interruption_is_no_outcome(folder, failing, monkeypatch):
     monkeypatch.setattr(comparing, "replay", interrupted)
     with pytest.raises(Interrupted):
         cosim.compare_estimators("academic", estimators="drem", set={"scenario.stop": 0.1})
-    monkeypatch.setattr(LogReplays, "record", interrupted)
+    monkeypatch.setattr(Replays, "record", interrupted)
     with pytest.raises(Interrupted):
         cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]})
     monkeypatch.setattr(comparing, "run", interrupted)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Stopped
-from cosim.core.recording import Recording
+from cosim.core.recording import CompleteRecording
 from cosim.core.stages.input_elements import InputElements
 from cosim.core.stages.member import Member
 from cosim.core.structure.feedthrough import Edge
@@ -74,7 +74,7 @@ class TornInputs:
         """The names of the elements."""
         return self._elements.labels
 
-    def take(self, recording: Recording) -> None:
+    def take(self, recording: CompleteRecording) -> None:
         """Take the values that a run has recorded from now on, and solve for nothing.
 
         Where it did not record every row of them, they are solved for.
@@ -86,7 +86,8 @@ class TornInputs:
             columns, _ = self._elements.of(member)
             blocks = [rows for _, rows in recording.blocks(member.name)]
             parts.append(np.concatenate(blocks)[:, columns - member.columns.start])
-        times = recording.time_ns(self._elements.members[0].name) / 1e9
+        grid = recording.grid
+        times = grid.time(grid.number(recording.time_ns(self._elements.members[0].name)))
         self.solver.take(times, np.hstack(parts))
 
     def begin(self, t1: float, rows: Matrix) -> None:

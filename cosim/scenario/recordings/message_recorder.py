@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import ceil
 from types import TracebackType
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
@@ -21,46 +21,18 @@ from cosim.documents import plain
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.kinds.identified_plant import Assessor
 from cosim.scenario.kinds.initial_states import change_text, changed_states
-from cosim.scenario.kinds.run_verdicts import Assessor
 from cosim.scenario.record import IDENTIFICATION, INITIAL_STATES, UNTIL
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
-    from cosim.fmi.component import Fmu
 
-MEANS = (
+_MEANS: Final = (
     "every step sets {} to the mean of both of its ends, which are what the log has (no input "
     "derivatives)"
 )
-
-
-def terminated(
-    fmus: Mapping[str, Fmu], error: BaseException | None
-) -> tuple[BaseException | None, list[tuple[str, str]]]:
-    """End the run of every FMU.
-
-    Returns
-    -------
-    error : BaseException or None
-        What the run as a whole ended with.
-    failures : list of (component, text)
-        What else failed then.
-    """
-    failures = []
-    try:
-        for name, fmu in fmus.items():
-            try:
-                fmu.terminate()
-            except RunError as failure:
-                text = f"{name!r} failed at the end of the run: {failure}"
-                if end_of_run(error).status == "complete":
-                    error = RunError(text)
-                else:
-                    failures.append((name, text))
-    except KeyboardInterrupt as interruption:  # an FMU may take long
-        error = interruption
-    return error, failures
+_ENDED: Final = (Interrupted, KeyboardInterrupt, SystemExit, GeneratorExit)  # from outside
 
 
 @final
@@ -89,78 +61,11 @@ class MessageRecorder(PassingRecorder):
         self._warnings.add(RunMessage(time_ns, level, source, text))
         self._recorder.message(time_ns, level, source, text)
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        ended = self._terminate(error)
-        try:
-            with uninterrupted():
-                self._conclude(ended)
-        finally:
-            close(self._recorder, ended)
-        if ended is not None and ended is not error:
-            raise ended
+    def _say(self, level: MessageLevel, source: str, text: str) -> None:
+        """Record a message at the time reached."""
+        self.message(self._reached_ns, level, source, text)
 
-    def _terminate(self, error: BaseException | None) -> BaseException | None:
-        """End the run of every FMU; return what the run as a whole ended with."""
-        ended, failures = terminated(self._experiment.fmus, error)
-        for name, text in failures:
-            self.message(self._reached_ns, "error", name, text)
-        return ended
-
-    def _conclude(self, error: BaseException | None) -> None:
-        """Record what is known at the end: last messages, the error, the last row.
-
-        Where the run ended early, FMUs may be ahead of its end: of them there are the messages up
-        to the end of the step that was not completed.
-        """
-        self._record_messages(self._reached_ns + ceil(self._experiment.clock.step_ns))
-        if error is not None:
-            # past the warnings: the status says how it ended
-            self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
-        self._record_until(error)
-        self._record_substeps()
-        if self._inner_steps:
-            self._recorder.result({INNER_STEP: self._inner_steps})
-        if self._last is not None:
-            labels = self._experiment.graph.labels()
-            last = {}
-            for label, value in zip(labels, self._last.tolist(), strict=True):
-                last[label] = value if math.isfinite(value) else None
-            warnings = [list(warning) for warning in self._warnings]
-            self._recorder.result({"last": last, WARNINGS: warnings})
-            is_regular = error is None or self._came_true(error)
-            if is_regular and self._identified:
-                self._recorder.result({IDENTIFICATION: self._assessor.results()})
-
-    def _came_true(self, error: BaseException | None) -> bool:
-        """Return whether the condition came true that ends the run, by what it ended with."""
-        until = self._experiment.until
-        return until is not None and end_of_run(error).reason.startswith(until_text(until))
-
-    def _record_until(self, error: BaseException | None) -> None:
-        """Record whether the condition came true that ends the run, where it looked for one."""
-        until = self._experiment.until
-        if until is None:
-            return
-        self._recorder.result({UNTIL: self._came_true(error)})
-        if error is None:
-            text = f"{until_text(until)}: never met"
-            self.message(self._reached_ns, "info", "run", text)
-
-    def _record_substeps(self) -> None:
-        """Record how many substeps loops took, and whether some miss the tolerance."""
-        counts = [control.counts for control in self._experiment.graph.substep_controls]
-        if not counts:
-            return
-        self._recorder.result({SUBSTEP_COUNTS: [asdict(count) for count in counts]})
-        for count in counts:
-            if count.missed:
-                text = missed_text(count)
-                self.message(self._reached_ns, "warning", count.components[0], text)
+    # --- before the run ---
 
     def begin(self, plan: Plan) -> None:
         """Pass on, then record what is known before the run.
@@ -168,15 +73,22 @@ class MessageRecorder(PassingRecorder):
         The warnings, the inputs that nothing drives, the messages of FMUs when they were loaded.
         """
         super().begin(plan)
-        for name, text in _start_values(self._experiment):
-            self.message(self._reached_ns, "info", name, text)
-        for name, inputs in self._experiment.graph.mean_inputs.items():
-            text = MEANS.format(", ".join(inputs))
-            self.message(self._reached_ns, "info", name, text)
+        graph = self._experiment.graph
+        kept: dict[str, list[str]] = {}
+        for port, values in graph.unconnected.items():
+            value = ", ".join(map(repr, values))
+            kept.setdefault(port.component, []).append(f"{port.name} = {value}")
+        for name, inputs in kept.items():
+            text = f"not connected, so at their start values: {'; '.join(inputs)}"
+            self._say("info", name, text)
+        for name, means in graph.mean_inputs.items():
+            self._say("info", name, _MEANS.format(", ".join(means)))
         for name, text in self._experiment.warnings:
-            self.message(self._reached_ns, "warning", name, text)
+            self._say("warning", name, text)
         for name, messages in self._experiment.messages.items():
             self._record(name, messages, self._reached_ns)
+
+    # --- the run ---
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Record the messages of the block, and pass it on."""
@@ -190,27 +102,24 @@ class MessageRecorder(PassingRecorder):
         self._last = signals[-1].copy()
         self._assessor.take(block, signals)
 
-    def _check_inputs(self, block: Block, signals: Matrix) -> None:
-        """Have FMUs warn of values of inputs that they do not allow."""
-        for name, fmu in self._experiment.fmus.items():
-            if not fmu.input_limits.are_there:
-                continue
-            inputs = signals[:, self._experiment.graph.layout[name].inputs]
-            ports = self._experiment.port_maps.get(name)
-            fmu.input_limits.check(
-                block.time, inputs if ports is None else ports.component_inputs(inputs)
-            )
-
     def _record_initial_states(self, row: Vector) -> None:
         """Record which initial states are others than those that the scenario gives."""
         experiment = self._experiment
         changed = changed_states(experiment.graph, experiment.given_states, row)
-        changes_of = {}
         for name, changes in changed.items():
-            self.message(self._reached_ns, "warning", name, change_text(changes))
-            changes_of[name] = [plain(change) for change in changes]
-        if changes_of:
-            self._recorder.result({INITIAL_STATES: changes_of})
+            self._say("warning", name, change_text(changes))
+        if changed:
+            documents = {name: list(map(plain, changes)) for name, changes in changed.items()}
+            self._recorder.result({INITIAL_STATES: documents})
+
+    def _check_inputs(self, block: Block, signals: Matrix) -> None:
+        """Have FMUs warn of values of inputs that they do not allow."""
+        for name, fmu in self._experiment.fmus.items():
+            if fmu.input_limits.are_there:
+                inputs = signals[:, self._experiment.graph.layout[name].inputs]
+                ports = self._experiment.port_maps.get(name)
+                own = inputs if ports is None else ports.component_inputs(inputs)
+                fmu.input_limits.check(block.time, own)
 
     def _record_messages(self, until_ns: int) -> None:
         """Record the new messages of all FMUs, and those that have waited for their instants."""
@@ -257,6 +166,88 @@ class MessageRecorder(PassingRecorder):
                 return members
         return frozenset()
 
+    # --- its end ---
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        ended = self._terminate(error)
+        try:
+            with uninterrupted():
+                self._conclude(ended)
+        finally:
+            close(self._recorder, ended)
+        if ended is not None and ended is not error:
+            raise ended
+
+    def _terminate(self, error: BaseException | None) -> BaseException | None:
+        """End the run of every FMU; return what the run as a whole ended with."""
+        failures = []
+        try:
+            for name, fmu in self._experiment.fmus.items():
+                try:
+                    fmu.terminate()
+                except RunError as failure:
+                    text = f"{name!r} failed at the end of the run: {failure}"
+                    if end_of_run(error).status == "complete":
+                        error = RunError(text)
+                    else:
+                        failures.append((name, text))
+        except KeyboardInterrupt as interruption:  # an FMU may take long
+            error = interruption
+        for name, text in failures:
+            self._say("error", name, text)
+        return error
+
+    def _conclude(self, error: BaseException | None) -> None:
+        """Record what is known at the end: last messages, the error, the last row.
+
+        Where the run ended early, FMUs may be ahead of its end: of them there are the messages up
+        to the end of the step that was not completed.
+        """
+        self._record_messages(self._reached_ns + ceil(self._experiment.clock.step_ns))
+        if error is not None:
+            level: MessageLevel = "warning" if isinstance(error, _ENDED) else "error"
+            if isinstance(error, Stopped) and not error.failed:
+                level = "info"
+            # past the warnings: the status says how it ended
+            self._recorder.message(self._reached_ns, level, "run", error_text(error))
+        came_true = self._record_until(error)
+        self._record_substeps()
+        if self._inner_steps:
+            self._recorder.result({INNER_STEP: self._inner_steps})
+        if self._last is not None:
+            labels = self._experiment.graph.labels()
+            pairs = zip(labels, self._last.tolist(), strict=True)
+            last = {label: value if math.isfinite(value) else None for label, value in pairs}
+            warnings = [list(warning) for warning in self._warnings]
+            self._recorder.result({"last": last, WARNINGS: warnings})
+            if self._identified and (error is None or came_true):
+                self._recorder.result({IDENTIFICATION: self._assessor.results()})
+
+    def _record_until(self, error: BaseException | None) -> bool:
+        """Record whether the condition came true that ends the run, where it looked for one."""
+        until = self._experiment.until
+        if until is None:
+            return False
+        came_true = end_of_run(error).reason.startswith(until_text(until))
+        self._recorder.result({UNTIL: came_true})
+        if error is None:
+            self._say("info", "run", f"{until_text(until)}: never met")
+        return came_true
+
+    def _record_substeps(self) -> None:
+        """Record how many substeps loops took, and whether some miss the tolerance."""
+        counts = [control.counts for control in self._experiment.graph.substep_controls]
+        if counts:
+            self._recorder.result({SUBSTEP_COUNTS: [asdict(count) for count in counts]})
+        for count in counts:
+            if count.missed:
+                self._say("warning", count.components[0], _missed_text(count))
+
 
 def _first_inner_step(messages: Sequence[Message]) -> float:
     """Return when an inner step showed that may be of another FMU [s]; infinity: none did."""
@@ -264,17 +255,7 @@ def _first_inner_step(messages: Sequence[Message]) -> float:
     return min((time for time in times if time is not None), default=math.inf)
 
 
-def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
-    """Yield the components with inputs that nothing drives, and the values that these keep."""
-    texts: dict[str, list[str]] = {}
-    for port, values in experiment.graph.unconnected.items():
-        value = ", ".join(map(repr, values))
-        texts.setdefault(port.component, []).append(f"{port.name} = {value}")
-    for name, inputs in texts.items():
-        yield name, f"not connected, so at their start values: {'; '.join(inputs)}"
-
-
-def missed_text(counts: SubstepCounts) -> str:
+def _missed_text(counts: SubstepCounts) -> str:
     """Return how far some substeps of a loop miss the tolerance."""
     return (
         f"the loop of {listing(counts.components)}: {counts.missed} of {counts.accepted} substeps "
@@ -282,13 +263,3 @@ def missed_text(counts: SubstepCounts) -> str:
         f"{counts.worst_error:.3g} at t = {counts.worst_time} s; needed a smaller "
         "scenario.substeps.min, larger tolerances, or coupling = 'newton'"
     )
-
-
-def _level(error: BaseException) -> MessageLevel:
-    match error:
-        case Stopped(failed=False):
-            return "info"
-        case Interrupted() | KeyboardInterrupt() | SystemExit() | GeneratorExit():
-            return "warning"
-        case _:
-            return "error"

@@ -13,109 +13,43 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector
 from cosim.core.signals import Causality, Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.fmi.linearizing.linearization import is_singular, pole_text, poles
 from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import ComparedAspect, PortVerdict
-from cosim.units import (
-    Conversion,
-    Unit,
-    comparable,
-    conversion,
-    conversions_between,
-    units_text,
+from cosim.units import Unit, comparable, conversion, conversions_between, units_text
+
+# of what a component can do for the master, beside its kind
+CAPABILITIES: Final = ("rollback", "variable step", "interpolation", "directional derivatives")
+START: Final = "start value"
+INITIAL: Final = "initial output"
+NOMINAL: Final = "nominal"
+_WORST_FIRST: Final[tuple[PortVerdict, ...]] = ("error", "differs", "unknown", "ok")
+_SAME: Final = 1e-9  # relative difference up to which two numbers are the same
+_ROUNDING: Final = (
+    1e-6  # smaller numbers are compared as if they were it: what rounding leaves of 0
 )
 
-_WORST_FIRST: Final[tuple[PortVerdict, ...]] = ("error", "differs", "unknown", "ok")
-SAME = 1e-9  # relative difference up to which two numbers are the same
-ROUNDING = 1e-6  # numbers below are compared as if they were as large: what rounding leaves of 0
+_Elements: TypeAlias = Sequence[float] | Vector | None  # None: unknown
 
 
-@dataclass(frozen=True, slots=True)
-class ComponentCapabilities:
-    """What a component can do for the master; None: unknown.
+class Entry(NamedTuple):
+    """One entry of a response, and the absolute sum of the terms that it is computed from."""
 
-    Parameters
-    ----------
-    kind : str
-        ``"model exchange"``, ``"co-simulation"``, ``"recording"``, or the kind of a component of
-        ours.
-    rollback, variable_step, interpolation, directional_derivatives : bool or None
-        Goes back to a saved state; takes steps of any length; interpolates inputs inside a step;
-        has its Jacobians.
-    """
-
-    kind: str
-    rollback: bool | None = None
-    variable_step: bool | None = None
-    interpolation: bool | None = None
-    directional_derivatives: bool | None = None
-
-    @property
-    def of_fmu(self) -> bool:
-        """Whether they are those of an FMU; ``kind`` is then its interface type."""
-        return self.kind in INTERFACE_TYPE_NAMES.values()
-
-    def items(self) -> list[tuple[str, Any]]:
-        """Return (aspect, value)."""
-        pairs = []
-        for name, value in asdict(self).items():
-            pairs.append((name.replace("_", " "), value))
-        return pairs
+    value: complex
+    terms: float
 
 
-@dataclass(frozen=True, slots=True)
-class LinearBehavior:
-    """A component near its initial state.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    has_ports : bool
-        Whether its inputs and outputs are all those of the component.
-    """
-
-    system: LinearSystem
-    has_ports: bool = True
-
-    @property
-    def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues [1/s], sorted by real part."""
-        return poles(self.system.A)
-
-    @property
-    def pairs(self) -> Vector:
-        """Real and imaginary parts of the poles, in turn."""
-        return self.poles.view(np.float64)
-
-    @property
-    def rate(self) -> float:
-        """A rate between its modes, but on none of a single oscillation [rad/s]."""
-        sizes = np.abs(self.poles)
-        sizes = sizes[sizes > 0.0]
-        return float(np.sqrt(2.0) * np.exp(np.log(sizes).mean())) if len(sizes) else 1.0
-
-    def response(self, rate: float) -> tuple[NDArray[np.complex128], Matrix] | None:
-        """Return D + C (j rate - A)^-1 B, shape (n_y, n_u), and the absolute sums of its terms.
-
-        Rounding is relative to these. None where ports are missing, or where the inverse, with A
-        known up to its error, may be singular.
-        """
-        A, B, C, D = (self.system.A, self.system.B, self.system.C, self.system.D)
-        dynamics = 1j * rate * np.eye(len(A)) - A
-        if not self.has_ports or is_singular(dynamics, error=self.system.error):
-            return None
-        states = np.linalg.solve(dynamics, B)
-        values = np.asarray(D + C @ states, np.complex128)
-        return values, np.abs(D) + np.abs(C) @ np.abs(states)
+# of an output, by elements of input and output
+Response: TypeAlias = Mapping[tuple[str, str], Entry]
+Responses: TypeAlias = Mapping[str, Response]  # by output
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,23 +59,21 @@ class ComparedComponent:
     Parameters
     ----------
     interface : Interface
-    capabilities : ComponentCapabilities
-    start : mapping of input name to Vector
-        Values of inputs that nothing drives; unknown where not named.
-    initial : mapping of output name to Vector
-        Initial outputs for the scenario's inputs; unknown where not named.
-    nominal : mapping of port to Vector
-        Typical sizes that an FMU declares (FMI: nominal); unknown where not named.
-    linear : LinearBehavior or None
-        None: it cannot be linearized.
+    capabilities : mapping of str to plain value
+        Its ``"kind"``: ``"model exchange"``, ``"co-simulation"``, ``"recording"``, or that of a
+        component of ours; and whether it has each of ``CAPABILITIES``, where that is known.
+    values : mapping of aspect to mapping of port to Vector
+        Start values of inputs that nothing drives, initial outputs for the scenario's inputs,
+        nominal sizes that an FMU declares; unknown where not named.
+    system : LinearSystem or None
+        Near its initial state; its inputs and outputs are all those of the component, or some are
+        missing. None: it cannot be linearized.
     """
 
     interface: Interface
-    capabilities: ComponentCapabilities
-    start: Mapping[str, Vector] = field(default_factory=dict)
-    initial: Mapping[str, Vector] = field(default_factory=dict)
-    nominal: Mapping[str, Vector] = field(default_factory=dict)
-    linear: LinearBehavior | None = None
+    capabilities: Mapping[str, Any]
+    values: Mapping[str, Mapping[str, Vector]] = field(default_factory=dict)
+    system: LinearSystem | None = None
 
     def port(self, name: str) -> ComparedPort | None:
         """Return a port; None: there is none."""
@@ -154,7 +86,48 @@ class ComparedComponent:
     @property
     def ports(self) -> list[str]:
         """Names of the inputs, then of the outputs."""
-        return [signal.name for signal in self.interface.signals]
+        return list(self.interface.by_name)
+
+    def responses(self, rate: float, units_of: ComparedComponent) -> Responses | None:
+        """Return D + C (j rate - A)^-1 B [rad/s], in the units of another component.
+
+        None where it is unknown, or where the inverse, with A known up to its error, may be
+        singular. Rounding is relative to the terms.
+        """
+        system = self.system
+        interface = self.interface
+        if system is None or system.D.shape != (interface.n_y, interface.n_u):
+            return None
+        dynamics = 1j * rate * np.eye(len(system.A)) - system.A
+        if is_singular(dynamics, error=system.error):
+            return None
+        states = np.linalg.solve(dynamics, system.B)
+        from_inputs = 1.0 / _factors(interface.inputs, units_of)
+        factors = _factors(interface.outputs, units_of)[:, np.newaxis] * from_inputs
+        values = factors * (system.D + system.C @ states)
+        terms = np.abs(factors) * (np.abs(system.D) + np.abs(system.C) @ np.abs(states))
+        inputs = [name for signal in interface.inputs for name in signal.elements]
+        responses: dict[str, dict[tuple[str, str], Entry]] = {}
+        row = 0
+        for signal in interface.outputs:
+            entries = responses[signal.name] = {}
+            for output in signal.elements:
+                for column, name in enumerate(inputs):
+                    entry = Entry(complex(values[row, column]), float(terms[row, column]))
+                    entries[name, output] = entry
+                row += 1
+        return responses
+
+
+def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
+    """Return the factor of each element from its unit to that of the port of its name."""
+    factors: list[float] = []
+    for signal in signals:
+        port = other.port(signal.name)
+        units = signal.measures if port is None else port.units_for(signal.size)
+        for convert in conversions_between(signal.measures, units):
+            factors.append(1.0 if convert is None else convert.factor)
+    return np.array(factors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,116 +140,55 @@ class ComparedPort:
     element: int | None = None
 
     @property
-    def size(self) -> int:
-        """Number of elements."""
-        return self.signal.size if self.element is None else 1
+    def elements(self) -> slice:
+        """Which elements of its signal it has."""
+        return slice(None) if self.element is None else slice(self.element, self.element + 1)
 
     @property
     def units(self) -> tuple[Unit, ...]:
         """The units of its elements."""
-        units = self.signal.measures
-        return units if self.element is None else units[self.element : self.element + 1]
+        return self.signal.measures[self.elements]
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return len(self.units)
 
     def units_for(self, size: int) -> tuple[Unit, ...]:
         """Return the units of its elements; of another number of them, the first for all."""
         units = self.units
         return units if len(units) == size else units[:1] * size
 
-    @property
-    def start(self) -> list[float] | None:
-        """Value of an input that nothing drives; None: unknown."""
-        values = self.component.start.get(self.signal.name)
-        return self._elements_of(values)
+    def values(self, aspect: str) -> list[float] | None:
+        """Return start values, initial outputs or nominal sizes; None: unknown."""
+        values = self.component.values.get(aspect, {}).get(self.signal.name)
+        return None if values is None else values[self.elements].tolist()
 
     @property
-    def initial(self) -> list[float] | None:
-        """Initial value of an output; None: unknown."""
-        values = self.component.initial.get(self.signal.name)
-        return self._elements_of(values)
-
-    @property
-    def nominal(self) -> list[float] | None:
-        """Typical size; None: unknown."""
-        values = self.component.nominal.get(self.signal.name)
-        return self._elements_of(values)
-
-    @property
-    def feedthrough(self) -> tuple[str, ...] | None:
+    def feedthrough(self) -> list[str] | None:
         """Inputs with direct feedthrough to an output, or outputs of an input; None: unknown."""
         interface = self.component.interface
+        name = self.signal.name
         if self.causality == "output":
-            known = interface.knows(self.signal.name)
-            return interface.feeds(self.signal.name) if known else None
+            return sorted(interface.feeds(name)) if interface.knows(name) else None
         outputs = [output.name for output in interface.outputs]
-        if not all(interface.knows(name) for name in outputs):
+        if not all(map(interface.knows, outputs)):
             return None
-        own_name = self.signal.name
-        return tuple(name for name in outputs if own_name in interface.feeds(name))
+        return [output for output in outputs if name in interface.feeds(output)]
 
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
-        linear = self.component.linear
-        response = None if linear is None else linear.response(0.0)
-        if response is None:
+        responses = self.component.responses(0.0, self.component)
+        if responses is None:
             return None
-        gain = response[0].real
-        interface = self.component.interface
-        if self.causality == "output":
-            columns = interface.output_columns()[self.signal.name]
-        else:
-            columns = interface.input_columns()[self.signal.name]
-            gain = gain.T
-        rows = gain[columns]
-        if self.element is not None:
-            rows = rows[self.element]
-        return sorted(rows.ravel().tolist())
-
-    def responses(self, rate: float, units_of: ComparedComponent) -> dict[str, Entry] | None:
-        """Return the responses of an output to each input, in the units of another component.
-
-        By input and output element, as ``u[0] -> y``. None: unknown.
-        """
-        linear = self.component.linear
-        response = None if linear is None else linear.response(rate)
-        if response is None:
-            return None
-        interface = self.component.interface
-        from_inputs = 1.0 / _factors(interface.inputs, units_of)
-        factors = _factors(interface.outputs, units_of)[:, np.newaxis] * from_inputs
-        values = factors * response[0]
-        terms = np.abs(factors) * response[1]
-        first = interface.output_columns()[self.signal.name].start
-        inputs = [name for signal in interface.inputs for name in signal.elements]
-        entries = {}
-        for i, output in enumerate(self.signal.elements, start=first):
-            for j, name in enumerate(inputs):
-                entries[f"{name} -> {output}"] = Entry(complex(values[i, j]), float(terms[i, j]))
-        return entries
-
-    def _elements_of(self, values: Vector | None) -> list[float] | None:
-        if values is None:
-            return None
-        numbers: list[float] = values.tolist()
-        return numbers if self.element is None else [numbers[self.element]]
-
-
-class Entry(NamedTuple):
-    """One entry of a response, and the absolute sum of the terms that it is computed from."""
-
-    value: complex
-    terms: float
-
-
-def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
-    """Return the factor of each element from its unit to that of the port of its name."""
-    factors: list[float] = []
-    for signal in signals:
-        port = other.port(signal.name)
-        units = signal.measures if port is None else port.units_for(signal.size)
-        for convert in conversions_between(signal.measures, units):
-            factors.append(1.0 if convert is None else convert.factor)
-    return np.array(factors)
+        names = self.signal.elements[self.elements]
+        gains = []
+        for entries in responses.values():
+            for ends, entry in entries.items():
+                if not set(names).isdisjoint(ends):
+                    gains.append(entry.value.real)
+        return sorted(gains)
 
 
 def compare_components(
@@ -300,75 +212,95 @@ def compare_components(
         Those of them whose connection stops the run: only they can be errors.
     """
     rows: list[ComparedAspect] = []
-    sources = {} if names is None else names
-    for port in dict.fromkeys([*before.ports, *after.ports]):
-        severity: PortVerdict = "error" if port in refused else "differs"
-        old = before.port(port)
-        new = after.port(port)
-        for aspect in _port_aspects(old, new, severity):
-            source = sources.get(port)
-            rows.append(replace(aspect, port=port, connected=port in connected, source=source))
-    return (*rows, *_whole_aspects(before, after))
+    sources = names or {}
+    pole_row = _poles(before, after)
+    responses = _responses(before, after, same_poles=pole_row.verdict != "differs")
+    for name in dict.fromkeys([*before.ports, *after.ports]):
+        severity: PortVerdict = "error" if name in refused else "differs"
+        for row in _port_rows(before.port(name), after.port(name), severity, responses):
+            source = sources.get(name)
+            rows.append(replace(row, port=name, connected=name in connected, source=source))
+    of_fmus = all(c.capabilities["kind"] in _FMU_KINDS for c in (before, after))
+    for key in ("kind", *CAPABILITIES):
+        old = before.capabilities.get(key)
+        new = after.capabilities.get(key)
+        is_unknown = old is not new and (old is None or new is None)
+        aspect = "interface type" if key == "kind" and of_fmus else key
+        rows.append(_equal(aspect, old, new, "unknown" if is_unknown else "differs"))
+    if before.system is not None or after.system is not None:
+        rows.append(pole_row)
+    return tuple(rows)
 
 
-def _port_aspects(
-    old: ComparedPort | None, new: ComparedPort | None, severity: PortVerdict
+_FMU_KINDS: Final = frozenset(INTERFACE_TYPE_NAMES.values())
+
+
+def _port_rows(
+    old: ComparedPort | None,
+    new: ComparedPort | None,
+    severity: PortVerdict,
+    responses: Mapping[str, tuple[Responses | None, Responses | None]],
 ) -> Iterator[ComparedAspect]:
     """Yield the aspects of a port; ``severity`` is the verdict where a connection cannot hold."""
     if old is None or new is None:
-        old_causality = None if old is None else old.causality
-        new_causality = None if new is None else new.causality
-        yield ComparedAspect("", "causality", old_causality, new_causality, severity)
+        there, here = (None if port is None else port.causality for port in (old, new))
+        yield ComparedAspect("", "causality", there, here, severity)
         return
     yield _equal("causality", old.causality, new.causality, severity)
     yield _equal("type", old.signal.type, new.signal.type)
     yield _equal("size", old.size, new.size, severity)
-    unit_verdict = _unit(old, new, severity)
-    yield ComparedAspect(
-        "", "unit", units_text(old.units) or None, units_text(new.units) or None, unit_verdict
-    )
+    old_units, new_units = (units_text(port.units) or None for port in (old, new))
+    yield ComparedAspect("", "unit", old_units, new_units, _unit(old, new, severity))
     yield _equal("variability", old.signal.variability, new.signal.variability)
-    nominal = _in_unit_of(old, new, new.nominal)
-    ratio = _ratio(old.nominal, nominal)
-    row = ComparedAspect("", "nominal", old.nominal, new.nominal, "ok", ratio=ratio)
-    yield replace(row, verdict="differs") if row.of_another_size else row
+    nominal = _numbers(NOMINAL, old, new)
+    yield replace(nominal, verdict="differs" if nominal.of_another_size else "ok")
     if old.causality != new.causality:
         return
     if old.causality == "input":
-        start = _in_unit_of(old, new, new.start)
-        yield _numbers("start value", old.start, new.start, start)
-    else:
-        yield from _output_aspects(old, new)
-
-
-def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[ComparedAspect]:
-    yield _equal("feedthrough", _inputs_of(old), _inputs_of(new))
-    initial = _in_unit_of(old, new, new.initial)
-    yield _numbers("initial output", old.initial, new.initial, initial)
-    yield from _response_aspects(old, new)
-
-
-def _response_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[ComparedAspect]:
-    """Compare static gains; where they and the poles do not differ, responses at a rate too."""
-    linear = old.component.linear or new.component.linear
-    if linear is None:
+        yield _numbers(START, old, new)
         return
+    ways = ["unknown" if port.feedthrough is None else port.feedthrough for port in (old, new)]
+    yield _equal("feedthrough", ways[0], ways[1])
+    yield _numbers(INITIAL, old, new)
     error = _error(old.component, new.component)
-    rates = {"static gain": 0.0}
-    if all(aspect.verdict != "differs" for aspect in _poles(old.component, new.component)):
-        rates[f"response at {linear.rate:.3g} rad/s"] = linear.rate
-    for aspect, rate in rates.items():
-        before = old.responses(rate, old.component)
-        after = new.responses(rate, old.component)
+    for aspect, of_both in responses.items():
+        before, after = (None if own is None else own[old.signal.name] for own in of_both)
         if before is not None or after is not None:
-            row = _compared_responses(aspect, before, after, error)
+            row = _response_row(aspect, before, after, error)
             yield row
             if row.verdict == "differs":
                 return
 
 
-def _compared_responses(
-    aspect: str, before: dict[str, Entry] | None, after: dict[str, Entry] | None, error: float
+def _responses(
+    before: ComparedComponent, after: ComparedComponent, *, same_poles: bool
+) -> dict[str, tuple[Responses | None, Responses | None]]:
+    """Return static gains; where these and the poles may be equal, responses at a rate too."""
+    system = before.system or after.system
+    if system is None:
+        return {}
+    rates = {"static gain": 0.0}
+    if same_poles:
+        rate = rate_between(system)
+        rates[f"response at {rate:.3g} rad/s"] = rate
+    return {
+        aspect: (before.responses(rate, before), after.responses(rate, before))
+        for aspect, rate in rates.items()
+    }
+
+
+def rate_between(system: LinearSystem) -> float:
+    """Return a rate between the modes, but on none of a single oscillation [rad/s]."""
+    sizes = np.abs(poles(system.A))
+    sizes = sizes[sizes > 0.0]
+    return float(np.sqrt(2.0) * np.exp(np.log(sizes).mean())) if len(sizes) else 1.0
+
+
+def _response_row(
+    aspect: str,
+    before: Response | None,
+    after: Response | None,
+    error: float,
 ) -> ComparedAspect:
     """Compare element by element where both have it; show those that differ, or all."""
     if before is None or after is None:
@@ -379,79 +311,52 @@ def _compared_responses(
         tolerance = error * max(before[name].terms, after[name].terms)
         if abs(after[name].value - before[name].value) > tolerance:
             different.append(name)
-    ratio = _ratio(
-        [abs(before[name].value) for name in both], [abs(after[name].value) for name in both]
+    old, new = ([abs(entries[name].value) for name in both] for entries in (before, after))
+    old_values, new_values = (
+        _plain({name: entries[name] for name in different or both}) for entries in (before, after)
     )
-    shown_names = different or both
-    return ComparedAspect(
-        "",
-        aspect,
-        _plain({name: before[name] for name in shown_names}),
-        _plain({name: after[name] for name in shown_names}),
-        "differs" if different else "ok",
-        ratio=ratio,
-    )
+    verdict: PortVerdict = "differs" if different else "ok"
+    return ComparedAspect("", aspect, old_values, new_values, verdict, ratio=_ratio(old, new))
 
 
-def _plain(entries: Mapping[str, Entry] | None) -> dict[str, Any] | None:
+def _plain(entries: Response | None) -> dict[str, Any] | None:
     """Return values for a row: numbers, or real and imaginary parts."""
     if entries is None:
         return None
-    values = {name: entry.value for name, entry in entries.items()}
-    return {n: v.real if v.imag == 0.0 else [v.real, v.imag] for n, v in values.items()}
+    plain = {}
+    for (u, y), (value, _) in entries.items():
+        plain[f"{u} -> {y}"] = value.real if value.imag == 0.0 else [value.real, value.imag]
+    return plain
 
 
-def _numbers(
-    aspect: str,
-    before: Sequence[float] | None,
-    after: Sequence[float] | None,
-    converted: Sequence[float] | Vector | None,
-) -> ComparedAspect:
-    """Compare numbers; ``converted`` are those after in the unit of those before."""
-    verdict = _same_values(before, converted, least=ROUNDING)
-    return ComparedAspect("", aspect, before, after, verdict, ratio=_ratio(before, converted))
+def _poles(before: ComparedComponent, after: ComparedComponent) -> ComparedAspect:
+    old, new = (
+        None if system is None else poles(system.A).view(np.float64)
+        for system in (before.system, after.system)
+    )
+    verdict = _same_values(old, new, _error(before, after))
+    pairs = [None if values is None else values.reshape(-1, 2).tolist() for values in (old, new)]
+    return ComparedAspect("", "poles", pairs[0], pairs[1], verdict)
 
 
-def _ratio(
-    before: Sequence[float] | None, converted: Sequence[float] | Vector | None
-) -> float | None:
+def _numbers(aspect: str, old: ComparedPort, new: ComparedPort) -> ComparedAspect:
+    """Compare numbers, those after in the unit of those before."""
+    before = old.values(aspect)
+    converted = _in_unit_of(old, new, aspect)
+    verdict = _same_values(before, converted, least=_ROUNDING)
+    ratio = _ratio(before, converted)
+    return ComparedAspect("", aspect, before, new.values(aspect), verdict, ratio=ratio)
+
+
+def _ratio(before: _Elements, converted: _Elements) -> float | None:
     """Return the ratio of the largest numbers; None: one of them is zero, or not known."""
     if before is None or converted is None:
         return None
-    old = _largest(before)
-    new = _largest(converted)
+    old, new = (
+        float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        for values in (np.array(before), np.array(converted))
+    )
     return new / old if old > 0.0 and new > 0.0 else None
-
-
-def _largest(values: Sequence[float] | Vector) -> float:
-    """Return the largest finite absolute value; 0: there is none."""
-    sizes = np.abs(np.array(values))
-    return float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
-
-
-def _inputs_of(output: ComparedPort) -> str | list[str]:
-    """Return the inputs with direct feedthrough to an output, as a row has them."""
-    return "unknown" if output.feedthrough is None else sorted(output.feedthrough)
-
-
-def _whole_aspects(before: ComparedComponent, after: ComparedComponent) -> Iterator[ComparedAspect]:
-    new_capabilities = dict(after.capabilities.items())
-    for aspect, old in before.capabilities.items():
-        new = new_capabilities[aspect]
-        unknown = old is not new and (old is None or new is None)
-        if aspect == "kind" and before.capabilities.of_fmu and after.capabilities.of_fmu:
-            aspect = "interface type"
-        yield _equal(aspect, old, new, "unknown" if unknown else "differs")
-    yield from _poles(before, after)
-
-
-def _poles(before: ComparedComponent, after: ComparedComponent) -> Iterator[ComparedAspect]:
-    if before.linear is None and after.linear is None:
-        return
-    old_poles = None if before.linear is None else before.linear.pairs
-    new_poles = None if after.linear is None else after.linear.pairs
-    verdict = _same_values(old_poles, new_poles, _error(before, after))
-    yield ComparedAspect("", "poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict)
 
 
 def _equal(aspect: str, old: Any, new: Any, severity: PortVerdict = "differs") -> ComparedAspect:
@@ -460,15 +365,8 @@ def _equal(aspect: str, old: Any, new: Any, severity: PortVerdict = "differs") -
 
 def _error(*components: ComparedComponent) -> float:
     """Return how far numbers may be apart: ten times the error of the derivatives."""
-    errors = []
-    for component in components:
-        if component.linear is not None:
-            errors.append(10.0 * component.linear.system.error)
-    return max([SAME, *errors])
-
-
-def _complex_pairs(poles: Vector | None) -> list[list[float]] | None:
-    return None if poles is None else poles.reshape(-1, 2).tolist()
+    systems = [component.system for component in components]
+    return max([_SAME, *(10.0 * system.error for system in systems if system is not None)])
 
 
 def _unit(old: ComparedPort, new: ComparedPort, severity: PortVerdict) -> PortVerdict:
@@ -487,45 +385,27 @@ def _unit(old: ComparedPort, new: ComparedPort, severity: PortVerdict) -> PortVe
     return next(verdict for verdict in _WORST_FIRST if verdict in verdicts)
 
 
-def _conversions(old: ComparedPort, new: ComparedPort) -> list[Conversion | None]:
-    """Return the conversions of elements of ``new`` to the units of ``old``, where there are."""
-    return conversions_between(new.units, old.units_for(new.size))
-
-
-def _in_unit_of(
-    old: ComparedPort, new: ComparedPort, values: Sequence[float] | None
-) -> Vector | None:
+def _in_unit_of(old: ComparedPort, new: ComparedPort, aspect: str) -> Vector | None:
     """Return values of ``new`` in the unit of ``old``, where they can be converted."""
+    values = new.values(aspect)
     if values is None:
         return None
-    converted = []
-    for value, convert in zip(values, _conversions(old, new), strict=True):
-        converted.append(value if convert is None else convert(value))
-    return np.array(converted)
+    conversions = conversions_between(new.units, old.units_for(new.size))
+    pairs = zip(values, conversions, strict=True)
+    return np.array([value if convert is None else convert(value) for value, convert in pairs])
 
 
 def _same_values(
-    old: Sequence[float] | Vector | None,
-    new: Sequence[float] | Vector | None,
-    error: float = SAME,
-    *,
-    least: float = 1.0,
+    old: _Elements, new: _Elements, error: float = _SAME, *, least: float = 1.0
 ) -> PortVerdict:
+    """Compare numbers relative to the largest, but at least to ``least``."""
     if old is None or new is None:
         return "ok" if old is new else "unknown"
-    return "ok" if _close(old, new, error, least) else "differs"
-
-
-def _close(
-    old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: float, least: float = 1.0
-) -> bool:
-    if len(old) != len(new):
-        return False
-    old_values = np.array(old)
-    new_values = np.array(new)
-    largest = np.nanmax(np.abs(old_values), initial=0.0)
-    tolerance = error * max(least, largest)
-    return bool(np.allclose(old_values, new_values, rtol=0.0, atol=tolerance, equal_nan=True))
+    tolerance = error * max(least, np.nanmax(np.abs(np.array(old)), initial=0.0))
+    is_same = len(old) == len(new) and np.allclose(
+        old, new, rtol=0.0, atol=tolerance, equal_nan=True
+    )
+    return "ok" if is_same else "differs"
 
 
 # --- ports of other names ---
@@ -549,66 +429,57 @@ def propose(
     its own. The likeliest agree in most of: declared unit, number of direct dependencies, initial
     output, static gains; several where they are equally likely.
     """
-    free = [name for name in after.ports if name not in before.ports]
     proposals: list[Proposal] = []
     for name in missing:
         old = before.port(name)
         if old is None:
             continue
-        reasons = {}
-        for candidate, port in _candidates(after, free, old):
-            if _fits(old, port):
-                reasons[candidate] = _reasons(old, port)
-        most = max(map(len, reasons.values()), default=0)
-        for candidate, its_reasons in reasons.items():
-            if len(its_reasons) == most:
-                proposals.append(Proposal(name, candidate, its_reasons))
+        fitting = []
+        for candidate, port in _candidates(before, after, old):
+            reasons = _reasons(old, port)
+            if reasons:
+                fitting.append(Proposal(name, candidate, reasons))
+        most = max((len(proposal.reasons) for proposal in fitting), default=0)
+        proposals += [proposal for proposal in fitting if len(proposal.reasons) == most]
     return tuple(proposals)
 
 
 def _candidates(
-    after: ComparedComponent, free: Sequence[str], old: ComparedPort
+    before: ComparedComponent, after: ComparedComponent, old: ComparedPort
 ) -> Iterator[tuple[str, ComparedPort]]:
     """Yield ports, and for a missing scalar the elements of vectors too."""
-    for name in free:
+    for name in after.ports:
         port = after.port(name)
-        if port is None:
+        if port is None or name in before.ports:
             continue
         yield name, port
         if port.causality == "output" and old.size == 1 < port.size:
             for i in range(port.size):
-                yield f"{name}[{i}]", ComparedPort(after, port.signal, "output", i)
-
-
-def _fits(old: ComparedPort, new: ComparedPort) -> bool:
-    same_causality = old.causality == new.causality
-    same_size = old.size == new.size
-    same_type = old.signal.type == new.signal.type
-    converts = None not in _conversions(old, new)
-    return same_causality and same_size and same_type and converts
+                yield f"{name}[{i}]", replace(port, element=i)
 
 
 def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
+    """Return what a port has in common with a missing one; nothing where it cannot be that."""
     signal = new.signal
+    if (old.causality, old.size, old.signal.type) != (new.causality, new.size, signal.type):
+        return ()
+    if None in conversions_between(new.units, old.units):
+        return ()
     reasons = [f"{new.causality} of size {new.size}, {signal.type}"]
     if old.signal.unit is not None and signal.unit is not None:
         reasons.append(f"unit {units_text(new.units)!r}")
-    if _same_count(old.feedthrough, new.feedthrough):
-        reasons.append(feedthrough_text(new.causality, new.feedthrough or ()))
-    initial = new.initial
-    converted = _in_unit_of(old, new, initial)
-    same_initial = _same_values(old.initial, converted) == "ok"
-    if initial is not None and same_initial:
+    ways = (old.feedthrough, new.feedthrough)
+    if ways[0] is not None and ways[1] is not None and len(ways[0]) == len(ways[1]):
+        reasons.append(feedthrough_text(new.causality, ways[1]))
+    initial = new.values(INITIAL)
+    is_same = _same_values(old.values(INITIAL), _in_unit_of(old, new, INITIAL)) == "ok"
+    if initial is not None and is_same:
         reasons.append(f"initial output {shown(initial)}")
-    gains = new.gains
+    gains = (old.gains, new.gains)
     error = _error(old.component, new.component)
-    if old.gains and gains and _close(old.gains, gains, error):
-        reasons.append(f"static gains {shown(gains)}")
+    if gains[0] and gains[1] and _same_values(*gains, error) == "ok":
+        reasons.append(f"static gains {shown(gains[1])}")
     return tuple(reasons)
-
-
-def _same_count(old: Sequence[str] | None, new: Sequence[str] | None) -> bool:
-    return old is not None and new is not None and len(old) == len(new)
 
 
 # --- values as people read them ---
@@ -633,8 +504,7 @@ def shown(value: Any, digits: int = 6) -> str:
         case float():
             return f"{value:.{digits}g}"
         case Mapping():
-            entries = [f"{name} {_entry_text(entry, digits)}" for name, entry in value.items()]
-            return ", ".join(entries)
+            return ", ".join(f"{n} {_entry_text(entry, digits)}" for n, entry in value.items())
         case [[_, _], *_]:
             return ", ".join(pole_text(complex(real, imag), digits) for real, imag in value)
         case [*values]:

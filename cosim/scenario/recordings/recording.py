@@ -1,15 +1,19 @@
-"""Run an experiment into its recording: a log file, memory, or a recorder of one's own."""
+"""Run a scenario into its recording: a log file, memory, or a recorder of one's own."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Protocol
+from types import FrameType
+from typing import TYPE_CHECKING, Final, Protocol
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
@@ -20,8 +24,9 @@ from cosim.core.recorded.partial import RecordSelection
 from cosim.core.recorded.signals import RunMessage, warning_texts
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
-from cosim.errors import LogError, RunError, UsageError, flag, option, warn
+from cosim.errors import Interrupted, LogError, RunError, UsageError, flag, option, warn
 from cosim.files import file_type
+from cosim.interrupts import REASONS
 from cosim.log import Log, McapRecorder
 from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.log.mcap_file.paths import log_path
@@ -30,15 +35,22 @@ from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.native.fmi.process import report_log
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.recordings.interrupting import interruptible
+from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.build_record import Origins
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of
+
+if TYPE_CHECKING:
+    from cosim.fmi.unpacked import UnpackedFmus
+    from cosim.scenario.recordings.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 Notice = Callable[[str], None]
 Beside = Callable[[Recorder], Recorder]  # adds something to what a recorder takes
-_LARGE = 10**9  # bytes of a log that are worth a word
+_LARGE: Final = 10**9  # bytes of a log that are worth a word
 
 
 class LiveView(Protocol):
@@ -50,10 +62,6 @@ class LiveView(Protocol):
         ``kinds`` are those of its components by name.
         """
         ...
-
-
-def _nothing() -> None:
-    """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +96,9 @@ class Target:
     live: LiveView | None = None
 
 
+# --- before the run ---
+
+
 def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
     """Refuse a path that the log of a run cannot be written to; None: there is no log.
 
@@ -110,6 +121,71 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
         check_no_parts(path, force=force)
 
 
+def build_experiment(
+    scenario: Scenario,
+    resources: ExitStack,
+    block: int | None,
+    *,
+    unpacked: UnpackedFmus | None = None,
+    reports: SwapReports | None = None,
+) -> Experiment:
+    """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    resources : ExitStack
+        Closes what was opened, when the run is over.
+    block : int or None
+        Fixed number of communication steps in a block.
+    unpacked : UnpackedFmus, optional
+        Where FMUs are unpacked and loaded for all builds of a process.
+    reports : SwapReports, optional
+        How the swaps compare, where that is known.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file; or if the coupling of a loop is refused.
+    """
+
+    def build() -> Experiment:
+        return Builder(scenario, resources, Origins(unpacked=unpacked), block=block).experiment()
+
+    if scenario.file.swap and reports is None:
+        from cosim.scenario.recordings.swap_comparison import build_swapped  # few runs need it
+
+        experiment, reports = build_swapped(scenario, resources, block, unpacked)
+    else:
+        experiment = build()
+
+    def rebuild() -> Experiment:
+        resources.close()
+        return with_reports(build(), reports)
+
+    experiment = with_loop_gains(with_reports(experiment, reports), rebuild)
+    if experiment.settings:
+        from cosim.scenario.building.actions import prepare_settings  # few runs need it
+
+        experiment.setting_designs = prepare_settings(
+            experiment.graph, experiment.clock.step_ns, experiment.settings, {}
+        )
+    return experiment
+
+
+def with_reports(experiment: Experiment, reports: SwapReports | None) -> Experiment:
+    """Keep in the log how swapped components compare with those they replace."""
+    if reports is not None:
+        for name, report in reports.reports.items():
+            experiment.built.add_metadata(name, {"swap_report": report.to_dict()})
+        for name, text in reports.warnings:
+            experiment.built.warn(name, text)
+    return experiment
+
+
+# --- the run ---
+
+
 def record(
     experiment: Experiment,
     target: Target,
@@ -117,7 +193,7 @@ def record(
     progress: Progress | None,
     profile: dict[str, float] | None = None,
     beside: Beside | None = None,
-    finish: Callable[[], None] = _nothing,
+    finish: Callable[[], None] = lambda: None,
 ) -> Log | Memory:
     """Run an experiment and return its recording: the log file if a path is given.
 
@@ -135,10 +211,8 @@ def record(
     """
     out = target.out
     if out is None:
-        attachments = {
-            file.name: file.data for file in attachments_of(experiment, embed=target.embed)
-        }
-        memory = Memory(metadata_of(experiment), attachments)
+        attachments = attachments_of(experiment, embed=target.embed)
+        memory = Memory(metadata_of(experiment), {file.name: file.data for file in attachments})
         taking = shown(experiment, target.live, beside, chosen_of(experiment, memory))
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
@@ -147,11 +221,8 @@ def record(
     if is_read and not target.numbered:
         raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target)
-
-    def began() -> None:
-        announce_size(log, experiment.clock.steps, target.notice)
-
     taking = shown(experiment, target.live, beside, chosen_of(experiment, log))
+    began = partial(_announce_size, log, experiment.clock.steps, target.notice)
     try:
         run_into(taking, experiment, progress=progress, profile=profile, began=began, log=log)
         finish()
@@ -195,7 +266,7 @@ def _recorded_part(log: Log) -> str:
     return f"holds the run up to t = {log.end_ns / 1e9} s"
 
 
-def announce_size(log: McapRecorder, steps: int, notice: Notice | None) -> None:
+def _announce_size(log: McapRecorder, steps: int, notice: Notice | None) -> None:
     """Announce how large a log may become, if that is much or more than there is room for.
 
     Where nobody takes notices, the latter is a warning.
@@ -234,10 +305,18 @@ def run_into(
     with_messages = MessageRecorder(recorder, experiment)
     first = perf_counter()
     with interruptible() as check:
-        reached = _reached(experiment, progress, check, log)
-        watched = Watched(with_messages, reached, began=began)
+
+        def reached(block: Block, _: Matrix) -> None:
+            nonlocal log
+            if log is not None:  # with its first rows it is at its path
+                report_log(log.path)
+                log = None
+            if progress is not None:
+                progress(float(block.time[-1]), experiment.clock.stop)
+            check()
+
         try:
-            _run(experiment, watched)
+            _run(experiment, Watched(with_messages, reached, began=began))
         except RunError as error:
             for text in warning_texts(with_messages.warnings):
                 error.add_note(f"warning: {text}")
@@ -263,23 +342,21 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
     plan = experiment.plan
     designs = experiment.designs if plan is None else None
     until = experiment.until
-    acts = bool(experiment.actions or experiment.reactions)
-    if not (experiment.events or acts):
-        run_graph(graph, clock, recorder, plan, designs=designs, until=until)
-        return
-    # Most runs need none of it.
-    from cosim.core.stepping.repeating import RecordedChanges, repeat, run_with_actions
+    if experiment.actions or experiment.reactions:
+        from cosim.core.stepping.repeating import run_with_actions  # few runs need it
 
-    if acts:
         actions = experiment.actions
         reactions = experiment.reactions
         run_with_actions(
             graph, clock, recorder, plan, actions=actions, reactions=reactions, until=until
         )
-        return
-    copied = () if experiment.origin is None else experiment.origin.copied
-    changes = RecordedChanges(experiment.events, copied, experiment.settings)
-    repeat(graph, clock, recorder, plan, changes=changes, designs=designs, until=until)
+    elif experiment.events:
+        from cosim.core.stepping.repeating import RecordedChanges, repeat
+
+        changes = RecordedChanges(experiment.events, experiment.recorded, experiment.settings)
+        repeat(graph, clock, recorder, plan, changes=changes, designs=designs, until=until)
+    else:
+        run_graph(graph, clock, recorder, plan, designs=designs, until=until)
 
 
 def log_recorder(
@@ -303,21 +380,41 @@ def log_recorder(
     )
 
 
-def _reached(
-    experiment: Experiment,
-    progress: Progress | None,
-    check: Callable[[], None],
-    log: McapRecorder | None,
-) -> Callable[[Block, Matrix], None]:
-    end = experiment.clock.stop
+@contextmanager
+def interruptible() -> Iterator[Callable[[], None]]:
+    """Yield a check that raises where the run was interrupted, called after every block.
 
-    def reached(block: Block, _: Matrix) -> None:
-        nonlocal log
-        if log is not None:  # with its first rows it is at its path
-            report_log(log.path)
-            log = None
-        if progress is not None:
-            progress(float(block.time[-1]), end)
-        check()
+    Ctrl-C, a request to terminate and a closed terminal so end the run cleanly; a second one does
+    what it did before: as a rule it ends the program at once. What is ignored stays ignored, as in
+    a program that ``nohup`` started.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    received: list[int] = []
+    handlers: dict[int, Callable[[int, FrameType | None], object] | int] = {}
 
-    return reached
+    def receive(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) == 1:
+            return
+        before = handlers[number]
+        if callable(before):
+            with suppress(KeyboardInterrupt):  # it has no reason
+                before(number, frame)
+        raise KeyboardInterrupt(REASONS[number])
+
+    def check() -> None:
+        if received:
+            raise Interrupted(REASONS[received[0]], received[0])
+
+    for number in REASONS:
+        before = signal.getsignal(number)
+        if before not in (signal.SIG_IGN, None):  # None: not from Python, so not ours to replace
+            handlers[number] = before
+            signal.signal(number, receive)
+    try:
+        yield check
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

@@ -1,27 +1,38 @@
-"""What a recording keeps of an experiment from the start: metadata and attachments."""
+"""What a recording keeps of an experiment from the start: metadata and attachments.
+
+One of these is a layout for viewers: outputs that are measured, and estimates beside their truth.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
-from cosim.core.port import Port
+from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import partial_layout
 from cosim.core.recorded.run import SCENARIO_FILE
+from cosim.core.recorded.signals import RecordedPort, find_signal
+from cosim.core.signals import Channel
 from cosim.documents import plain
+from cosim.errors import UnknownSignalError
 from cosim.log import Attachment
-from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
+from cosim.log.contents.viewer_layout import LAYOUT_FILE, ViewerPanel, layout_json, output_panels
 from cosim.scenario.building.actions import SETTINGS
 from cosim.scenario.building.build import asks_for_means
 from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.record import MEANS
-from cosim.scenario.recordings.viewer_panels import viewer_panels
+
+# Estimates that viewers show where no truth is given; of the others only some are beside these.
+_SHOWN: Final = ("delta", "theta")
+_MEASURED: Final = "y"
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
@@ -110,7 +121,7 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
     signals = chosen_signals(channels, selection, beside=experiment.declared)
     chosen, _ = partial_layout(graph.layout, signals, selection.every)
     recorded = {channel.name: channel for channel in chosen.channels}
-    panels = viewer_panels(recorded, graph.connections, experiment.truth)
+    panels = _viewer_panels(recorded, graph.connections, experiment.truth)
     attachments = [
         Attachment(SCENARIO_FILE, "application/toml", text.encode()),
         *(
@@ -124,3 +135,46 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
 
         attachments += embedded_fmus(experiment.built.fmu_files)
     return attachments
+
+
+# --- what viewers show ---
+
+
+def _viewer_panels(
+    channels: Mapping[str, Channel],
+    connections: Mapping[Port, Connection],
+    truth: Mapping[str, Any],
+) -> list[ViewerPanel]:
+    """Return the panels of a run; of one without estimates those of all outputs."""
+    estimates = {}  # of the components that have some
+    for name, channel in channels.items():
+        own = [signal.name for signal in channel.interface.outputs if signal.role == "estimate"]
+        if own:
+            estimates[name] = own
+    if not estimates:
+        return output_panels(channels)
+    sources: dict[str, None] = {}  # what drives the inputs y of estimators, each signal once
+    for to, connection in connections.items():
+        if to.component in estimates and to.signal == _MEASURED:
+            sources |= dict.fromkeys(map(str, connection.sources))
+    panels = [ViewerPanel("measured outputs", tuple(_recorded(channels, sources)))]
+    shown = dict.fromkeys(truth)
+    known = {key.partition("[")[0] for key in truth}
+    for name, own in estimates.items():
+        ports = [f"{name}.{estimate}" for estimate in own if estimate in _SHOWN]
+        shown |= dict.fromkeys(port for port in ports if port not in known)
+    for estimate in shown:
+        true = truth.get(estimate)
+        signals = tuple(_recorded(channels, [estimate, *named_ports(true)]))
+        levels = []
+        if true is not None and not named_ports(true):
+            levels = np.atleast_1d(np.array(true, np.float64)).tolist()
+        panels.append(ViewerPanel(estimate, signals, tuple(levels)))
+    return [panel for panel in panels if panel.signals]
+
+
+def _recorded(channels: Mapping[str, Channel], names: Iterable[str]) -> Iterator[RecordedPort]:
+    """Yield the signals that are recorded, in their order."""
+    for name in names:
+        with suppress(UnknownSignalError):
+            yield find_signal(channels, name, source="the run")

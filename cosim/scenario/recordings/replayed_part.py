@@ -1,10 +1,13 @@
-"""Which components of a scenario a replay of a partial log can compute, copy, or neither.
+"""Where a replay has each component of a scenario from: computed, copied from the log, or absent.
 
-A component is computed where every one of its inputs comes from a component that is computed, or
-from an output that the log has at each step. That is an output which was recorded, or one that
-drives an input as it is, without gain, offset or conversion, which was recorded, and in which no
-fault stood. A component that cannot be computed is copied with those outputs that the log has; one
-of which it has none is left out, with what it drives.
+Of a whole log everything is computed that rests on nothing but the log, or what of it was chosen;
+the rest is copied.
+
+Of a partial log a component is computed where every one of its inputs comes from a component that
+is computed, or from an output that the log has at each step. That is an output which was recorded,
+or one that drives an input as it is, without gain, offset or conversion, which was recorded, and in
+which no fault stood. A component that cannot be computed is copied with those outputs that the log
+has; one of which it has none is left out, with what it drives.
 
 Components of a loop advance together: where one of them is copied, the others can only be computed
 if all of them were recorded whole, as in a log that is not partial.
@@ -15,202 +18,213 @@ are taken out until these conditions hold for each of the others.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from typing import Final, final
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, TypeAlias, final
 
+import numpy as np
+
+from cosim.arrays import as_columns
 from cosim.core.connections import Connection
+from cosim.core.contracts import Block
 from cosim.core.port import Port, named_ports
-from cosim.core.recorded.partial import PartialRecord, RecordSelection, partial_of
-from cosim.core.recording import CompleteRecording
-from cosim.core.signals import Channel
+from cosim.core.recorded.partial import PartialRecord, partial_of, reduced_interface
+from cosim.core.recorders import Memory
+from cosim.core.recording import CompleteRecording, Plan
+from cosim.core.signals import Channel, Layout
 from cosim.core.structure.cycles import strongly_connected
-from cosim.errors import LogError
+from cosim.errors import LogError, UsageError, flag, listing, nearest, quoted
+from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.recordings.outputs_of_log import OutputsOfLog, RecordedColumns
+from cosim.scenario.kinds import Kind
 
 _NOT_RECORDED: Final = "which is neither computed nor recorded at each step"
 _OF_OUTPUTS: Final = ("jump", "follow")  # causes of events that change no input
 
+# where a log has the signals of a component: the name of each there, itself or an input that it
+# drives as it is; and of whose rows every so many are its own
+_Columns: TypeAlias = dict[str, tuple[str, int]]
+
 
 @dataclass(frozen=True, slots=True)
 class ReplayedPart:
-    """What a replay has of a partial log.
+    """Where a replay has each component from; all that are neither copied nor absent are computed.
 
     Parameters
     ----------
     scenario : Scenario
-        Without the components that are left out, and connections from and to these.
-    recording : OutputsOfLog
-        What is copied.
+        Without the components that are absent, and connections from and to these.
+    recording : CompleteRecording
+        What is copied; of a partial log with those signals of them that it has.
     copied : tuple of str
     absent : mapping of component name to str
-        Why it is left out.
+        Why it is neither copied nor computed.
     uncomputed : mapping of component name to str
-        Why components cannot be computed that could from a whole log; copied or left out.
-    selection : RecordSelection
-        With which the log was recorded.
+        Why components cannot be computed that could from a whole log; copied or absent.
     """
 
     scenario: Scenario
-    recording: OutputsOfLog
+    recording: CompleteRecording
     copied: tuple[str, ...]
-    absent: Mapping[str, str]
-    uncomputed: Mapping[str, str]
-    selection: RecordSelection
+    absent: Mapping[str, str] = field(default_factory=dict)
+    uncomputed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The copied components that can be computed from a whole log."""
+        specs = self.scenario.specs
+        return tuple(name for name in self.copied if specs[name].computable)
 
 
 def replayed_part(
-    run: CompleteRecording, scenario: Scenario, *, left_out: Collection[str]
+    source: CompleteRecording, scenario: Scenario, chosen: Sequence[str] | None
 ) -> ReplayedPart:
-    """Return what a replay has of a partial log.
+    """Decide where a replay has each component from.
 
     Parameters
     ----------
-    run : CompleteRecording
-        The log; it is partial.
+    source : CompleteRecording
     scenario : Scenario
-    left_out : collection of str
-        Components that are not to be computed.
+        Of the replay; a table says whether its component can be computed.
+    chosen : sequence of str or None
+        The only components to compute; None: all that can be.
 
     Raises
     ------
+    UsageError
+        If one of the components that were chosen does not exist or cannot be computed.
     LogError
-        If nothing can be computed; says why.
+        If nothing can be computed from a partial log.
     """
-    partial = partial_of(run.channels)
-    assert partial is not None, "of a whole log all can be replayed"
-    search = _PartSearch(run, partial, scenario, left_out)
-    search.settle()
-    return search.part()
+    computable = [name for name, spec in scenario.specs.items() if spec.computable]
+    for name in chosen or ():
+        if name not in scenario.specs:
+            raise UsageError(
+                f"the log has no component {quoted(name)}; {nearest(name, scenario.specs)}"
+            )
+        if name not in computable:
+            raise UsageError(
+                f"{name!r} cannot be computed, as a replay takes it from the log: "
+                f"{_why_recorded(scenario.specs[name])}; available: {listing(computable, 100)}"
+            )
+    wanted = [name for name in computable if chosen is None or name in chosen]
+    partial = partial_of(source.channels)
+    if partial is None:
+        copied = tuple(name for name in scenario.specs if name not in wanted)
+        return ReplayedPart(scenario, source, copied)
+    part = _PartSearch(source, partial, scenario, wanted).part()
+    for name in chosen or ():
+        if name in part.uncomputed:
+            raise UsageError(
+                f"{name!r} cannot be computed: {part.uncomputed[name]}; the log is partial, it was "
+                f"recorded with {partial.selection}"
+            )
+    return part
+
+
+def _why_recorded(spec: Kind) -> str:
+    """Return why a component cannot be computed from a log."""
+    if spec.code is not None:
+        return f"{flag('allow_code')} allows its code to run"
+    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of the log"
 
 
 @final
 class _PartSearch:
-    """Takes out components until all others can be computed."""
+    """Takes out components until all others can be computed from a partial log."""
 
     def __init__(
         self,
         run: CompleteRecording,
         partial: PartialRecord,
         scenario: Scenario,
-        left_out: Collection[str],
+        wanted: Collection[str],
     ) -> None:
         self._run = run
         self._partial = partial
         self._scenario = scenario
-        self._left_out = left_out
         self._inputs: dict[Port, list[Connection]] = {}  # by whole input
+        drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
         for to, connection in scenario.connections.items():
             self._inputs.setdefault(to.whole, []).append(connection)
-        self._loops = self._loop_members()
-        self._columns = self._recorded_columns()
-        specs = scenario.specs
-        names = [name for name, spec in specs.items() if spec.computable and name not in left_out]
-        self._computed = set(names)
-        self._kept: set[Port] = set(self._inputs)  # inputs whose sources are all there
-        self._reasons: dict[str, str] = {}
-
-    def _loop_members(self) -> dict[str, frozenset[str]]:
-        """Return the components of the loop that each component is in; its own name: of none."""
-        drivers: dict[str, set[str]] = {name: set() for name in self._scenario.specs}
-        for to, connections in self._inputs.items():
-            for connection in connections:
-                drivers[to.component].update(port.component for port in connection.sources)
-        representatives = strongly_connected(drivers)
+            drivers[to.component].update(source.component for source in connection.sources)
         loops: dict[str, set[str]] = {}
-        for name, representative in representatives.items():
-            loops.setdefault(representative, set()).add(name)
-        return {name: frozenset(loops[own]) for name, own in representatives.items()}
+        members = strongly_connected(drivers)
+        for name, loop in members.items():
+            loops.setdefault(loop, set()).add(name)
+        self._loops = {name: loops[loop] for name, loop in members.items()}
+        self._columns = self._recorded_columns()
+        self._computed = set(wanted)
+        self._kept = set(self._inputs)  # inputs whose sources are all there
+        self._reasons: dict[str, str] = {}
 
     # --- what the log has ---
 
-    def _recorded_columns(self) -> dict[str, dict[str, RecordedColumns]]:
+    def _recorded_columns(self) -> dict[str, _Columns]:
         """Return the signals that the log has at each of their steps, by component."""
-        columns: dict[str, dict[str, RecordedColumns]] = {}
-        for name, declared in self._partial.declared.items():
-            channel = self._run.channels.get(name)
-            if channel is not None and channel.period == declared.period:
-                own = {s.name: RecordedColumns(name, s.name, 1) for s in channel.signals}
-                columns[name] = own
-        for source, inputs in self._driven_as_they_are().items():
-            own = columns.setdefault(source.component, {})
-            for to in inputs:
-                found = self._of_input(source, to)
-                if found is not None:
-                    own.setdefault(source.signal, found)
+        declared = self._partial.declared
+        recorded = self._run.channels
+        columns: dict[str, _Columns] = {name: {} for name in declared}
+        for name, channel in recorded.items():
+            if channel.period == declared[name].period:
+                columns[name] = {s.name: (f"{name}.{s.name}", 1) for s in channel.signals}
+        for source, to in self._driven_as_they_are():
+            if to.component not in recorded or to.signal not in recorded[to.component].by_name:
+                continue
+            is_inside = to.component in self._loops.get(source.component, ())
+            period = recorded[to.component].period
+            stride, rest = divmod(declared[source.component].period, period)
+            if not is_inside and not rest:
+                columns[source.component].setdefault(source.signal, (str(to), stride))
         return columns
 
-    def _driven_as_they_are(self) -> dict[Port, list[Port]]:
-        """Return the inputs that had in the run what whole outputs gave, by output."""
-        faulty = {
-            Port.parse(event.signal).whole
-            for event in self._run.events()
-            if event.cause not in _OF_OUTPUTS
-        }
-        driven: dict[Port, list[Port]] = {}
+    def _driven_as_they_are(self) -> list[tuple[Port, Port]]:
+        """Return whole outputs, and the inputs that had in the run what these gave."""
+        events = self._run.events()
+        faulty = {Port.parse(e.signal).whole for e in events if e.cause not in _OF_OUTPUTS}
+        driven = []
         for text, connection in self._run.metadata.get("cosim.connections", {}).items():
             to = Port.parse(text)
             table = json_table(connection)
             is_plain = table.get("gain") == 1.0 and table.get("offset") == 0.0
-            if not is_plain or "conversions" in table or to.whole != to or to in faulty:
-                continue
             names = str(table.get("from"))
-            if "," not in names:
+            if is_plain and "conversions" not in table and "," not in names:
                 source = Port.parse(names)
-                if source.whole == source:
-                    driven.setdefault(source, []).append(to)
+                is_whole = source.whole == source and to.whole == to
+                if is_whole and to not in faulty and source.component in self._partial.declared:
+                    driven.append((source, to))
         return driven
-
-    def _of_input(self, source: Port, to: Port) -> RecordedColumns | None:
-        """Return where the log has an output as an input that it drives; None: it has not."""
-        declared = self._partial.declared
-        channel = self._run.channels.get(to.component)
-        if channel is None or to.signal not in channel.by_name or source.component not in declared:
-            return None
-        period = declared[source.component].period
-        is_inside = to.component in self._loops.get(source.component, ())
-        if is_inside or period % channel.period:
-            return None
-        return RecordedColumns(to.component, to.signal, period // channel.period)
 
     # --- what follows from it ---
 
-    def settle(self) -> None:
+    def _settle(self) -> None:
         """Take out inputs and components until nothing changes."""
         size = -1
         while size != len(self._kept) + len(self._computed):
             size = len(self._kept) + len(self._computed)
-            self._settle_inputs()
+            for to in sorted(self._kept, key=str):
+                if self._missing_source(to) is not None or self._closes_copied_loop(to):
+                    self._kept.discard(to)
             for name in sorted(self._computed):
                 reason = self._obstacle(name)
                 if reason:
                     self._computed.discard(name)
                     self._reasons[name] = reason
 
-    def _settle_inputs(self) -> None:
-        for to in sorted(self._kept, key=str):
-            if self._missing_source(to) is not None or self._closes_copied_loop(to):
-                self._kept.discard(to)
+    def _sources(self, to: Port) -> list[Port]:
+        return [source for connection in self._inputs[to] for source in connection.sources]
 
     def _closes_copied_loop(self, to: Port) -> bool:
         """Return whether an input closes a loop of which nothing is computed."""
         loop = self._loops[to.component]
         if len(loop) == 1 or not loop.isdisjoint(self._computed):
             return False
-        for connection in self._inputs[to]:
-            if any(source.component in loop for source in connection.sources):
-                return True
-        return False
+        return any(source.component in loop for source in self._sources(to))
 
     def _missing_source(self, to: Port) -> Port | None:
         """Return a source of an input that is not there."""
-        for connection in self._inputs[to]:
-            for source in connection.sources:
-                if not self._is_there(source):
-                    return source
-        return None
+        return next((source for source in self._sources(to) if not self._is_there(source)), None)
 
     def _is_there(self, source: Port) -> bool:
         """Return whether an output is computed, or can be copied."""
@@ -219,13 +233,10 @@ class _PartSearch:
             return True
         declared = self._partial.declared.get(name)
         match = None if declared is None else source.find(declared.by_name)
-        if declared is None or match is None:
-            return False
-        signal, _ = match
-        if signal.name not in self._columns.get(name, {}):
+        if declared is None or match is None or match[0].name not in self._columns[name]:
             return False
         # how it changes between steps follows from all inputs
-        return signal.variability != "inherited" or self._has_all_inputs(declared)
+        return match[0].variability != "inherited" or self._has_all_inputs(declared)
 
     def _has_all_inputs(self, channel: Channel) -> bool:
         """Return whether all connected inputs of a component are there."""
@@ -237,13 +248,13 @@ class _PartSearch:
         for to in self._inputs:
             if to.component == name and to not in self._kept:
                 return f"its input '{to}' comes from '{self._missing_source(to)}', {_NOT_RECORDED}"
-        loop = self._loops[name]
-        for other in sorted(loop - self._computed):
+        recorded = self._run.channels
+        for other in sorted(self._loops[name] - self._computed):
             declared = self._partial.declared.get(other)
-            is_whole = self._partial.is_whole(other, self._run.channels)
+            is_whole = declared is not None and self._partial.is_whole(other, recorded)
             if declared is None or not is_whole or not self._has_all_inputs(declared):
                 return f"it is in a loop with {other!r}, which is not recorded completely"
-            if not self._partial.is_whole(name, self._run.channels):
+            if not self._partial.is_whole(name, recorded):
                 return (
                     f"it is in a loop with {other!r}, which is copied, and is not recorded "
                     "completely"
@@ -253,66 +264,54 @@ class _PartSearch:
     # --- the result ---
 
     def part(self) -> ReplayedPart:
-        """Return what the replay has.
-
-        Raises
-        ------
-        LogError
-            If nothing is computed.
-        """
-        specs = self._scenario.specs
-        columns: dict[str, dict[str, RecordedColumns]] = {}
-        inputs: dict[str, frozenset[str]] = {}
-        absent: dict[str, str] = {}
-        for name in specs:
-            if name in self._computed:
-                continue
-            outputs = self._copied_outputs(name)
-            if not outputs:
-                reason = self._reasons.get(name, "a replay takes it from the log")
-                absent[name] = f"{reason}; the log has no output of it at every step"
-                continue
-            inputs[name] = self._inputs_of(name)
-            shown = {*inputs[name], *outputs}
-            own = self._columns[name].items()
-            columns[name] = {signal: place for signal, place in own if signal in shown}
+        """Return what the replay has."""
+        self._settle()
         if not self._computed:
             reasons = "".join(f"; {name}: {reason}" for name, reason in self._reasons.items())
             raise LogError(
                 f"{self._run.label}: no component can be computed: the log is partial, it was "
                 f"recorded with {self._partial.selection}{reasons}"
             )
+        absent = {}
+        columns: dict[str, _Columns] = {}
+        channels = []
+        width = 0
+        for name in self._scenario.specs:
+            if name in self._computed:
+                continue
+            declared = self._partial.declared.get(name)
+            shown = set() if declared is None else self._shown(declared)
+            if declared is None or shown.isdisjoint(s.name for s in declared.interface.outputs):
+                reason = self._reasons.get(name, "a replay takes it from the log")
+                absent[name] = f"{reason}; the log has no output of it at every step"
+                continue
+            columns[name] = {s: place for s, place in self._columns[name].items() if s in shown}
+            interface = reduced_interface(declared.interface, shown)
+            channels.append(Channel(name, interface, width, declared.period))
+            width = channels[-1].columns.stop
         return ReplayedPart(
             self._reduced(absent, columns),
-            OutputsOfLog(self._run, self._partial, columns, inputs),
+            _copied(self._run, self._partial, Layout(tuple(channels)), columns),
             tuple(columns),
             absent,
-            dict(self._reasons),
-            self._partial.selection,
+            self._reasons,
         )
 
-    def _copied_outputs(self, name: str) -> list[str]:
-        """Return the outputs of a component that can be copied."""
-        declared = self._partial.declared.get(name)
-        if declared is None:
-            return []
-        outputs = [signal.name for signal in declared.interface.outputs]
-        return [output for output in outputs if self._is_there(Port(name, output))]
+    def _shown(self, declared: Channel) -> set[str]:
+        """Return the signals of a copied component that are in the replay.
 
-    def _inputs_of(self, name: str) -> frozenset[str]:
-        """Return the inputs of a copied component that are driven, or recorded and undriven."""
-        recorded = self._columns[name]
-        names = set()
-        for signal in self._partial.declared[name].interface.inputs:
+        Outputs that can be copied, inputs that are driven, or recorded and undriven.
+        """
+        name = declared.name
+        shown = {s.name for s in declared.interface.outputs if self._is_there(Port(name, s.name))}
+        for signal in declared.interface.inputs:
             port = Port(name, signal.name)
-            is_driven = port in self._kept
-            if is_driven or (port not in self._inputs and signal.name in recorded):
-                names.add(signal.name)
-        return frozenset(names)
+            is_recorded = signal.name in self._columns[name]
+            if port in self._kept or (port not in self._inputs and is_recorded):
+                shown.add(signal.name)
+        return shown
 
-    def _reduced(
-        self, absent: Collection[str], columns: Mapping[str, Mapping[str, RecordedColumns]]
-    ) -> Scenario:
+    def _reduced(self, absent: Collection[str], columns: Mapping[str, _Columns]) -> Scenario:
         """Return the scenario of what is here."""
         scenario = self._scenario
         specs = {name: spec for name, spec in scenario.specs.items() if name not in absent}
@@ -323,12 +322,54 @@ class _PartSearch:
         truth = {}
         for estimate, true in scenario.file.truth.items():
             ports = [Port.parse(text) for text in (estimate, *named_ports(true))]
-            if all(_has(columns, port) for port in ports):
+            if all(p.component not in columns or p.signal in columns[p.component] for p in ports):
                 truth[estimate] = true
         file = scenario.file.model_copy(update={"truth": truth})
         return replace(scenario, specs=specs, connections=connections, file=file)
 
 
-def _has(columns: Mapping[str, Mapping[str, RecordedColumns]], port: Port) -> bool:
-    """Return whether a signal is computed, or copied."""
-    return port.component not in columns or port.signal in columns[port.component]
+class _CopiedRows(Memory):
+    """What a partial log has of the components that are taken from it."""
+
+    def __init__(self, run: CompleteRecording) -> None:
+        super().__init__(run.metadata)
+        self._run = run
+
+    @property
+    def label(self) -> str:
+        """That of the log."""
+        return self._run.label
+
+
+def _copied(
+    run: CompleteRecording,
+    partial: PartialRecord,
+    layout: Layout,
+    columns: Mapping[str, _Columns],
+) -> Memory:
+    """Return the rows of copied components; NaN where an input is not recorded.
+
+    Raises
+    ------
+    LogError
+        If the log does not have all rows of one.
+    """
+    memory = _CopiedRows(run)
+    memory.begin(Plan(layout, run.step_ns, {}, run.held, (), partial))
+    numbers = np.arange(run.steps + 1)
+    rows = np.full((len(numbers), layout.width), np.nan)
+    for channel in layout.channels:
+        for signal, (name, stride) in columns[channel.name].items():
+            own = as_columns(run[name])[::stride]
+            needed = len(numbers[:: channel.period])
+            if len(own) != needed:
+                raise LogError(f"{run.label}: expected {needed} rows of {name!r}, got {len(own)}")
+            rows[:: channel.period, channel.signal_columns[signal]] = own
+    grid = run.grid
+    memory.write(Block(0, grid.stamp(numbers), grid.time(numbers), step_seconds(run.step_ns)), rows)
+    known = {channel.name: channel.by_name for channel in layout.channels}
+    for event in run.events():
+        port = Port.parse(event.signal)
+        if port.signal in known.get(port.component, ()):
+            memory.event(event)
+    return memory

@@ -3,51 +3,64 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+import os
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from cosim.core.contracts import Design
 from cosim.core.port import Port
-from cosim.core.recorded.partial import declared_channels, partial_of
+from cosim.core.recorded.partial import declared_channels
 from cosim.core.recording import CompleteRecording, SignalEvent
-from cosim.core.signals import Interface
-from cosim.errors import LogError, ScenarioError, UsageError, flag, listing, nearest, option, quoted
+from cosim.errors import LogError, ScenarioError, UsageError, option
+from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment, fingerprint
-from cosim.scenario.building.parsing import Scenario, read
-from cosim.scenario.document.swaps import is_map_key
-from cosim.scenario.kinds import Kind
+from cosim.scenario.building.parsing import read
+from cosim.scenario.document.document import Document
+from cosim.scenario.document.swaps import PortNames, component_table, is_map_key
 from cosim.scenario.kinds.build_record import Origins, RecordedFmu
-from cosim.scenario.record import MEANS, CodeRecord, component_metadata, component_record
-from cosim.scenario.recordings.embedding import recorded_fmus
-from cosim.scenario.recordings.recorded_scenario import recorded_document
-from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
-from cosim.scenario.recordings.replay_changes import NO_SWAPS, Swaps, replay_changes
-from cosim.scenario.recordings.rerunning import add_recorded_reports, fmu_paths, rerun_specs
+from cosim.scenario.record import (
+    MEANS,
+    CodeRecord,
+    ReplayOrigin,
+    component_metadata,
+    component_record,
+    recorded_loop_gains,
+)
+from cosim.scenario.recordings.recorded_scenario import (
+    check_clock,
+    check_end,
+    check_whole,
+    load_rows,
+    recorded_document,
+)
+from cosim.scenario.recordings.replay_changes import check_changes, replay_changes
+from cosim.scenario.recordings.replayed_part import ReplayedPart, replayed_part
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
-    from cosim.scenario.recordings.replayed_part import ReplayedPart
     from cosim.scenario.recordings.window import ReplayWindow
+
+_RECORDED: Final = "as recorded"
 
 
 def texts_in(value: Any) -> set[str]:
     """Return the texts in a value and in all tables and lists inside it."""
     if isinstance(value, str):
         return {value}
-    texts: set[str] = set()
     if isinstance(value, Mapping):
         value = list(value.values())
+    texts: set[str] = set()
     if isinstance(value, list | tuple):
-        for item in value:
-            texts |= texts_in(item)
+        texts = texts.union(*map(texts_in, value))
     return texts
 
 
@@ -58,21 +71,25 @@ class ReplayRequest:
     Parameters
     ----------
     changes : mapping of dotted key to value
-    swaps : Swaps
+    swap : mapping of component name to path
+        Components that are replaced.
+    maps : mapping of port to names
+        Ports that have other names in these.
     components : tuple of str or None
         The only ones to compute; None: all that can be.
     window : ReplayWindow or None
         What is recorded of it; None: all.
     allow_code : bool
         Whether the code of users' classes may run that the log names, and that of its FMUs.
-    rerun : bool
-        Whether plants are computed, too.
     block : int or None
         Communication steps in a block.
+    rerun : bool
+        Whether plants are computed, too.
     """
 
     changes: Mapping[str, Any] = field(default_factory=dict)
-    swaps: Swaps = NO_SWAPS
+    swap: Mapping[str, str | Path] = field(default_factory=dict)
+    maps: Mapping[str, PortNames] = field(default_factory=dict)
     components: tuple[str, ...] | None = None
     window: ReplayWindow | None = None
     allow_code: bool = False
@@ -96,6 +113,56 @@ class ReplayRequest:
 
 
 AS_RECORDED: Final = ReplayRequest()
+
+
+def prepared_replay(
+    source: Log,
+    request: ReplayRequest,
+    resources: ExitStack,
+    unpacked: UnpackedFmus | None = None,
+) -> Experiment:
+    """Build the replay of a log; FMUs that take the places of others are unpacked once for all.
+
+    Raises
+    ------
+    LogError
+        If the log is no log of a scenario, or does not fit its scenario.
+    ScenarioError
+        With every problem of the changed scenario.
+    UsageError
+        If the recording cannot follow what is changed.
+    """
+    experiment = rebuilt(source, resources, request, unpacked)
+    document = recorded_document(source)
+    check_changes(experiment, document, request.all_changes, request.swap, request.maps)
+    copied = experiment.recorded
+    experiment.graph.take_solutions(source, copied)
+    specs = experiment.scenario.specs
+    uncomputed = dict(experiment.uncomputed)
+    window = request.window
+    experiment.origin = ReplayOrigin(
+        os.path.relpath(source.path),
+        source.recorded_hash or source.content_hash(),
+        copied,
+        window=None if window is None else (window.begin, window.end),
+        left_out=tuple(n for n in copied if specs[n].computable and n not in uncomputed),
+        absent=dict(experiment.absent),
+        uncomputed=uncomputed,
+    )
+    for name, text in list(_recorded_warnings(experiment, source)):
+        experiment.built.warn(name, text)
+    experiment.designs = designs = _valid_designs(experiment, source, replaced=request.swap)
+    if not (request.changes or request.swap):
+        experiment.gains = recorded_loop_gains(source)
+    if experiment.settings:
+        from cosim.scenario.building.actions import prepare_settings, recorded_designs
+
+        recorded = recorded_designs(source).items()
+        taken = {key: design for key, design in recorded if key.partition(" ")[2] in designs}
+        experiment.setting_designs = prepare_settings(
+            experiment.graph, experiment.clock.step_ns, experiment.settings, taken
+        )
+    return experiment
 
 
 def rebuilt(
@@ -128,58 +195,55 @@ def rebuilt(
         With every problem of the changed scenario.
     """
     check_whole(source)
+    check_end(source)
     wanted = request.all_changes
-    swaps = request.swaps
+    swap = request.swap
     changes = replay_changes(source, wanted)
-    document = swaps.applied(recorded_document(source)).with_changes(changes)
+    document = recorded_document(source).with_swaps(swap, request.maps).with_changes(changes)
     scenario, problems = read(document, parse)
-    if not swaps.maps:
+    if not request.maps:
         # recorded ports have the scenario's names: a map need not fit changed connections
         problems = [(key, text) for key, text in problems if not is_map_key(key)]
-    named = texts_in(wanted) | texts_in(swaps.tables(document))
-    specs = _with_code(scenario.specs, named, allow_code=request.allow_code)
+    named = texts_in(wanted) | _texts_of_swaps(document, swap)
+    specs = dict(scenario.specs)
+    for name, spec in scenario.specs.items():
+        is_allowed = spec.code is not None and (request.allow_code or spec.code in named)
+        if is_allowed or name in swap:
+            specs[name] = spec.with_code()
     fmus_again: Mapping[str, RecordedFmu] = {}
     if request.rerun:
-        again = rerun_specs(source, specs, swaps.paths, allow_code=request.allow_code)
-        fmus_again = recorded_fmus(source, fmu_paths(again), resources)
+        from cosim.scenario.recordings.embedding import recorded_fmus, rerun_specs  # rarely needed
+
+        again = rerun_specs(source, specs, swap, allow_code=request.allow_code)
+        fmus_again = recorded_fmus(source, again, resources)
         specs |= again
-    specs |= {name: specs[name].with_code() for name in swaps.paths if name in specs}
     scenario = replace(scenario, specs=specs)
-    left_out = () if request.components is None else _left_out(scenario, request.components)
-    part = None
-    if partial_of(source.channels) is not None:
-        part = _part(source, scenario, left_out, request.components or ())
-        left_out = tuple(name for name in part.copied if scenario.specs[name].computable)
-    runs = scenario if part is None else part.scenario
-    origins = Origins(
-        recording=source if part is None else part.recording,
-        named=named,
-        left_out=left_out,
-        fmus_again=fmus_again,
-        unpacked=unpacked,
-    )
-    copied = [
-        name
-        for name, spec in runs.specs.items()
-        if origins.copies(name, computable=spec.computable)
-    ]
-    load_rows(source, [name for name in copied if name in source.channels])
+    part = replayed_part(source, scenario, request.components)
+    load_rows(source, [name for name in part.copied if name in source.channels])
+    declared = declared_channels(source.channels)
     builder = Builder(
-        runs,
+        part.scenario,
         resources,
-        origins,
+        Origins(
+            recording=part.recording,
+            named=named,
+            left_out=part.left_out,
+            fmus_again=fmus_again,
+            unpacked=unpacked,
+        ),
         problems=problems,
         block=request.block,
-        replaced=_replaced(source, swaps.paths),
+        replaced={name: declared[name].interface for name in swap if name in declared},
         beside=scenario,
     )
-    experiment = _compared(builder, source, swaps.paths)
+    experiment = _compared(builder, source, [name for name in swap if name in declared])
     if request.rerun:
+        from cosim.scenario.recordings.embedding import add_recorded_reports
+
         add_recorded_reports(experiment, source)
-    if part is not None:
-        _add_absent(experiment, part)
-        if not wanted and not swaps.paths:
-            _check_held(experiment, source)
+    _add_part(experiment, part)
+    if part.recording is not source and not (wanted or swap):
+        _check_held(experiment, source)
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
         experiment.until = None
@@ -187,7 +251,24 @@ def rebuilt(
     return experiment
 
 
-def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str]) -> Experiment:
+def _texts_of_swaps(document: Document, swap: Collection[str]) -> set[str]:
+    """Return the texts in the tables of the components that take the places of others.
+
+    Raises
+    ------
+    ScenarioError
+        If a path is that of no component.
+    """
+    texts: set[str] = set()
+    for name in swap:
+        try:
+            texts |= texts_in(component_table(name, document.swaps[name]))
+        except UsageError as error:
+            raise ScenarioError(f"{option('swap', name)}: {error}") from error
+    return texts
+
+
+def _compared(builder: Builder, source: CompleteRecording, swapped: Collection[str]) -> Experiment:
     """Build an experiment, with reports on how swapped components compare with the recorded ones.
 
     Raises
@@ -195,11 +276,10 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
     ScenarioError
         With every problem of the scenario, and the ports that may have been meant.
     """
-    declared = declared_channels(source.channels)
-    names = [n for n in swapped if n in builder.components and n in declared]
+    names = [name for name in swapped if name in builder.components]
     if not names:
         return builder.experiment()
-    from cosim.scenario.recordings.preparing import with_reports
+    from cosim.scenario.recordings.recording import with_reports
     from cosim.scenario.recordings.swap_comparison import compare_with_recorded
     from cosim.scenario.recordings.swap_report import SwapReports
 
@@ -210,7 +290,7 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
         raise ScenarioError("\n".join([str(error), *reports.hints])) from error
 
 
-def _add_absent(experiment: Experiment, part: ReplayedPart) -> None:
+def _add_part(experiment: Experiment, part: ReplayedPart) -> None:
     """Fill in what is not in an experiment, and warn of that."""
     for name, reason in {**part.uncomputed, **part.absent}.items():
         verb = "not in this replay" if name in part.absent else "copied, not computed"
@@ -229,13 +309,13 @@ def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
         of one over a step that had the latest value.
     """
     masks = source.held
-    all_means = experiment.graph.mean_inputs
+    graph = experiment.graph
     for name in experiment.scenario.specs:
         if name in experiment.recorded:
             continue
         means = component_metadata(source, name).get(MEANS)  # older logs tell nothing
-        own_means = json.dumps(all_means.get(name, []))
-        has_other_mask = not np.array_equal(masks[name], experiment.graph.held[name])
+        own_means = json.dumps(graph.mean_inputs.get(name, []))
+        has_other_mask = not np.array_equal(masks[name], graph.held[name])
         if has_other_mask or means not in (None, own_means):
             raise LogError(
                 f"{source.label}: {name!r} cannot be computed as in the run: how its inputs "
@@ -243,146 +323,71 @@ def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
             )
 
 
-def _part(
-    source: CompleteRecording,
-    scenario: Scenario,
-    left_out: Collection[str],
-    components: Sequence[str],
-) -> ReplayedPart:
-    """Return what a replay has of a partial log.
-
-    Raises
-    ------
-    UsageError
-        If one of the components that were chosen cannot be computed from it.
-    LogError
-        If nothing can.
-    """
-    from cosim.scenario.recordings.replayed_part import replayed_part  # rarely needed
-
-    part = replayed_part(source, scenario, left_out=left_out)
-    for name in components:
-        if name in part.uncomputed:
-            raise UsageError(
-                f"{name!r} cannot be computed: {part.uncomputed[name]}; the log is partial, it was "
-                f"recorded with {part.selection}"
-            )
-    return part
-
-
-def _replaced(source: CompleteRecording, names: Iterable[str]) -> dict[str, Interface]:
-    """Return the interfaces of components that are replaced, as they were recorded."""
-    channels = declared_channels(source.channels)
-    return {name: channels[name].interface for name in names if name in channels}
-
-
 def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecording) -> None:
     """Fill in the events of the recording, and what sets parameters in them.
 
     What jumps by itself does so again.
     """
-    events = tuple(event for event in source.events() if _happens(experiment, event))
-    experiment.events = events
+
+    def happens(event: SignalEvent) -> bool:
+        """Return whether a replay has what an event is about."""
+        if not (experiment.uncomputed or experiment.absent):
+            return True
+        port = Port.parse(event.signal)
+        if port.component not in experiment.graph.components:
+            return False
+        known = experiment.graph.components[port.component].interface.by_name
+        return event.cause in OF_COMPONENTS or port.find(known) is not None
+
+    events = [event for event in source.events() if event.cause != "jump"]
+    experiment.events = tuple(filter(happens, events))
     experiment.settings = {}
-    if any(event.cause == "set" for event in events):
+    if any(event.cause == "set" for event in experiment.events):
         from cosim.scenario.building.actions import SettingBuilder, recorded_settings
 
         making = SettingBuilder(experiment.scenario, builder.context, builder.components)
-        experiment.settings = recorded_settings(making, events, experiment.recorded)
+        experiment.settings = recorded_settings(making, experiment.events, experiment.recorded)
 
 
-def _happens(experiment: Experiment, event: SignalEvent) -> bool:
-    """Return whether a replay does again what it has of an event; what jumps does so by itself."""
-    if event.cause == "jump" or not (experiment.uncomputed or experiment.absent):
-        return event.cause != "jump"
-    port = Port.parse(event.signal)
-    if port.component not in experiment.graph.components:
-        return False
-    known = experiment.graph.components[port.component].interface.by_name
-    return event.cause in OF_COMPONENTS or port.find(known) is not None
+def _recorded_warnings(experiment: Experiment, source: Log) -> Iterator[tuple[str, str]]:
+    """Yield what the run warned of that is not found again: of what is copied, and of the whole."""
+    again = experiment.graph.components.keys() - set(experiment.recorded)
+    for time_ns, _, name, text in source.warnings:
+        is_left = name in again or name in experiment.absent or name == "run"
+        if is_left or (name, text) in experiment.warnings:
+            continue
+        if not text.startswith(_RECORDED):
+            text = f"{_RECORDED} at t = {time_ns / NANOSECONDS} s: {text}"
+        yield name, text
 
 
-def add_setting_designs(
-    experiment: Experiment, source: CompleteRecording, designs: Mapping[str, Design]
-) -> None:
-    """Prepare the components that take the places of others, with designs of the recording.
-
-    ``designs`` are those of the components themselves that still hold.
-    """
-    if not experiment.settings:
-        return
-    from cosim.scenario.building.actions import prepare_settings, recorded_designs
-
-    taken = {}
-    for key, design in recorded_designs(source).items():
-        if key.partition(" ")[2] in designs:
-            taken[key] = design
-    step_ns = experiment.clock.step_ns
-    experiment.setting_designs = prepare_settings(
-        experiment.graph, step_ns, experiment.settings, taken
-    )
-
-
-def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) -> dict[str, Kind]:
-    """Return the components, of which those may run their code that are allowed to or named."""
-    result = {}
-    for name, spec in specs.items():
-        is_allowed = spec.code is not None and (allow_code or spec.code in named)
-        result[name] = spec.with_code() if is_allowed else spec
-    return result
-
-
-def _left_out(scenario: Scenario, components: Sequence[str]) -> tuple[str, ...]:
-    """Return the components that are copied although they could be computed.
-
-    Raises
-    ------
-    UsageError
-        If there is no component of such a name, or it cannot be computed from a log.
-    """
-    computable = [name for name, spec in scenario.specs.items() if spec.computable]
-    for name in components:
-        if name not in scenario.specs:
-            raise UsageError(
-                f"the log has no component {quoted(name)}; {nearest(name, scenario.specs)}"
-            )
-        if name not in computable:
-            raise UsageError(
-                f"{name!r} cannot be computed, as a replay takes it from the log: "
-                f"{_why_recorded(scenario.specs[name])}; available: {listing(computable, 100)}"
-            )
-    return tuple(name for name in computable if name not in components)
-
-
-def _why_recorded(spec: Kind) -> str:
-    """Return why a component cannot be computed from a log."""
-    if spec.code is not None:
-        return f"{flag('allow_code')} allows its code to run"
-    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of the log"
-
-
-def valid_designs(
-    experiment: Experiment, source: Log, *, replaced: Collection[str] = ()
+def _valid_designs(
+    experiment: Experiment, source: Log, *, replaced: Collection[str]
 ) -> dict[str, Design]:
     """Return the recorded designs that still hold: those that rest on nothing that changed.
 
     Those of ``replaced`` components do not.
     """
-    designs = {}
     recorded_designs = source.designs
     recorded_masks = source.held
-    for name, spec in experiment.scenario.specs.items():
+
+    def holds(name: str) -> bool:
         if name in replaced:
-            continue
-        recorded = component_metadata(source, name)
+            return False
+        if name in experiment.recorded:
+            return True
         current = fingerprint(experiment.scenario, name, experiment.built.reads[name])
-        same_tables = recorded.get("fingerprint") == current
+        if component_metadata(source, name).get("fingerprint") != current:
+            return False
+        if experiment.scenario.specs[name].code is not None:
+            code = experiment.metadata.get(name, {}).get("code")
+            recorded = component_record(source, name).code
+            if code is None or CodeRecord.model_validate(code) != recorded:
+                return False
         held = experiment.graph.held[name]
-        same_code = spec.code is None or _same_code(experiment, source, name)
-        same_hold = name in recorded_masks and np.array_equal(recorded_masks[name], held)
-        if name in experiment.recorded or (same_tables and same_code and same_hold):
-            designs[name] = recorded_designs[name]
-    return designs
+        return name in recorded_masks and np.array_equal(recorded_masks[name], held)
+
+    return {name: recorded_designs[name] for name in experiment.scenario.specs if holds(name)}
 
 
 def designs_anew(experiment: Experiment) -> dict[str, Design]:
@@ -404,10 +409,3 @@ def designs_anew(experiment: Experiment) -> dict[str, Design]:
         texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
         anew |= {key: decode_design(text) for key, text in texts.items()}
     return anew
-
-
-def _same_code(experiment: Experiment, source: Log, name: str) -> bool:
-    """Return whether a component was built from the code that its recorded run had."""
-    code = experiment.metadata.get(name, {}).get("code")
-    recorded = component_record(source, name).code
-    return code is not None and CodeRecord.model_validate(code) == recorded

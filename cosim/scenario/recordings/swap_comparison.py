@@ -8,10 +8,11 @@ built anew only if its FMUs do not come back from that as they were.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -22,31 +23,35 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recording import CompleteRecording, Plan
 from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
-from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
+from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
-from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import LinearNearStart
 from cosim.scenario.kinds.build_record import Origins
 from cosim.scenario.kinds.capabilities import HasDescription
+from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.recordings.port_comparison import (
+    CAPABILITIES,
+    INITIAL,
+    NOMINAL,
+    START,
     ComparedComponent,
-    ComponentCapabilities,
-    LinearBehavior,
     compare_components,
     propose,
 )
 from cosim.scenario.recordings.swap_report import SwapReport, SwapReports
 
 if TYPE_CHECKING:
-    from cosim.fmi.binary.messages import Message
     from cosim.fmi.unpacked import UnpackedFmus
     from cosim.fmi.variable import Variable
+
+_INITIAL_INPUT: Final = "initial input"
+_PortValues: TypeAlias = dict[str, Mapping[str, Vector]]  # by aspect and port
 
 
 def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> SwapReports:
@@ -100,28 +105,19 @@ def build_swapped(
     return comparison.experiment(), comparison.reports
 
 
-@dataclass(frozen=True)
-class _InitialSignals:
-    """Inputs and outputs of a component at initialization, by port."""
+def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str) -> SwapReport:
+    """Compare a component of a replay with the recorded one that it replaces, by what they declare.
 
-    inputs: Mapping[str, Vector]
-    outputs: Mapping[str, Vector]
-
-    @staticmethod
-    def of(interface: Interface, u: Vector, y: Vector) -> _InitialSignals:
-        inputs = interface.input_columns()
-        outputs = interface.output_columns()
-        u_by_input = {name: u[columns] for name, columns in inputs.items()}
-        y_by_output = {name: y[columns] for name, columns in outputs.items()}
-        return _InitialSignals(u_by_input, y_by_output)
-
-
-@dataclass(frozen=True)
-class _ReplacedComponent:
-    """A replaced component, and its initial signals where it could be initialized."""
-
-    component: ComparedComponent
-    initial: _InitialSignals | None
+    Neither is initialized or linearized for that: the replay is to begin with what was loaded.
+    """
+    interface_type = component_record(source, name).interface_type
+    kind = str(json_table(component_metadata(source, name).get("table", "{}")).get("kind"))
+    if interface_type is not None:
+        kind = INTERFACE_TYPE_NAMES[interface_type]
+    declared = declared_channels(source.channels)[name].interface
+    return _report(
+        builder, name, ComparedComponent(declared, {"kind": kind}), _declared(builder, name)
+    )
 
 
 class _InitialState:
@@ -136,6 +132,7 @@ class _InitialState:
     """
 
     def __init__(self, builder: Builder) -> None:
+        self._builder = builder
         self.experiment: Experiment | None = None
         self.problems: list[str] = []
         self.failure = ""
@@ -154,17 +151,9 @@ class _InitialState:
         except CosimError as error:
             self.failure = str(error)
 
-    def signals(self, component: str) -> _InitialSignals | None:
-        """Return the initial signals of a component; None: the scenario was not initialized."""
-        if self.experiment is None or self.failure:
-            return None
-        channel = self.experiment.graph.layout[component]
-        u = self._row[channel.inputs]
-        y = self._row[channel.outputs]
-        return _InitialSignals.of(channel.interface, u, y)
-
+    @property
     def repeats(self) -> bool:
-        """Return whether the scenario can be initialized again, to the same bits."""
+        """Whether the scenario can be initialized again, to the same bits."""
         if self.experiment is None or self.failure:
             return False
         row = np.zeros_like(self._row)
@@ -173,6 +162,45 @@ class _InitialState:
         except CosimError:
             return False
         return row.tobytes() == self._row.tobytes()
+
+    def component(self, name: str, before: ComparedComponent | None = None) -> ComparedComponent:
+        """Return what is known of a component that was built.
+
+        Where the scenario could not be initialized, it may be alone, as the one before it was.
+        """
+        values: _PortValues = {}
+        if self.experiment is not None and not self.failure:
+            channel = self.experiment.graph.layout[name]
+            rows = (self._row[channel.inputs], self._row[channel.outputs])
+            values = _initial_values(channel.interface, *rows)
+        elif before is not None and _INITIAL_INPUT in before.values:
+            values = self._initialized_alone(name, before.values[_INITIAL_INPUT])
+        declared = _declared(self._builder, name)
+        system = _linear_system(self._builder, name)
+        return replace(declared, values={**declared.values, **values}, system=system)
+
+    def _initialized_alone(self, name: str, inputs: Mapping[str, Vector]) -> _PortValues:
+        """Initialize a component with the inputs that the one before had; others are zero."""
+        component = self._builder.components[name]
+        interface = component.interface
+        u = np.zeros(interface.n_u)
+        for port, columns in interface.input_columns().items():
+            if port in inputs and u[columns].shape == inputs[port].shape:
+                u[columns] = inputs[port]
+        clock = self._builder.clock
+        with suppress(CosimError):
+            prepare(component, clock.h, np.zeros(len(u), np.bool_), {})
+            component.initialize(clock.start_time, u)
+            return _initial_values(interface, u, component.outputs(clock.start_time, u))
+        return {}
+
+
+def _initial_values(interface: Interface, u: Vector, y: Vector) -> _PortValues:
+    """Return inputs and outputs at initialization, by port."""
+    return {
+        _INITIAL_INPUT: {name: u[own] for name, own in interface.input_columns().items()},
+        INITIAL: {name: y[own] for name, own in interface.output_columns().items()},
+    }
 
 
 class _SwapComparison:
@@ -185,53 +213,41 @@ class _SwapComparison:
         block: int | None,
         unpacked: UnpackedFmus | None = None,
     ) -> None:
-        self._scenario = scenario
-        self._resources = resources
-        self._block = block
-        self._unpacked = unpacked
         before, unbuilt = _replaced_components(scenario, unpacked)
-        self._interfaces = {name: part.component.interface for name, part in before.items()}
+        replaced = {name: component.interface for name, component in before.items()}
+        origins = Origins(unpacked=unpacked)
+        self._resources = resources
+        self._builder = partial(
+            Builder, scenario, resources, origins, block=block, replaced=replaced
+        )
         builder = self._builder()
         fmus = builder.context.fmus
         # The messages of FMUs from when they are loaded belong to the run, those of the comparison
         # do not.
-        self._messages: dict[str, Sequence[Message]] = {}
-        for name, fmu in fmus.items():
-            self._messages[name] = fmu.drain()
+        self._messages = {name: fmu.drain() for name, fmu in fmus.items()}
         self._initial = _InitialState(builder)
         of_run = warnings_among(self._messages)
         of_run += warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
         reports = {}
-        for name, part in before.items():
+        for name, component in before.items():
             if name in builder.components:
-                reports[name] = self._compare(builder, name, part)
-        problems = tuple(self._initial.problems)
+                after = self._initial.component(name, component)
+                reports[name] = _report(builder, name, component, after)
         imported = {}
         for name, metadata in builder.context.metadata.items():
             if "code" in metadata:
                 imported[name] = str(metadata["code"]["class"])
-        warnings = tuple(dict.fromkeys([*builder.context.warnings, *of_run]))
-        failure = self._initial.failure
-        self.reports = SwapReports(reports, problems, failure, imported, warnings, unbuilt)
-        self._repeats = self._initial.repeats()
+        self.reports = SwapReports(
+            reports,
+            tuple(self._initial.problems),
+            self._initial.failure,
+            imported,
+            tuple(dict.fromkeys([*builder.context.warnings, *of_run])),
+            unbuilt,
+        )
+        self._repeats = self._initial.repeats
         for fmu in fmus.values():
             fmu.discard()
-
-    def _builder(self) -> Builder:
-        return Builder(
-            self._scenario,
-            self._resources,
-            Origins(unpacked=self._unpacked),
-            block=self._block,
-            replaced=self._interfaces,
-        )
-
-    def _compare(self, builder: Builder, name: str, before: _ReplacedComponent) -> SwapReport:
-        initial = self._initial.signals(name)
-        if initial is None and before.initial is not None:
-            initial = _initialize_alone(builder, name, before.initial)
-        after = _compared_component(builder, name, initial)
-        return _report(builder, name, before.component, after)
 
     def experiment(self) -> Experiment:
         """Return the experiment; it is built again where the first one cannot run any more.
@@ -254,43 +270,14 @@ class _SwapComparison:
         return self._builder().experiment()
 
 
-def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str) -> SwapReport:
-    """Compare a component of a replay with the recorded one that it replaces, by what they declare.
-
-    Neither is initialized or linearized for that: the replay is to begin with what was loaded.
-    """
-    interface_type = component_record(source, name).interface_type
-    kind = str(json_table(component_metadata(source, name).get("table", "{}")).get("kind"))
-    if interface_type is not None:
-        kind = INTERFACE_TYPE_NAMES[interface_type]
-    declared = declared_channels(source.channels)[name].interface
-    before = ComparedComponent(declared, ComponentCapabilities(kind))
-    return _report(builder, name, before, _declared_component(builder, name))
-
-
-def _report(
-    builder: Builder, name: str, before: ComparedComponent, after: ComparedComponent
-) -> SwapReport:
-    names = builder.port_maps[name].names if name in builder.port_maps else {}
-    connected = _connected_ports(builder.scenario, name)
-    refused = _refused_ports(builder, name)
-    rows = compare_components(before, after, names=names, connected=connected, refused=refused)
-    missing = []
-    for port in before.ports:
-        if port in connected and after.port(port) is None:
-            missing.append(port)
-    proposals = propose(before, after, missing)
-    return SwapReport(name, rows, proposals, _unconverted_ports(builder, name))
-
-
 def _replaced_components(
     scenario: Scenario, unpacked: UnpackedFmus | None
-) -> tuple[dict[str, _ReplacedComponent], dict[str, str]]:
+) -> tuple[dict[str, ComparedComponent], dict[str, str]]:
     """Build the scenario without its swaps, as far as it can be.
 
     Of what is replaced and could not be built the first problem.
     """
-    components: dict[str, _ReplacedComponent] = {}
+    components: dict[str, ComparedComponent] = {}
     unbuilt: dict[str, str] = {}
     with ExitStack() as resources, suppress(CosimError):
         original, problems = read(scenario.document.unswapped(), parse)
@@ -298,9 +285,7 @@ def _replaced_components(
         state = _InitialState(builder)
         for name in scenario.document.swapped_components():
             if name in builder.components:
-                initial = state.signals(name)
-                component = _compared_component(builder, name, initial)
-                components[name] = _ReplacedComponent(component, initial)
+                components[name] = state.component(name)
                 continue
             for key, text in builder.problems:
                 if key[:2] == ("components", name):
@@ -308,99 +293,57 @@ def _replaced_components(
     return components, unbuilt
 
 
-def _initialize_alone(
-    builder: Builder, name: str, before: _InitialSignals
-) -> _InitialSignals | None:
-    """Initialize a component whose scenario cannot be, with the inputs that the one before had.
-
-    Inputs that it did not have are zero. None: it cannot be initialized.
-    """
-    component = builder.components[name]
-    interface = component.interface
-    u = np.zeros(interface.n_u)
-    for port, columns in interface.input_columns().items():
-        values = before.inputs.get(port)
-        if values is not None and u[columns].shape == values.shape:
-            u[columns] = values
-    held = np.zeros(len(u), np.bool_)
-    with suppress(CosimError):
-        prepare(component, builder.clock.h, held, {})
-        component.initialize(builder.clock.start_time, u)
-        y = component.outputs(builder.clock.start_time, u)
-        return _InitialSignals.of(interface, u, y)
-    return None
+def _report(
+    builder: Builder, name: str, before: ComparedComponent, after: ComparedComponent
+) -> SwapReport:
+    names = builder.port_maps[name].names if name in builder.port_maps else {}
+    connected = _names_of(_named_ports(builder.scenario), name)
+    refused = _names_of(_refused_ports(builder), name)
+    rows = compare_components(before, after, names=names, connected=connected, refused=refused)
+    missing = [port for port in before.ports if port in connected and after.port(port) is None]
+    unconverted = frozenset(_names_of(_unconverted_ports(builder), name))
+    return SwapReport(name, rows, propose(before, after, missing), unconverted)
 
 
 # --- one component ---
 
 
-def _compared_component(
-    builder: Builder, name: str, initial: _InitialSignals | None
-) -> ComparedComponent:
-    """Return what is known of a component that was built."""
-    compared = _declared_component(builder, name)
-    compared = replace(compared, linear=_linear_behavior(builder, name))
-    return compared if initial is None else replace(compared, initial=initial.outputs)
-
-
-def _declared_component(builder: Builder, name: str) -> ComparedComponent:
+def _declared(builder: Builder, name: str) -> ComparedComponent:
     """Return what a component that was built declares."""
     spec = builder.scenario.specs[name]
-    described = None
-    if isinstance(spec, HasDescription):
-        described = spec.description(name, builder.context)
-    compared = ComparedComponent(builder.components[name].interface, _capabilities(spec, described))
-    if described is not None:
-        _, description = described
-        start = _declared(builder, name, description, "input", _start)
-        nominal = _declared(builder, name, description, "input", _nominal)
-        nominal |= _declared(builder, name, description, "output", _nominal)
-        compared = replace(compared, start=start, nominal=nominal)
-    return compared
-
-
-def _capabilities(
-    spec: Kind, described: tuple[InterfaceType, Description] | None
-) -> ComponentCapabilities:
-    if described is None:
-        return ComponentCapabilities(spec.kind)
-    interface_type, description = described
-    declared = description.capabilities[interface_type]
-    capabilities = ComponentCapabilities(
-        INTERFACE_TYPE_NAMES[interface_type],
-        rollback=declared.saves_state,
-        variable_step=declared.variable_step,
-        interpolation=declared.interpolates_inputs,
-        directional_derivatives=declared.directional_derivatives,
-    )
-    if interface_type == "me":  # our solver takes any step and interpolates its inputs
-        return replace(capabilities, variable_step=True, interpolation=True)
-    return capabilities
-
-
-def _declared(
-    builder: Builder,
-    name: str,
-    description: Description,
-    causality: Causality,
-    values_of: Callable[[Variable], Vector],
-) -> dict[str, Vector]:
-    """Return what an FMU declares of its inputs or outputs, by port; not where that is NaN."""
-    parts = [np.zeros(0)]
-    for _, variables in description.ports(causality):
-        parts += [values_of(variable) for variable in variables]
-    values = np.concatenate(parts)
     interface = builder.components[name].interface
-    columns_of = interface.input_columns() if causality == "input" else interface.output_columns()
-    if name in builder.port_maps:
-        ports = builder.port_maps[name]
-        is_input = causality == "input"
-        values = ports.shown_inputs(values) if is_input else ports.shown_outputs(values)
-    declared = {}
-    for port, columns in columns_of.items():
-        if not np.isnan(values[columns]).any():
-            declared[port] = values[columns]
-    return declared
+    if not isinstance(spec, HasDescription):
+        return ComparedComponent(interface, {"kind": spec.kind})
+    interface_type, description = spec.description(name, builder.context)
+    declared = description.capabilities[interface_type]
+    steps = interface_type == "me"  # our solver takes any step and interpolates its inputs
+    able = (
+        declared.saves_state,
+        steps or declared.variable_step,
+        steps or declared.interpolates_inputs,
+        declared.directional_derivatives,
+    )
+    capabilities: dict[str, Any] = {"kind": INTERFACE_TYPE_NAMES[interface_type]}
+    capabilities |= zip(CAPABILITIES, able, strict=True)
+
+    def values(causality: Causality, values_of: Callable[[Variable], Vector]) -> dict[str, Vector]:
+        parts = [np.zeros(0)]
+        for _, variables in description.ports(causality):
+            parts += map(values_of, variables)
+        of_all = np.concatenate(parts)
+        columns = interface.input_columns() if causality == "input" else interface.output_columns()
+        ports = builder.port_maps.get(name)
+        if ports is not None:
+            is_input = causality == "input"
+            of_all = ports.shown_inputs(of_all) if is_input else ports.shown_outputs(of_all)
+        return {
+            port: of_all[own] for port, own in columns.items() if not np.isnan(of_all[own]).any()
+        }
+
+    nominal = values("input", _nominal) | values("output", _nominal)
+    return ComparedComponent(
+        interface, capabilities, {START: values("input", _start), NOMINAL: nominal}
+    )
 
 
 def _start(variable: Variable) -> Vector:
@@ -410,11 +353,10 @@ def _start(variable: Variable) -> Vector:
 
 
 def _nominal(variable: Variable) -> Vector:
-    nominal = np.nan if variable.nominal is None else variable.nominal
-    return np.full(variable.size, nominal)
+    return np.full(variable.size, np.nan if variable.nominal is None else variable.nominal)
 
 
-def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
+def _linear_system(builder: Builder, name: str) -> LinearSystem | None:
     """Return a component near its initial state; None: it cannot be linearized."""
     spec = builder.scenario.specs[name]
     if not isinstance(spec, LinearNearStart):
@@ -423,76 +365,60 @@ def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
         system = spec.linear_system(name, builder.context)
     except (CosimError, ValueError):
         return None
-    if system is None:
-        return None
     ports = builder.port_maps.get(name)
-    interface = builder.components[name].interface if ports is None else ports.component
-    if system.D.shape != (interface.n_y, interface.n_u):
-        return LinearBehavior(system, has_ports=False)  # some are not continuous
-    if ports is None:
-        return LinearBehavior(system)
+    if system is None or ports is None:
+        return system
+    if system.D.shape != (ports.component.n_y, ports.component.n_u):  # some are not continuous
+        return replace(system, D=np.zeros((0, 0)))
     B, C, D = ports.shown_matrices(system.B, system.C, system.D)
-    return LinearBehavior(replace(system, B=B, C=C, D=D))
+    return replace(system, B=B, C=C, D=D)
 
 
 # --- ports that the scenario names ---
 
 
-def _connected_ports(scenario: Scenario, name: str) -> set[str]:
-    """Return the ports of a component that the scenario names."""
-    ports = list(scenario.connections)
-    for connection in scenario.connections.values():
-        ports += connection.sources
+def _named_ports(scenario: Scenario) -> Iterable[Port]:
+    """Yield the ports that the scenario names."""
+    for to, connection in scenario.connections.items():
+        yield from (to, *connection.sources)
     for estimate, truth in scenario.file.truth.items():
-        ports += ports_in([estimate, *named_ports(truth)])
-    return _names_of(ports, name)
+        yield from ports_in([estimate, *named_ports(truth)])
 
 
-def _refused_ports(builder: Builder, name: str) -> set[str]:
-    """Return the ports of a component at connections, or in truths, that stop the run."""
+def _refused_ports(builder: Builder) -> Iterable[Port]:
+    """Yield the ports at connections, or in truths, that stop the run."""
     connections = builder.scenario.connections
     truths = builder.scenario.file.truth
-    ports: list[Port] = []
     for key, _ in builder.problems:
         if key[:1] == ("connections",):
             for to in ports_in(key[1:]):
-                ports.append(to)
-                if to in connections:
-                    ports += connections[to].sources
+                yield to
+                yield from connections[to].sources if to in connections else ()
         elif key[:1] == ("truth",):
             estimate = str(key[-1])
-            ports += ports_in([estimate, *named_ports(truths.get(estimate))])
-    return _names_of(ports, name)
+            yield from ports_in([estimate, *named_ports(truths.get(estimate))])
 
 
-def _unconverted_ports(builder: Builder, name: str) -> frozenset[str]:
-    """Return the ports of a component that are connected to one without a unit."""
-    ports: list[Port] = []
+def _unconverted_ports(builder: Builder) -> Iterable[Port]:
+    """Yield the ports that are connected to one without a unit."""
+
+    def has_unit(port: Port) -> bool:
+        if port.component not in builder.components:
+            return False
+        try:
+            match = port.find(builder.components[port.component].interface.by_name)
+        except GraphError:  # no such element: that of its connection
+            return False
+        return match is not None and match[0].unit is not None
+
     for to, connection in builder.scenario.connections.items():
-        if not _has_unit(builder, to):
-            ports += connection.sources
-        if connection.unit is None and not all(
-            _has_unit(builder, source) for source in connection.sources
-        ):
-            ports.append(to)
-    return frozenset(_names_of(ports, name))
-
-
-def _has_unit(builder: Builder, port: Port) -> bool:
-    """Return whether a port that there is declares its unit."""
-    if port.component not in builder.components:
-        return False
-    try:
-        match = port.find(builder.components[port.component].interface.by_name)
-    except GraphError:  # no such element: that of its connection
-        return False
-    return match is not None and match[0].unit is not None
+        if not has_unit(to):
+            yield from connection.sources
+        if connection.unit is None and not all(map(has_unit, connection.sources)):
+            yield to
 
 
 def _names_of(ports: Iterable[Port], component: str) -> set[str]:
     """Return the names of the ports of a component; of an element that of the signal too."""
-    names: set[str] = set()
-    for port in ports:
-        if port.component == component:
-            names |= {port.name, port.signal}
-    return names
+    own = [port for port in ports if port.component == component]
+    return {name for port in own for name in (port.name, port.signal)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from typing import Any, Final
@@ -10,6 +10,7 @@ from typing import Any, Final
 from cosim.errors import ScenarioError, option
 from cosim.scenario.record import ComparedAspect, port_label
 from cosim.scenario.recordings.port_comparison import (
+    INITIAL,
     Proposal,
     different_texts,
     feedthrough_text,
@@ -21,8 +22,8 @@ _DIFFERS: Final = "differs from what it replaces: "
 _UNITS: Final = "units that cannot be compared with what is connected: "
 _SIZES: Final = "of another size than what it replaces: "
 _UNBUILT: Final = "cannot be compared with what it replaces, which cannot be built: "
-MOST_ENTRIES: Final = 4  # of a response, that a warning names
 SWAP_WARNINGS: Final = (_DIFFERS, _UNITS, _SIZES, _UNBUILT)  # how the warnings of a report begin
+_MOST_ENTRIES: Final = 4  # of a response, that a warning names
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,10 @@ class SwapReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; ports by their full names."""
-        ports = []
-        for row in self.rows:
-            ports.append({**asdict(row), "port": self._port(row.port)})
-        proposals = []
-        for proposal in self.proposals:
-            proposals.append({**asdict(proposal), "option": self._option(proposal)})
-        return {"ports": ports, "proposals": proposals}
+        return {
+            "ports": [asdict(self._named(row)) for row in self.rows],
+            "proposals": [{**asdict(one), "option": self._option(one)} for one in self.proposals],
+        }
 
     @property
     def lines(self) -> list[dict[str, str]]:
@@ -60,24 +58,30 @@ class SwapReport:
         One line for a port in which both components agree, else one for each aspect that is not ok.
         """
         lines = []
-        for _, group in groupby(self.rows, key=lambda row: row.port):
+        for port, group in groupby(self.rows, key=lambda row: row.port):
             rows = list(group)
             different = [row for row in rows if row.verdict != "ok"]
             for row in different or [_agreed(rows)]:
-                lines.append(self._line(row))
+                lines.append(row_texts(asdict(self._named(row)), whole=not port))
         return lines
-
-    def _line(self, row: ComparedAspect) -> dict[str, str]:
-        return row_texts({**asdict(row), "port": self._port(row.port)}, whole=not row.port)
 
     @property
     def warnings(self) -> list[str]:
         """What differs or cannot be compared on connected ports, of outputs, and in the whole."""
-        rows = [row for row in self.rows if row.connected or _is_response(row)]
-        different = [row for row in rows if row.verdict == "differs" and not _is_added(row)]
-        differences = [_change_text(row) for row in different]
-        units = [_change_text(row) for row in rows if self._is_taken_as_it_is(row)]
-        sizes = [_size_text(row) for row in rows if row.of_another_size]
+        differences = []
+        units = []
+        sizes = []
+        for row in self.rows:
+            if not (row.connected or _is_response(row)):
+                continue
+            is_added = row.aspect == "causality" and row.before is None  # nothing relied on it
+            if row.verdict == "differs" and not is_added:
+                differences.append(_change_text(row))
+            if row.aspect == "unit" and self._is_taken_as_it_is(row):
+                units.append(_change_text(row))
+            if row.ratio is not None and row.of_another_size:
+                factor = f"{row.ratio:.3g}" if row.ratio > 1.0 else f"1/{1.0 / row.ratio:.3g}"
+                sizes.append(f"{row.label} {row.aspect} {factor} times as large")
         warnings = []
         if differences:
             warnings.append(f"{_DIFFERS}{'; '.join(differences)}")
@@ -91,34 +95,27 @@ class SwapReport:
         return warnings
 
     def _is_taken_as_it_is(self, row: ComparedAspect) -> bool:
-        """Return whether a row has another unit which nothing converts."""
-        if row.aspect != "unit" or row.verdict == "ok":
-            return False
+        """Return whether nothing converts what has another unit."""
         is_lost = row.verdict == "unknown" and row.before is not None
-        return is_lost or row.port in self.unconverted
+        return is_lost or (row.verdict != "ok" and row.port in self.unconverted)
 
     @property
     def hints(self) -> list[str]:
         """The proposals, in words."""
         hints = []
-        for proposal in self.proposals:
-            entry = self._option(proposal)
-            new = self._port(proposal.name)
-            old = self._port(proposal.port)
-            reasons = "; ".join(proposal.reasons)
-            hints.append(f"{entry}: {new} may be {old} ({reasons})")
+        for one in self.proposals:
+            ports = f"{self._port(one.name)} may be {self._port(one.port)}"
+            hints.append(f"{self._option(one)}: {ports} ({'; '.join(one.reasons)})")
         return hints
 
     def _option(self, proposal: Proposal) -> str:
-        return option("map", f"{self.component}.{proposal.port}", proposal.name)
+        return option("map", self._port(proposal.port), proposal.name)
+
+    def _named(self, row: ComparedAspect) -> ComparedAspect:
+        return replace(row, port=self._port(row.port))
 
     def _port(self, port: str) -> str:
         return f"{self.component}.{port}" if port else self.component
-
-
-def _is_added(row: ComparedAspect) -> bool:
-    """Return whether a row says that a port is new: nothing relied on it."""
-    return row.aspect == "causality" and row.before is None
 
 
 def _is_response(row: ComparedAspect) -> bool:
@@ -129,28 +126,20 @@ def _is_response(row: ComparedAspect) -> bool:
 def _change_text(row: ComparedAspect) -> str:
     subject = f"{row.label} {row.aspect}".strip()
     if _is_response(row):
-        return f"{subject} {_entry_changes(row.before, row.after)}"
+        return f"{subject} {', '.join(_entry_changes(row.before, row.after))}"
     before, after = _aspect_texts(row.aspect, row.before, row.after)
     recorded = row.aspect == "kind" and row.after in ("recording", "field-data")
     reaction = ", which does not react to inputs" if recorded else ""
     return f"{subject} {after} (was {before}){reaction}"
 
 
-def _entry_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """Return the entries of a response that differ, the first of many."""
-    texts = []
-    for name in list(before)[:MOST_ENTRIES]:
+def _entry_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the entries of a response that differ, the first of many."""
+    for name in list(before)[:_MOST_ENTRIES]:
         old, new = different_texts({name: before[name]}, {name: after[name]})
-        texts.append(f"{new} (was {old.removeprefix(f'{name} ')})")
-    if len(before) > MOST_ENTRIES:
-        texts.append(f"and {len(before) - MOST_ENTRIES} more")
-    return ", ".join(texts)
-
-
-def _size_text(row: ComparedAspect) -> str:
-    assert row.ratio is not None
-    factor = f"{row.ratio:.3g}" if row.ratio > 1.0 else f"1/{1.0 / row.ratio:.3g}"
-    return f"{row.label} {row.aspect} {factor} times as large"
+        yield f"{new} (was {old.removeprefix(f'{name} ')})"
+    if len(before) > _MOST_ENTRIES:
+        yield f"and {len(before) - _MOST_ENTRIES} more"
 
 
 def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
@@ -163,7 +152,7 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
     text = with_unit(f"size {values['size']}, {values['type']}", values["unit"])
     if first.before == "output":
         text += f", {feedthrough_text('output', values['feedthrough'])}"
-        text += f", initial output {shown(values['initial output'])}"
+        text += f", {INITIAL} {shown(values[INITIAL])}"
     return replace(first, aspect=first.before, before=text)
 
 
@@ -176,29 +165,23 @@ def row_texts(row: Mapping[str, Any], *, whole: bool) -> dict[str, str]:
     whole : bool
         Whether it is of the component as a whole, which nothing connects.
     """
-    aspect = row["aspect"]
-    verdict = row["verdict"]
-    same = verdict == "ok"
-    before, after = _aspect_texts(aspect, row["before"], row["after"])
+    before, after = _aspect_texts(row["aspect"], row["before"], row["after"])
     return {
         "": port_label(row["port"], row.get("source")),
-        "aspect": aspect,
+        "aspect": row["aspect"],
         "before": before,
-        "after": "the same" if same else after,
-        "verdict": verdict,
+        "after": "the same" if row["verdict"] == "ok" else after,
+        "verdict": row["verdict"],
         "connected": "" if whole else shown(row["connected"]),
     }
 
 
 def _aspect_texts(aspect: str, before: Any, after: Any) -> tuple[str, str]:
     """Return the values of a row as people read them, told apart."""
-    if aspect == "feedthrough":
-        return _feedthrough_text(before), _feedthrough_text(after)
-    return different_texts(before, after)
-
-
-def _feedthrough_text(inputs: str | Sequence[str] | None) -> str:
-    return "no direct feedthrough" if inputs is not None and not inputs else shown(inputs)
+    if aspect != "feedthrough":
+        return different_texts(before, after)
+    none = "no direct feedthrough"
+    return (none if before == [] else shown(before), none if after == [] else shown(after))
 
 
 @dataclass(frozen=True)
@@ -242,8 +225,7 @@ class SwapReports:
     @property
     def refusals(self) -> list[str]:
         """Why the scenario cannot run: its problems, or that of its initialization."""
-        failures = [self.failure] if self.failure else []
-        return [*self.problems, *failures]
+        return [*self.problems, *([self.failure] if self.failure else [])]
 
     @property
     def different(self) -> int:
@@ -254,16 +236,12 @@ class SwapReports:
     @property
     def hints(self) -> list[str]:
         """The proposals of all reports, in words."""
-        hints: list[str] = []
-        for report in self.reports.values():
-            hints += report.hints
-        return hints
+        return [hint for report in self.reports.values() for hint in report.hints]
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
         """What differs or cannot be compared, by component."""
         warnings = [(name, f"{_UNBUILT}{problem}") for name, problem in self.unbuilt.items()]
         for name, report in self.reports.items():
-            for text in report.warnings:
-                warnings.append((name, text))
+            warnings += [(name, text) for text in report.warnings]
         return warnings

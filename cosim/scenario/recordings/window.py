@@ -7,8 +7,8 @@ computed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, final
+from dataclasses import dataclass, replace
+from typing import final
 
 from cosim.arrays import Matrix
 from cosim.core.clock import whole_steps
@@ -25,8 +25,6 @@ from cosim.core.recording import (
 )
 from cosim.errors import UsageError, quoted
 from cosim.instants import step_value
-
-_ENDS: Final = 2  # of a window
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +73,14 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
         If it is no window, or not within the recording; a ClockError if it is not on the grid of
         the communication points, or begins where a component has no row.
     """
-    if not isinstance(ends, tuple | list) or len(ends) != _ENDS:
-        raise UsageError(
-            f"window: expected its begin and end [s], such as (2.0, 4.0), got {quoted(ends)}"
-        )
+    match ends:
+        case [begin, end]:
+            pass
+        case _:
+            raise UsageError(
+                f"window: expected its begin and end [s], such as (2.0, 4.0), got {quoted(ends)}"
+            )
     stamp = source.grid.stamp
-    begin, end = ends
     index = 0 if begin is None else _point(source, begin, "begins")
     last = source.steps if end is None else _point(source, end, "ends")
     if index >= last:
@@ -89,12 +89,12 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
             f"one communication step, {step_value(source.step_ns)} s"
         )
     for name, channel in source.channels.items():
-        if index % channel.period:
-            before = index - index % channel.period
+        late = index % channel.period
+        if late:
             raise UsageError(
                 f"the window begins at {begin} s, where {name!r} has no row: it has one every "
                 f"{channel.period} communication steps; nearest before: "
-                f"{stamp(before) / 1e9} s"
+                f"{stamp(index - late) / 1e9} s"
             )
     return ReplayWindow(stamp(index), stamp(last), index)
 
@@ -124,8 +124,7 @@ class WindowRecorder(PassingRecorder):
 
     def __init__(self, recorder: Recorder, window: ReplayWindow) -> None:
         super().__init__(recorder)
-        self._index = window.index
-        self._begin_ns = window.begin_ns
+        self._window = window
 
     def follow(self, rows: RowsUnderWay) -> None:
         """Pass on what is in the window."""
@@ -143,24 +142,23 @@ class WindowRecorder(PassingRecorder):
             self._recorder.write(*within)
 
     def _within(self, block: Block, signals: Matrix) -> tuple[Block, Matrix] | None:
-        left_out = max(0, self._index - block.index)
+        left_out = max(0, self._window.index - block.index)
         if left_out > block.steps:
             return None
         part = block.part(left_out, block.steps)
-        shifted = Block(part.index - self._index, part.time_ns, part.time, part.h)
-        return shifted, signals[left_out:]
+        return replace(part, index=part.index - self._window.index), signals[left_out:]
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on what is not before the window."""
-        if time_ns >= self._begin_ns:
+        if time_ns >= self._window.begin_ns:
             self._recorder.message(time_ns, level, source, text)
 
     def event(self, event: SignalEvent) -> None:
         """Pass on what is not before the window."""
-        if event.time_ns >= self._begin_ns:
+        if event.time_ns >= self._window.begin_ns:
             self._recorder.event(event)
 
     def substep(self, substep: Substep) -> None:
         """Pass on what does not begin before the window."""
-        if substep.begin_ns >= self._begin_ns:
+        if substep.begin_ns >= self._window.begin_ns:
             self._recorder.substep(substep)

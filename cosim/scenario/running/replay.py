@@ -5,11 +5,13 @@ A log of cosim is opened and read once; a recording of another tool is read by e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
 
 from cosim.arguments import (
     callable_argument,
@@ -17,68 +19,75 @@ from cosim.arguments import (
     mapping_argument,
     path_argument,
     setting_arguments,
+    swap_argument,
+    texts_argument,
     truth_argument,
     whole_argument,
 )
 from cosim.core.contracts import Design
+from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
-from cosim.errors import UsageError, option
+from cosim.errors import UsageError, option, warn
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
+from cosim.log.mcap_file.paths import log_path
+from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.swaps import PortNames
-from cosim.scenario.recordings.preparing import build_experiment
 from cosim.scenario.recordings.recording import (
     LiveView,
     Notice,
     Progress,
     Target,
+    build_experiment,
     check_target,
+    record,
 )
-from cosim.scenario.recordings.replay_request import (
-    check_replay_target,
-    prepared_replay,
-    record_replay,
-    replay_request,
-)
-from cosim.scenario.recordings.replaying import ReplayRequest, designs_anew
-from cosim.scenario.running.execution import load, run
+from cosim.scenario.recordings.replaying import ReplayRequest, designs_anew, prepared_replay
+from cosim.scenario.recordings.window import window_of
+from cosim.scenario.running.execution import load
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
 
 _LARGE: Final = 2**25  # bytes of rows
+_Build: TypeAlias = Callable[[ReplayRequest, ExitStack, "UnpackedFmus | None"], Experiment]
 
 
-class Replays(Protocol):
-    """A recording, and how it is replayed."""
+@final
+@dataclass(frozen=True)
+class Replays:
+    """A recording, and how it is replayed.
 
-    @property
-    def label(self) -> str:
-        """Its path."""
-        ...
+    Parameters
+    ----------
+    label : str
+        Its path.
+    source : Log or None
+        The log, joined with the files before it; None: it is of another tool.
+    request : ReplayRequest
+        What all replays have.
+    build : callable
+        Builds the experiment of a request.
+    """
 
-    @property
-    def source(self) -> Log | None:
-        """The log; None: it is of another tool."""
-        ...
+    label: str
+    source: Log | None
+    request: ReplayRequest
+    build: _Build
 
     @property
     def is_large(self) -> bool:
-        """Whether what is replayed takes much memory."""
-        ...
+        """Whether what is replayed takes much memory; another tool's is read as a whole anyway."""
+        return self.source is not None and self.source.row_bytes > _LARGE
 
     @property
     def changes(self) -> Mapping[str, Any]:
-        """What all replays have."""
-        ...
-
-    def check(self, values: Mapping[str, Any]) -> None:
-        """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
-        ...
+        """What all replays change."""
+        return self.request.changes
 
     def experiment(
         self,
@@ -90,130 +99,35 @@ class Replays(Protocol):
 
         FMUs are unpacked into ``unpacked`` for all replays; without it, for this one.
         """
-        ...
-
-    def check_target(self, out: str | Path | None, *, force: bool) -> None:
-        """Refuse a path that the log of a replay cannot be written to."""
-        ...
-
-    def record(
-        self,
-        values: Mapping[str, Any],
-        target: Target,
-        *,
-        progress: Progress | None,
-        profile: dict[str, float] | None = None,
-    ) -> Log | Memory:
-        """Replay with some values."""
-        ...
-
-
-@final
-@dataclass(frozen=True)
-class LogReplays:
-    """Replays of a log of cosim."""
-
-    source: Log
-    request: ReplayRequest
-
-    @property
-    def label(self) -> str:
-        """Its path."""
-        return self.source.label
-
-    @property
-    def is_large(self) -> bool:
-        """Whether the log takes much memory."""
-        return self.source.row_bytes > _LARGE
-
-    @property
-    def changes(self) -> Mapping[str, Any]:
-        """What all replays have."""
-        return self.request.changes
+        request = replace(self.request, changes={**self.changes, **values})
+        return self.build(request, resources, unpacked)
 
     def check(self, values: Mapping[str, Any]) -> None:
-        """Build and prepare the replay with some values."""
-        with ExitStack() as resources:
-            experiment = self.experiment(values, resources)
-            experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
-
-    def experiment(
-        self,
-        values: Mapping[str, Any],
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> Experiment:
-        """Build the replay with some values."""
-        return prepared_replay(self.source, self._with(values), resources, unpacked)
-
-    def check_target(self, out: str | Path | None, *, force: bool) -> None:
-        """Refuse a path that the log of a replay cannot be written to."""
-        check_replay_target(self.source, out, force=force)
-
-    def record(
-        self,
-        values: Mapping[str, Any],
-        target: Target,
-        *,
-        progress: Progress | None,
-        profile: dict[str, float] | None = None,
-    ) -> Log | Memory:
-        """Replay with some values."""
-        request = self._with(values)
-        return record_replay(self.source, request, target, progress=progress, profile=profile)
-
-    def designs(self) -> dict[str, Design]:
-        """Compute the designs that a replay takes from the log anew, to be compared with those."""
-        with ExitStack() as resources:
-            return designs_anew(self.experiment({}, resources))
-
-    def _with(self, values: Mapping[str, Any]) -> ReplayRequest:
-        return replace(self.request, changes={**self.changes, **values})
-
-
-@final
-@dataclass(frozen=True)
-class FieldReplays:
-    """Replays of a recording of another tool, by a scenario that takes components from it."""
-
-    path: Path
-    scenario: Scenario
-    changes: Mapping[str, Any]
-    block: int | None
-
-    @property
-    def label(self) -> str:
-        """Its path."""
-        return str(self.path)
-
-    @property
-    def source(self) -> None:
-        """It is no log of cosim."""
-        return None
-
-    @property
-    def is_large(self) -> bool:
-        """Whether it takes much memory: it is read as a whole, as each component takes its own."""
-        return False
-
-    def check(self, values: Mapping[str, Any]) -> None:
-        """Build and prepare the replay with some values."""
+        """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
         with ExitStack() as resources:
             experiment = self.experiment(values, resources)
             if experiment.plan is None:
-                experiment.graph.prepare(experiment.clock.step_ns)
-
-    def experiment(
-        self,
-        values: Mapping[str, Any],
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> Experiment:
-        """Build the replay with some values."""
-        return build_experiment(self._with(values), resources, self.block, unpacked=unpacked)
+                experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
 
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
-        """Refuse a path that the log of a replay cannot be written to."""
+        """Refuse a path that the log of a replay cannot be written to.
+
+        Raises
+        ------
+        UsageError
+            If it is the log that is replayed, another file of that where it was rotated, or as from
+            :func:`cosim.scenario.recordings.recording.check_target`.
+        """
+        if out is not None and self.source is not None:
+            target = os.path.realpath(log_path(out))
+            path = self.source.path
+            what = ""
+            if target == os.path.realpath(path):
+                what = "the log"
+            elif target in map(os.path.realpath, all_parts(path)):
+                what = "one of the rotated files of the log"
+            if what:
+                raise UsageError(f"{out} is {what} being replayed; choose another path")
         check_target(out, force=force)
 
     def record(
@@ -225,19 +139,18 @@ class FieldReplays:
         profile: dict[str, float] | None = None,
     ) -> Log | Memory:
         """Replay with some values."""
-        return run(
-            self._with(values),
-            out=target.out,
-            force=target.force,
-            block=self.block,
-            progress=progress,
-            notice=target.notice,
-            profile=profile,
-            live=target.live,
-        )
+        window = self.request.window
+        beside = None if window is None else window.beside
+        with ExitStack() as resources:
+            experiment = self.experiment(values, resources)
+            recorded = record(experiment, target, progress=progress, profile=profile, beside=beside)
+        warn(warning_texts(recorded.warnings))
+        return recorded
 
-    def _with(self, values: Mapping[str, Any]) -> Scenario:
-        return self.scenario.edit(set={**self.changes, **values})
+    def designs(self) -> dict[str, Design]:
+        """Compute the designs that a replay takes from the log anew, to be compared with those."""
+        with ExitStack() as resources:
+            return designs_anew(self.experiment({}, resources))
 
 
 def replays_of(
@@ -258,8 +171,10 @@ def replays_of(
     Raises
     ------
     UsageError
-        If one of them does not go with the others or with the recording.
+        If one of them is of another type, or does not go with the others or with the recording.
     """
+    changes = mapping_argument("set", set)
+    steps = whole_argument("block", block)
     if isinstance(log, str | Path) and is_foreign(path_argument("log", log)):
         check_field_options(
             allow_code=allow_code, rerun=rerun, window=window, components=components
@@ -267,26 +182,49 @@ def replays_of(
         path = path_argument("log", log)
         loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
         recorded = with_recorded_components(loaded, path, swaps=swap, maps=map)
-        changes = mapping_argument("set", set)
-        return FieldReplays(path, recorded, changes, whole_argument("block", block))
+        request = ReplayRequest(changes, block=steps)
+        return Replays(str(path), None, request, partial(_field_experiment, recorded))
     source = open_joined(log)
     if scenario is not None:
         raise UsageError(
             f"{source.label} has its own scenario; omit {option('scenario')}, which is for "
             "recordings of other tools"
         )
-    request = replay_request(
-        source,
-        set=set,
-        swap=swap,
-        map=map,
-        allow_code=allow_code,
-        rerun=rerun,
-        window=window,
-        components=components,
-        block=block,
+    chosen = texts_argument("components", components)
+    if chosen == ():
+        raise UsageError(
+            f"{option('components')}: expected at least one component to compute, or None for "
+            "all; got none"
+        )
+    paths = swap_argument(swap)
+    names = mapping_argument("map", map)
+    if names and not paths:
+        raise UsageError(
+            f"expected {option('swap')} with {option('map')}: only a replacement has other port "
+            "names"
+        )
+    request = ReplayRequest(
+        changes,
+        paths,
+        names,
+        chosen,
+        None if window is None else window_of(source, window),
+        truth_argument("allow_code", allow_code),
+        steps,
+        truth_argument("rerun", rerun),
     )
-    return LogReplays(source, request)
+    return Replays(source.label, source, request, partial(prepared_replay, source))
+
+
+def _field_experiment(
+    scenario: Scenario,
+    request: ReplayRequest,
+    resources: ExitStack,
+    unpacked: UnpackedFmus | None,
+) -> Experiment:
+    """Build a scenario that takes components from a recording of another tool."""
+    edited = scenario.edit(set=request.changes)
+    return build_experiment(edited, resources, request.block, unpacked=unpacked)
 
 
 def replay(

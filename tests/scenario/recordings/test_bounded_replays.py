@@ -18,7 +18,7 @@ from cosim.log.writing import encoding
 from cosim.report import recorded_rows as report_rows
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
-from cosim.scenario.recordings import recorded_span
+from cosim.scenario.recordings import recorded_scenario
 from cosim.scenario.running import replay
 from tests.log.recordings import make_chunks_small
 
@@ -75,7 +75,7 @@ def small_limits(monkeypatch):
     monkeypatch.setattr(recorded_rows, "_LEAST_BYTES", 2**14)
     monkeypatch.setattr(report_rows, "_PART_STEPS", 2**10)
     monkeypatch.setattr(replay, "_LARGE", 0)
-    monkeypatch.setattr(recorded_span, "_MOST_LOADED", 0)
+    monkeypatch.setattr(recorded_scenario, "_MOST_LOADED", 0)
     monkeypatch.setattr(engine, "BLOCK_BYTES", 2**16)
     make_chunks_small(monkeypatch, 2**16)
     monkeypatch.setattr(encoding, "_LARGEST_FLUSH", 2**18)
@@ -191,10 +191,10 @@ def test_components_that_share_chunks_are_read_in_one_pass(tmp_path, monkeypatch
     loaded = []
     monkeypatch.setattr(type(log), "load", lambda log, *names: loaded.append(names))
     names = list(log.channels)
-    recorded_span.load_rows(log, names)
-    monkeypatch.setattr(recorded_span, "_MOST_LOADED", 0)
-    recorded_span.load_rows(log, names)
-    recorded_span.load_rows(log, [])
+    recorded_scenario.load_rows(log, names)
+    monkeypatch.setattr(recorded_scenario, "_MOST_LOADED", 0)
+    recorded_scenario.load_rows(log, names)
+    recorded_scenario.load_rows(log, [])
     assert loaded == [tuple(names), *([tuple(shared)] if shared else [])]
     with pytest.raises(UnknownSignalError, match="has no component 'plnt'"):
         log.shares_chunks("plnt")

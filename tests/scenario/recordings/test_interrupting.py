@@ -6,7 +6,7 @@ import pytest
 
 from cosim.errors import Interrupted
 from cosim.interrupts import REASONS
-from cosim.scenario.recordings.interrupting import interruptible
+from cosim.scenario.recordings.recording import interruptible
 
 
 @pytest.fixture(params=REASONS, ids=lambda number: signal.Signals(number).name)

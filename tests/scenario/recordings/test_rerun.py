@@ -8,11 +8,11 @@ import zipfile
 import pytest
 
 import cosim
-from cosim.cli import main
-from cosim.errors import FmuError, LogError, UsageError
+from cosim.errors import CosimError, FmuError, LogError, ScenarioError, UsageError
 from cosim.log.contents.metadata import decode_design, encode_design
+from cosim.log.reading.container import MOST_ATTACHED
 from cosim.report.verification import verify
-from cosim.scenario.document.document import shipped
+from cosim.scenario.document.document import find, shipped
 from cosim.scenario.record import component_record, replay_origin
 from cosim.scenario.recordings import embedding
 from cosim.scenario.running.replay import replays_of
@@ -58,22 +58,36 @@ def run(folder, **options):
 
 
 def forged(log, path, change):
-    """Write a log whose content was changed, all checksums right."""
+    """Write a log whose content was changed, all checksums right; return it."""
     content = take_apart(log.path)
     change(content)
-    return put_together(content, path)
+    return cosim.open_log(put_together(content, path))
 
 
-def sha256_of(log):
-    """Return the recorded hash of the FMU."""
-    return component_record(log, "plant").sha256
+def change_metadata(component, change):
+    """Return what changes the metadata record of a component, or of the run."""
+
+    def changed(content):
+        for name, items in content.metadata:
+            if name == component:
+                change(items)
+
+    return changed
+
+
+def replace_fmu(content, name, data):
+    """Put other bytes in the place of an embedded FMU."""
+    content.attachments = [
+        (name or old, data) if old.endswith(".fmu") else (old, own)
+        for old, own in content.attachments
+    ]
 
 
 @pytest.mark.fast("pair", "academic", "closed-loop")
 @pytest.mark.parametrize("name", shipped())
 def test_a_rerun_has_the_rows_of_the_run(name, tmp_path):
     """Plants of models need no permission; nothing is copied, and all is verified."""
-    log = cosim.run(name, out=tmp_path / "a.mcap", set={"scenario.stop": 0.5})
+    log = cosim.run(name, out=tmp_path / "a.mcap", set={"scenario.stop": 0.2})
     again = cosim.replay(log, rerun=True)
     assert replay_origin(again).copied == ()
     verification = verify(log, again)
@@ -81,19 +95,24 @@ def test_a_rerun_has_the_rows_of_the_run(name, tmp_path):
     assert verification.copied == ()
 
 
-def test_an_embedded_fmu_runs_again_from_the_log_alone(folder, tmp_path):
-    """To the same bits, without its file."""
+def test_an_embedded_fmu_runs_again_from_the_log_alone(folder):
+    """To the same bits, without its file; alone, or of two components, which have it once."""
+    both = SCENARIO.replace("filter =", 'other = { kind = "fmu", path = "lag.fmu" }\nfilter =')
+    (folder / "fmu.toml").write_text(both)
     log = run(folder, embed=True)
-    name = f"{sha256_of(log)}.fmu"
+    sha256 = component_record(log, "plant").sha256
     content = (folder / "lag.fmu").read_bytes()
-    assert log.attachment(name) == content
-    assert hashlib.sha256(content).hexdigest() == sha256_of(log)
+    assert [name for name in log.attachments if name.endswith(".fmu")] == [f"{sha256}.fmu"]
+    assert log.attachment(f"{sha256}.fmu") == content
+    assert hashlib.sha256(content).hexdigest() == sha256
     (folder / "lag.fmu").unlink()
     again = cosim.replay(log, **BOTH)
     assert (folder / "mark").exists()
     assert replay_origin(again).copied == ()
-    verification = verify(log, again)
-    assert verification.passed, verification.problems
+    assert verify(log, again).passed
+    alone = cosim.replay(log, components=["plant"], **BOTH)
+    assert set(replay_origin(alone).copied) == {"u", "filter", "other"}
+    assert verify(log, alone).passed
 
 
 def test_a_reachable_fmu_runs_again(folder, monkeypatch):
@@ -107,21 +126,20 @@ def test_a_reachable_fmu_runs_again(folder, monkeypatch):
         monkeypatch.chdir(place)
         log = cosim.open_log(folder / "a.mcap")
         assert verify(log, cosim.replay(log, **BOTH)).passed
-    assert (folder / "mark").exists()
     (elsewhere / "lag.fmu").unlink()
     (folder / "lag.fmu").unlink()
     message = (
         r"the FMU of 'plant' is neither in the log nor in a readable file: lag\.fmu; .*embed=True"
     )
     with pytest.raises(FmuError, match=message):
-        cosim.replay(log, **BOTH)
+        cosim.replay(log, out=folder / "b.mcap", **BOTH)
+    assert not (folder / "b.mcap").exists()
 
 
 @pytest.mark.parametrize("embed", [True, False])
 def test_no_fmu_runs_without_both_permissions(folder, embed, call):
     """Whether it is in the log, or beside it."""
     log = run(folder, embed=embed)
-    cosim.replay(log)
     cosim.replay(log, allow_code=True)
     with pytest.raises(UsageError, match="rerun=True runs the code of the FMUs plant; "):
         cosim.replay(log, rerun=True)
@@ -131,25 +149,16 @@ def test_no_fmu_runs_without_both_permissions(folder, embed, call):
     assert call("info", log.path)[0] == 0
     assert not (folder / "mark").exists()
     code, out, _ = call("replay", log.path, "--rerun", "--allow-code", "--verify")
-    assert code == 0
-    assert "not computed" not in out
+    assert (code, "not computed" in out) == (0, False)
     assert (folder / "mark").exists()
 
 
 def test_another_fmu_is_refused_by_name_before_it_runs(folder):
     """In the log, and beside it."""
     log = run(folder, embed=True)
-    sha256 = sha256_of(log)
+    sha256 = component_record(log, "plant").sha256
     other = (folder / "lag.fmu").read_bytes() + b"\0"
-
-    def replace(content):
-        named = [(name, other if name.endswith(".fmu") else data) for name, data in content]
-        return named
-
-    def change(content):
-        content.attachments = replace(content.attachments)
-
-    changed = forged(log, folder / "b.mcap", change)
+    changed = forged(log, folder / "b.mcap", lambda content: replace_fmu(content, "", other))
     message = f"the FMU of 'plant': the FMU in .*b.mcap: expected the SHA-256 {sha256}"
     with pytest.raises(FmuError, match=message):
         cosim.replay(changed, **BOTH)
@@ -163,18 +172,15 @@ def test_another_fmu_is_refused_by_name_before_it_runs(folder):
 
 def test_a_hash_that_is_none_is_refused(folder, subtests):
     """It names an attachment and a file, so it has to be a hash."""
+    log = run(folder, embed=True)
     for sha256 in ["../../evil", "0" * 63, "G" * 64, 3, None]:
+
+        def change(items, sha256=sha256):
+            items["metadata"] = json.dumps({**json.loads(items["metadata"]), "sha256": sha256})
+
         with subtests.test(sha256=sha256):
-            log = run(folder, embed=True)
-
-            def change(content, sha256=sha256):
-                for name, items in content.metadata:
-                    if name == "cosim.component.plant":
-                        table = json.loads(items["metadata"])
-                        table["sha256"] = sha256
-                        items["metadata"] = json.dumps(table)
-
-            changed = forged(log, folder / "b.mcap", change)
+            name = "cosim.component.plant"
+            changed = forged(log, folder / "b.mcap", change_metadata(name, change))
             with pytest.raises(LogError, match=r"SHA-256|sha256"):
                 cosim.replay(changed, **BOTH)
             assert not (folder / "mark").exists()
@@ -189,20 +195,18 @@ def test_an_embedded_archive_that_leads_out_is_refused(folder):
             target.writestr(member, source.read(member))
         target.writestr("../../outside", "x")
     evil = archive.getvalue()
+    own = component_record(log, "plant").sha256
     sha256 = hashlib.sha256(evil).hexdigest()
 
-    def change(content):
-        content.attachments = [
-            (f"{sha256}.fmu", evil) if name.endswith(".fmu") else (name, data)
-            for name, data in content.attachments
-        ]
-        for name, items in content.metadata:
-            if name == "cosim.component.plant":
-                items["metadata"] = items["metadata"].replace(sha256_of(log), sha256)
+    def lie(items):
+        items["metadata"] = items["metadata"].replace(own, sha256)
 
-    changed = forged(log, folder / "b.mcap", change)
+    def change(content):
+        replace_fmu(content, f"{sha256}.fmu", evil)
+        change_metadata("cosim.component.plant", lie)(content)
+
     with pytest.raises(UsageError, match="the archive has an entry that leads out of it"):
-        cosim.replay(changed, **BOTH)
+        cosim.replay(forged(log, folder / "b.mcap", change), **BOTH)
     assert not (folder / "mark").exists()
     assert not list(folder.parent.rglob("outside"))
 
@@ -216,7 +220,7 @@ def test_a_rerun_finds_what_is_wrong_with_the_plant(folder):
             values[-1] += 1e-12
 
     changed = forged(log, folder / "b.mcap", lambda content: change_rows(content, "plant", flip))
-    verification = verify(cosim.open_log(changed), cosim.replay(changed, **BOTH))
+    verification = verify(changed, cosim.replay(changed, **BOTH))
     assert not verification.passed
     first = verification.difference.first
     assert (first.signal.split(".")[0], first.time_ns) == ("plant", 70_000_000)
@@ -233,46 +237,23 @@ def test_the_source_of_a_plant_can_be_changed_in_a_rerun(folder):
     assert cosim.diff(again, cosim.run(folder / "fmu.toml", set=changes)).equal
 
 
-def test_a_plant_that_was_swapped_in_before_the_run_runs_again(folder):
-    """Its report stays that of the run: what it had replaced is not there."""
-    log = cosim.run(
-        "academic",
-        swap={"u": folder / "lag.fmu"},
-        map={"u.y": "x"},
-        set={"scenario.stop": 0.1},
-        out=folder / "b.mcap",
-        embed=True,
-    )
+@pytest.mark.parametrize("source", ['"sine", rate = 5.0', '"step", time = 0.005'])
+def test_a_plant_that_was_swapped_in_before_the_run_runs_again(folder, source):
+    """Its report stays that of the run; of what could not be built, that it compared nothing."""
+    (folder / "fmu.toml").write_text(SCENARIO.replace('"sine", rate = 5.0', source))
+    log = run(folder, swap={"u": folder / "lag.fmu"}, map={"u.y": "x"}, embed=True)
+    texts = [warning.text for warning in log.warnings if warning.source == "u"]
+    assert any("0.005 s" in text for text in texts) == ("step" in source)
     again = cosim.replay(log, **BOTH)
-    verification = verify(log, again)
-    assert verification.passed, verification.problems
+    assert verify(log, again).passed
     report = component_record(log, "u").swap_report
     assert component_record(again, "u").swap_report == report
-
-
-def test_a_plant_in_place_of_what_cannot_be_built_runs_again(folder):
-    """The run warned that it compared nothing, and so does its replay."""
-    text = SCENARIO.replace('{ kind = "sine", rate = 5.0 }', '{ kind = "step", time = 0.005 }')
-    (folder / "off-grid.toml").write_text(text)
-    swap = {"u": folder / "lag.fmu"}
-    log = cosim.run("off-grid.toml", swap=swap, map={"u.y": "x"}, out=folder / "b.mcap", embed=True)
-    texts = [warning.text for warning in log.warnings if warning.source == "u"]
-    assert any("0.005 s" in text for text in texts)
-    again = cosim.replay(log, **BOTH)
     assert [warning.text for warning in again.warnings if warning.source == "u"] == texts
-    assert verify(log, again).passed
-
-
-def test_a_component_of_a_rerun_alone_is_verified(folder):
-    """The plant from what drives it, as it was recorded."""
-    log = run(folder, embed=True)
-    again = cosim.replay(log, components=["plant"], **BOTH)
-    assert set(replay_origin(again).copied) == {"u", "filter"}
-    assert verify(log, again).passed
 
 
 def test_an_fmu_that_is_too_large_is_refused_before_the_run(folder, monkeypatch, call):
-    """By its size, which is looked at before anything is written."""
+    """By its size; the limit is what can be read back, less the head of an attachment's record."""
+    assert MOST_ATTACHED - 4096 == embedding.MOST_EMBEDDED
     size = (folder / "lag.fmu").stat().st_size
     monkeypatch.setattr(embedding, "MOST_EMBEDDED", size)
     assert run(folder, embed=True).status == "complete"
@@ -284,23 +265,6 @@ def test_an_fmu_that_is_too_large_is_refused_before_the_run(folder, monkeypatch,
     assert not (folder / "b.mcap").exists()
 
 
-def test_a_log_of_the_largest_fmu_can_be_read_back(tmp_path):
-    """The limit is that of the reader, less what the record of an attachment has beside it."""
-    from cosim.log.reading.container import MOST_ATTACHED
-
-    assert MOST_ATTACHED - 4096 == embedding.MOST_EMBEDDED
-
-
-def test_an_fmu_of_two_components_is_embedded_once(folder):
-    """By its hash."""
-    text = (folder / "fmu.toml").read_text()
-    twice = text.replace("filter =", 'other = { kind = "fmu", path = "lag.fmu" }\nfilter =')
-    (folder / "fmu.toml").write_text(twice)
-    log = run(folder, embed=True)
-    assert len([name for name in log.attachments if name.endswith(".fmu")]) == 1
-    assert verify(log, cosim.replay(log, **BOTH)).passed
-
-
 def test_fmus_are_embedded_in_logs_alone(folder):
     """A recorder of one's own takes no files."""
     from cosim.core import Memory
@@ -309,7 +273,10 @@ def test_fmus_are_embedded_in_logs_alone(folder):
         cosim.run(folder / "fmu.toml", embed=True, recorder=Memory())
 
 
-def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path, capsys):
+# --- logs that are not what they say ---
+
+
+def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path, call):
     """Its log has the tables and hashes of an honest one, and its own rows and matrices."""
     short = {"scenario.stop": 1.0}  # the setpoint steps at 0.5 s
     honest = cosim.run("pair", out=tmp_path / "honest.mcap", set=short)
@@ -322,7 +289,7 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
             if name == "cosim.run" or name.startswith("cosim.component."):
                 items.update({key: said[name][key] for key in items if key != "cosim.design"})
 
-    log = cosim.open_log(forged(other, tmp_path / "forged.mcap", say))
+    log = forged(other, tmp_path / "forged.mcap", say)
     anew = replays_of(log, rerun=True).designs()
     verification = verify(log, cosim.replay(log, rerun=True), anew)
     assert verification.difference.equal
@@ -331,28 +298,80 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
     # of E x' = A x + ...: the derivative by the state is A/E, half as large for 2 E
     assert found.found == pytest.approx(0.5 * found.expected)
     assert verify(honest, cosim.replay(honest, rerun=True), anew).passed
-    for more, code in ((["--rerun"], "1"), ([], "0")):  # what is copied proves no matrix
-        with pytest.raises(SystemExit, match=code):
-            main(["replay", str(log.path), "--verify", *more])
-    out = capsys.readouterr()
-    assert "designs.motor." in out.err
-    assert "component tables, designs, overrides" in out.out
+    code, _, err = call("replay", log.path, "--verify", "--rerun")
+    assert (code, "designs.motor." in err) == (1, True)
+    code, out, _ = call("replay", log.path, "--verify")  # what is copied proves no matrix
+    assert (code, "component tables, designs, overrides" in out) == (0, True)
 
 
 def test_a_design_of_another_version_is_gone_by_and_not_compared(tmp_path):
     """An older identifier has fewer arrays; the report names it."""
-    honest = cosim.run("academic", out=tmp_path / "honest.mcap", set={"scenario.stop": 7.0})
+    honest = cosim.run("academic", out=tmp_path / "honest.mcap", set={"scenario.stop": 0.1})
 
-    def say(content):
-        for name, items in content.metadata:
-            if name == "cosim.component.identifier":
-                design = decode_design(items["cosim.design"])
-                del design["grids"]
-                items["cosim.design"] = encode_design(design)
+    def say(items):
+        design = decode_design(items["cosim.design"])
+        del design["grids"]
+        items["cosim.design"] = encode_design(design)
 
-    log = cosim.open_log(forged(honest, tmp_path / "older.mcap", say))
+    log = forged(honest, tmp_path / "b.mcap", change_metadata("cosim.component.identifier", say))
     anew = replays_of(log, rerun=True).designs()
     verification = verify(log, cosim.replay(log, rerun=True), anew)
     assert verification.passed
     assert "designs but that of identifier, of another version" in verification.statements
     assert "another version" not in verify(honest, cosim.replay(honest), anew).statements
+
+
+def other_scenario(name):
+    """Return what puts another scenario's text into a log."""
+
+    def change(content):
+        text = find(name).text.encode()
+        content.attachments = [
+            (own, text if own == "scenario.toml" else data) for own, data in content.attachments
+        ]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (other_scenario("pair"), ScenarioError, "components.motor: .* has no component 'motor'"),
+        (
+            change_metadata("cosim.run", lambda items: items.update(format="99")),
+            LogError,
+            "99",
+        ),
+        (
+            change_metadata("cosim.run", lambda items: items.update(edits="[]")),
+            LogError,
+            "its scenario cannot be understood",
+        ),
+        (
+            change_metadata("cosim.run", lambda items: items.pop("edits")),
+            LogError,
+            r"has no scenario\.toml",
+        ),
+    ],
+)
+def test_a_log_that_does_not_fit_is_refused(tmp_path, change, error, message):
+    """The text of another scenario, a later format, no scenario: one error, nothing written."""
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.05})
+    content = take_apart(log.path)
+    change(content)
+    path = put_together(content, tmp_path / "b.mcap")
+    kept = (tmp_path / "a.mcap").read_bytes()
+    with pytest.raises(error, match=message):
+        cosim.replay(path, out=tmp_path / "a.mcap", force=True)
+    assert (tmp_path / "a.mcap").read_bytes() == kept
+
+
+def test_the_scenario_of_another_run_with_the_same_components_is_found(tmp_path):
+    """It can be replayed, and contradicts the log."""
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.05})
+    changed = forged(log, tmp_path / "b.mcap", other_scenario("academic-as-printed"))
+    assert not verify(changed, cosim.replay(changed)).passed
+    content = take_apart(log.path)
+    content.messages = [m for m in content.messages if m[1] != 20_000_000]
+    with pytest.raises(CosimError):
+        cosim.replay(put_together(content, tmp_path / "c.mcap"))

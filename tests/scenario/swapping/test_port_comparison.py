@@ -6,15 +6,18 @@ import pytest
 from cosim.core.signals import Interface, Signal
 from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.recordings.port_comparison import (
+    CAPABILITIES,
+    INITIAL,
+    NOMINAL,
+    START,
     ComparedComponent,
-    ComponentCapabilities,
-    LinearBehavior,
     compare_components,
     different_texts,
     propose,
+    rate_between,
 )
 
-ABLE = ComponentCapabilities("model exchange", True, True, True, True)
+ABLE = {"kind": "model exchange", **dict.fromkeys(CAPABILITIES, True)}
 BEFORE = Interface(
     (Signal("u", unit="N"), Signal("delta")),
     (
@@ -45,13 +48,11 @@ def test_every_aspect_has_a_verdict():
     Units that convert differ, units of one meaning do not.
     """
     before = ComparedComponent(
-        BEFORE, ABLE, start={"u": np.array([1.0])}, initial={"s": np.array([2.0])}
+        BEFORE, ABLE, {START: {"u": np.array([1.0])}, INITIAL: {"s": np.array([2.0])}}
     )
+    able = {**ABLE, "kind": "co-simulation", "rollback": False, "variable step": None}
     after = ComparedComponent(
-        AFTER,
-        ComponentCapabilities("co-simulation", False, None, True, True),
-        start={"u": np.array([2.0])},
-        initial={"s": np.array([2e3])},
+        AFTER, able, {START: {"u": np.array([2.0])}, INITIAL: {"s": np.array([2e3])}}
     )
     found = verdicts(before, after, refused={"delta", "x_a"})
     assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
@@ -74,9 +75,9 @@ def test_every_aspect_has_a_verdict():
 
 def test_values_are_compared_in_one_unit():
     """2 m are 2000 mm; 2 mm are not 2 m."""
-    before = ComparedComponent(BEFORE, ABLE, initial={"s": np.array([2.0])})
+    before = ComparedComponent(BEFORE, ABLE, {INITIAL: {"s": np.array([2.0])}})
     for millimetres, verdict in ((2e3, "ok"), (2.0, "differs")):
-        after = ComparedComponent(AFTER, ABLE, initial={"s": np.array([millimetres])})
+        after = ComparedComponent(AFTER, ABLE, {INITIAL: {"s": np.array([millimetres])}})
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
@@ -87,7 +88,7 @@ def test_values_are_compared_in_one_unit():
 def test_small_values_are_compared_by_their_size(before, after, verdict):
     """Capacitances in F are no rounding; what that leaves of 0 is no difference."""
     old, new = (
-        ComparedComponent(BEFORE, ABLE, start={"u": np.array([u])}) for u in (before, after)
+        ComparedComponent(BEFORE, ABLE, {START: {"u": np.array([u])}}) for u in (before, after)
     )
     assert verdicts(old, new)["u", "start value"] == verdict
 
@@ -97,7 +98,7 @@ def test_each_element_is_compared_in_its_unit():
 
     def initial(units, values):
         interface = Interface((), (Signal("y", 2, unit=units),))
-        return ComparedComponent(interface, ABLE, initial={"y": np.array(values)})
+        return ComparedComponent(interface, ABLE, {INITIAL: {"y": np.array(values)}})
 
     before = initial(("m", "s"), [2.0, 1.0])
     found = verdicts(before, initial(("mm", "s"), [2e3, 1.0]))
@@ -110,9 +111,9 @@ def test_each_element_is_compared_in_its_unit():
 
 def test_sizes_are_compared_in_one_unit():
     """A factor of ten is the limit; zeros and what is not known have no size."""
-    before = ComparedComponent(BEFORE, ABLE, nominal={"s": np.array([2.0])})
+    before = ComparedComponent(BEFORE, ABLE, {NOMINAL: {"s": np.array([2.0])}})
     for millimetres, another in ((2e3, False), (2e4, False), (2.1e4, True), (1.9e2, True), (0, 0)):
-        after = ComparedComponent(AFTER, ABLE, nominal={"s": np.array([millimetres])})
+        after = ComparedComponent(AFTER, ABLE, {NOMINAL: {"s": np.array([millimetres])}})
         rows = compare_components(before, after)
         (row,) = [row for row in rows if (row.port, row.aspect) == ("s", "nominal")]
         assert row.of_another_size == another
@@ -122,7 +123,7 @@ def test_sizes_are_compared_in_one_unit():
 def first_order(a, *, gain, error=0.0):
     """x' = a x + u, y = gain x."""
     matrices = [np.array([[value]]) for value in (a, 1.0, gain, 0.0)]
-    return LinearBehavior(LinearSystem(*matrices, error))
+    return LinearSystem(*matrices, error)
 
 
 def test_responses_and_poles_are_compared_within_their_error():
@@ -132,23 +133,26 @@ def test_responses_and_poles_are_compared_within_their_error():
     """
     interface = Interface((Signal("u"),), (Signal("y"),))
     rate = 2.0 * 2.0**0.5
+
+    def component(system):
+        return ComparedComponent(interface, ABLE, system=system)
+
     for gain in (4.0, 4e-12):
-        exact = first_order(-2.0, gain=gain)
-        assert exact.poles == pytest.approx(-2.0, abs=1e-15)
-        assert exact.rate == pytest.approx(rate)
+        exact = component(first_order(-2.0, gain=gain))
+        assert rate_between(exact.system) == pytest.approx(rate)
         for frequency in (0.0, rate):
-            expected = gain / (2.0 + 1j * frequency)
-            assert exact.response(frequency)[0] == pytest.approx(expected, rel=1e-14)
+            found = exact.responses(frequency, exact)["y"]["u", "y"].value
+            assert found == pytest.approx(gain / (2.0 + 1j * frequency), rel=1e-14)
         for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
-            close = first_order(-2.0 - 1e-7, gain=gain, error=error)
-            other = ComparedComponent(interface, ABLE, linear=close)
-            found = verdicts(ComparedComponent(interface, ABLE, linear=exact), other)
+            close = component(first_order(-2.0 - 1e-7, gain=gain, error=error))
+            found = verdicts(exact, close)
             assert found["y", "static gain"] == found["", "poles"] == verdict
             # at another rate only where static gains tell nothing
             response = "ok" if verdict == "ok" else None
             assert found.get(("y", f"response at {rate:.3g} rad/s")) == response
-    assert first_order(0.0, gain=1.0).response(0.0) is None
-    assert first_order(0.0, gain=1.0).rate == 1.0
+    integrator = component(first_order(0.0, gain=1.0))
+    assert integrator.responses(0.0, integrator) is None
+    assert rate_between(integrator.system) == 1.0
 
 
 def test_numbers_that_differ_have_texts_that_do():
@@ -176,7 +180,7 @@ def test_the_best_match_is_proposed_with_its_reasons():
     before = ComparedComponent(
         Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}),
         ABLE,
-        initial={"y": np.array([1.0]), "z": np.array([5.0])},
+        {INITIAL: {"y": np.array([1.0]), "z": np.array([5.0])}},
     )
     outputs = (
         Signal("a", unit="V"),
@@ -189,7 +193,7 @@ def test_the_best_match_is_proposed_with_its_reasons():
     after = ComparedComponent(
         Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}),
         ABLE,
-        initial={name: np.array(value) for name, value in values.items()},
+        {INITIAL: {name: np.array(value) for name, value in values.items()}},
     )
     found = propose(before, after, ["y", "u"])
     assert [(one.port, one.name) for one in found] == [

@@ -278,7 +278,7 @@ WRONG = {
     "no such component": (
         True,
         {"plnt.u": "force"},
-        r"map\['plnt\.u'\]: unknown component 'plnt'; did you mean 'plant'\?",
+        r"map\['plnt\.u'\]: 'plnt\.u' .*'plant'.*; did you mean 'plant\.u'\?",
     ),
     "no such port": (
         True,

@@ -1,0 +1,473 @@
+"""Which components a replay computes, copies or lacks: equal bit for bit, or refused by name."""
+
+import json
+import random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import cosim
+from cosim.errors import CosimError, LogError, ScenarioError, UsageError
+from cosim.report.verification import verify
+from cosim.scenario.document.document import shipped
+from cosim.scenario.record import replay_origin
+from tests.log.crafting import change_rows, put_together, take_apart
+
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
+SHORT = {"scenario.stop": 0.2}
+ALL = {"record.signals": ["*"], "record.every": 1}
+LOOP = """
+scenario = { name = "loop", stop = 3.0, step = 1e-2 }
+actions = [
+  { at = 0.5, signal = "pid.measurement", offset = 0.2 },
+  { at = 1.0, set = { "pid.gain" = 4.0 } },
+  { at = 1.5, signal = "plant.u", override = 0.0 },
+  { at = 2.0, signal = ["plant.u", "pid.measurement"], release = true },
+]
+[components]
+setpoint = { kind = "constant", value = 1.0 }
+pid = { kind = "pid", gain = 2.0, integral_time = 1.0, lower = -3.0, upper = 3.0 }
+plant = { kind = "lag", time_constant = 2.0, initial = 0.0 }
+behind = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+[connections]
+"pid.setpoint" = "setpoint.y"
+"pid.measurement" = "plant.y"
+"plant.u" = "pid.y"
+"behind.u" = { from = "plant.y", gain = 2.0 }
+"""
+
+
+def recorded(signals, every=1):
+    """Return the settings of the table [record]."""
+    return {"record.signals": signals, "record.every": every}
+
+
+def check_bits(again, whole):
+    """Check that all signals of a replay have the bits of the whole run."""
+    assert len(again) > 0
+    for name in again:
+        assert again[name].tobytes() == whole[name].tobytes(), name
+
+
+# --- of any scenario, any components ---
+
+KINDS = {  # table, inputs, whether the outputs follow these at the same instant
+    "gain": ("{ kind = 'gain', K = [[0.5]] }", ["u"], True),
+    "pid": (
+        "{ kind = 'pid', gain = 0.5, integral_time = 1.0 }",
+        ["setpoint", "measurement"],
+        True,
+    ),
+    "digital": (
+        "{ kind = 'pid', gain = 0.2, integral_time = 1.0, period = PERIOD }",
+        ["setpoint", "measurement"],
+        True,
+    ),
+    "lag": ("{ kind = 'lag', time_constant = 0.2, initial = 0.3 }", ["u"], False),
+    "plant": ("{ kind = 'descriptor', model = 'mass', x0 = [1, 0] }", ["u"], False),
+}
+
+
+@st.composite
+def scenarios(draw):
+    """Return the text of a scenario in which inputs are driven by anything, loops among it."""
+    step, period = draw(st.sampled_from([("0.01", "0.03"), ("'1/60'", "'1/20'")]))
+    coupling = draw(st.sampled_from(["gauss-seidel", "jacobi", "newton"]))
+    kinds = draw(st.lists(st.sampled_from([*KINDS]), min_size=2, max_size=5))
+    names = ["source", *(f"{kind}{i}" for i, kind in enumerate(kinds))]
+    tables = ["source = { kind = 'sine', rate = 9.0 }"]
+    connections = []
+    for i, kind in enumerate(kinds, start=1):
+        table, inputs, follows = KINDS[kind]
+        tables.append(f"{names[i]} = {table.replace('PERIOD', period)}")
+        # no algebraic loop: what follows at once is driven by what stands before it
+        for name in inputs:
+            driver = draw(st.sampled_from(names[:i] if follows else names))
+            connections.append(f'"{names[i]}.{name}" = "{driver}.y"')
+    head = f"name = 'random', stop = 0.5, step = {step}, coupling = '{coupling}'"
+    return "\n".join(
+        [
+            f"scenario = {{ {head}, coupling_check = 'warn' }}",
+            "models.mass = { A = [[0, 1], [-4, -2]], Bu = [[0], [1]], C = [[1, 0]] }",
+            "[components]",
+            *tables,
+            "[connections]",
+            *connections,
+        ]
+    )
+
+
+def check_any(data, folder):
+    """Check that any components follow from the others, of a whole log and of a part of one."""
+    path = folder / "random.toml"
+    path.write_text(data.draw(scenarios(), label="scenario"))
+    whole = cosim.run(path, out=folder / "whole.mcap", force=True)
+    rerun = data.draw(st.booleans(), label="rerun")
+    computable = [n for n in whole.channels if rerun or not n.startswith("plant")]
+    chosen = data.draw(st.sets(st.sampled_from(computable), min_size=1), label="components")
+    again = cosim.replay(whole, components=sorted(chosen), rerun=rerun)
+    assert set(replay_origin(again).copied) == whole.channels.keys() - chosen
+    assert list(again) == list(whole)
+    check_bits(again, whole)
+    signals = data.draw(st.sets(st.sampled_from([*whole]), min_size=1), label="signals")
+    part = cosim.run(path, out=folder / "part.mcap", force=True, set=recorded(sorted(signals)))
+    try:
+        again = cosim.replay(part, components=sorted(chosen), rerun=rerun, set=ALL)
+    except (LogError, UsageError) as error:
+        assert "cannot be computed" in str(error) or "can be computed" in str(error)  # noqa: PT017
+    else:
+        check_bits(again, whole)
+
+
+@pytest.mark.filterwarnings("ignore::cosim.errors.CosimWarning")
+@settings(max_examples=8, derandomize=True, deadline=None, suppress_health_check=HealthCheck)
+@given(data=st.data())
+def test_any_components_follow_from_the_others(tmp_path_factory, data):
+    """Of random scenarios; with a fraction as a step, loops, sampled parts and plants."""
+    check_any(data, tmp_path_factory.mktemp("random"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::cosim.errors.CosimWarning")
+@settings(max_examples=150, deadline=None, suppress_health_check=HealthCheck)
+@given(data=st.data())
+def test_any_components_of_many_scenarios_follow_from_the_others(tmp_path_factory, data):
+    """The same, more often."""
+    check_any(data, tmp_path_factory.mktemp("random"))
+
+
+def check_each(log):
+    """Check that every component alone follows, bit for bit, from the rows of the others."""
+    others = set(replay_origin(cosim.replay(log)).copied)
+    for name in log.channels.keys() - others:
+        verification = verify(log, cosim.replay(log, components=[name]))
+        assert verification.passed, (name, verification.problems)
+        statuses = {entry.component: entry.status for entry in verification.components}
+        assert statuses.pop(name) == "equal"
+        assert set(statuses.values()) == {"copied"}
+
+
+@pytest.mark.fast("pair")
+@pytest.mark.parametrize("name", shipped())
+def test_a_shipped_scenario_is_replayed_from_what_is_recorded(name, tmp_path):
+    """Each component alone from a whole log, and whatever of it was recorded."""
+    short = {"scenario.stop": 0.1}
+    log = cosim.run(name, out=tmp_path / "whole.mcap", set=short)
+    check_each(log)
+    if name == "compensation":  # its estimates are what its plant needs
+        return
+    source = random.Random(name)
+    for _ in range(3):
+        patterns = [source.choice([f"{c}.*" for c in log.channels]), source.choice([*log])]
+        changes = short | recorded(patterns, source.choice([1, 1, 10]))
+        part = cosim.run(name, out=tmp_path / "a.mcap", force=True, set=changes)
+        check_bits(cosim.replay(part, set=ALL), log)
+
+
+@pytest.mark.slow
+def test_a_log_that_ends_between_the_rows_of_a_component_is_replayed(tmp_path):
+    """What is taken from the log keeps its value up to the end of the log, not of its rows."""
+    changes = {"scenario.stop": 0.057, "identifier.period": 0.01}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=changes)
+    assert log.time("identifier")[-1] == 0.05
+    assert cosim.replay(log, components=["observer"]).end_ns == 57_000_000
+    check_each(log)
+
+
+@pytest.mark.parametrize(
+    ("name", "signal"),
+    [("academic", "observer.u"), ("closed-loop", "plant.u")],  # which feedback.u[0:2] follows
+)
+def test_overrides_reach_a_component_whichever_are_chosen(name, signal, tmp_path):
+    """Of a component from the log its rows know; one that is computed gets them again."""
+    with cosim.load(name).set(SHORT).start(out=tmp_path / "a.mcap") as session:
+        session.step(50)
+        session[signal] = 1.0
+        session.step(150)
+    check_each(cosim.open_log(tmp_path / "a.mcap"))
+
+
+# --- what is chosen of a whole log ---
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Record the example."""
+    changes = SHORT | {"scenario.verdicts": False}
+    return cosim.run("academic", out=tmp_path_factory.mktemp("whole") / "a.mcap", set=changes)
+
+
+def test_a_chosen_component_is_computed_from_the_rows_of_the_log(log, tmp_path):
+    """A changed row of the observer is found in it; what it drives follows from it, as it is."""
+    observer = log.channels["observer"]
+    column = observer.signal_columns["delta"].start - observer.start
+    content = take_apart(log.path)
+
+    def change(number, values):
+        if number == 100:
+            values[column] += 1.0
+
+    change_rows(content, "observer", change)
+    path = put_together(content, tmp_path / "b.mcap")
+    for chosen, changed in (("observer", {"observer"}), ("regressor", {"regressor", "identifier"})):
+        found = verify(cosim.open_log(path), cosim.replay(path, components=[chosen]))
+        first = {e.component: e.first.time_ns for e in found.components if e.first is not None}
+        assert first == dict.fromkeys(changed, 100_000_000)
+
+
+@pytest.mark.parametrize(
+    ("components", "message"),
+    [
+        (["obserer"], r"'obserer'; did you mean 'observer'\? Available"),
+        (
+            ["observer", "plant"],
+            "'plant' cannot be computed, as a replay takes it from the log: rerun=True computes "
+            "it; available: u, delta, observer, regressor",
+        ),
+        ([], r"components: expected at least one .*; got none"),
+        ("observer", r"components: .*'observer'"),
+    ],
+)
+def test_an_impossible_choice_is_refused(log, components, message):
+    """Unknown names, plants, no name at all."""
+    with pytest.raises(UsageError, match=message):
+        cosim.replay(log, components=components)
+
+
+def test_changes_of_what_is_not_chosen_are_refused(log):
+    """It comes from the log, which knows nothing of them; so does what rests on it."""
+    changes = {"observer.filter_rate": 500.0}
+    for chosen, name in (("regressor", "observer"), ("observer", "regressor")):
+        message = f"'{name}' is taken from the recording; compute this component, too"
+        with pytest.raises(UsageError, match=message):
+            cosim.replay(log, components=[chosen], set=changes)
+    again = cosim.replay(log, components=["observer", "regressor", "identifier"], set=changes)
+    assert cosim.diff(again, cosim.replay(log, set=changes)).equal
+
+
+def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
+    """Between its samples it has no value, and no row."""
+    table = {"kind": "sensor", "period": 0.01}
+    changes = {**SHORT, "components.sensor": table, "connections.sensor.u": "plant.y"}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=changes)
+    message = r"set\['sensor'\]: .* only every 10 communication steps .*; recompute it, too"
+    with pytest.raises(ScenarioError, match=message):
+        cosim.replay(log, components=["observer"])
+    assert verify(log, cosim.replay(log, components=["observer", "sensor"])).passed
+
+
+def test_the_command_line_names_what_was_not_verified(log, call):
+    """In words, and by component in --json."""
+    command = ("replay", log.path, "--component", "observer", "--verify")
+    code, out, _ = call(*command)
+    assert code == 0
+    assert "not verified, as not chosen: u.y, delta.y, regressor.mu" in out
+    _, out, _ = call(*command, "--json")
+    found = {entry["component"]: entry for entry in json.loads(out)["components"]}
+    assert {name for name, entry in found.items() if entry["status"] == "equal"} == {"observer"}
+    assert found["regressor"]["reason"] == "not chosen"
+    code, _, err = call("replay", log.path, "--component", "nothing")
+    assert code == 2
+    assert err.startswith("cosim: the log has no component 'nothing'; available: u, delta")
+
+
+def test_a_log_that_is_no_log_of_a_scenario_is_refused(tmp_path):
+    """Components are those of the scenario."""
+    from cosim.blocks import sine
+    from cosim.core import Clock, Graph, run
+    from cosim.log import McapRecorder
+
+    run(Graph({"u": sine(rate=1.0)}, {}), Clock(1.0, 0.1), McapRecorder(tmp_path / "a.mcap"))
+    with pytest.raises(LogError, match=r"the log has no scenario\.toml"):
+        cosim.replay(tmp_path / "a.mcap", components=["u"])
+
+
+# --- of a partial log ---
+
+
+@pytest.fixture
+def part(tmp_path):
+    """Return what records a part of the same run."""
+
+    def record(signals, every=1, **changes):
+        chosen = SHORT | recorded(signals, every) | changes
+        return cosim.run("academic", out=tmp_path / "a.mcap", force=True, set=chosen)
+
+    return record
+
+
+@pytest.fixture
+def loop(tmp_path):
+    """Return what records a part of a run with a loop."""
+    path = tmp_path / "loop.toml"
+    path.write_text(LOOP)
+
+    def record(signals, every=1):
+        out = tmp_path / "loop.mcap"
+        return cosim.run(path, out=out, force=True, set=recorded(signals, every))
+
+    return record
+
+
+@pytest.mark.parametrize(
+    ("signals", "copied", "computed"),
+    [
+        (["plant.y"], {"plant"}, {"u", "delta", "observer", "regressor", "identifier"}),
+        # what the observer took in is what the plant gave
+        (["observer.y"], {"plant"}, {"u", "delta", "observer", "regressor", "identifier"}),
+        (["regressor.delta"], {"observer"}, {"u", "delta", "regressor"}),
+        (["identifier.theta"], {"identifier"}, {"u", "delta"}),
+        (["u.y"], set(), {"u", "delta"}),
+    ],
+)
+def test_a_replay_computes_what_the_recorded_signals_allow(log, part, signals, copied, computed):
+    """With the bits of the run; what the log has not is left out, each with its reason."""
+    again = cosim.replay(part(signals), set=ALL)
+    check_bits(again, log)
+    origin = replay_origin(again)
+    assert set(origin.copied) == copied
+    assert set(again.channels) == copied | computed
+    assert set(origin.absent) == set(log.channels) - copied - computed
+
+
+def test_plants_are_computed_again_from_sources_alone(log, part):
+    """Nothing needs to be recorded where everything can be computed."""
+    again = cosim.replay(part(["u.y"], 50), rerun=True, set=ALL)
+    check_bits(again, log)
+    assert list(again) == list(log)
+
+
+def test_a_replay_records_what_its_scenario_says(part):
+    """So that it is equal to its log, as that of a whole one."""
+    log = part(["plant.y", "observer.delta"], 4)
+    again = cosim.replay(part(["plant.y", "observer.delta"]))
+    assert list(again) == ["plant.y", "observer.delta"]
+    assert cosim.diff(log, again).equal
+
+
+def test_rows_between_the_recorded_ones_are_not_made_up(part):
+    """Every third row drives nothing: what needs it is refused, in a replay and as a swap."""
+    log = part(["*"], 3)
+    again = cosim.replay(log, set=ALL)
+    assert set(again.channels) == {"u", "delta"}
+    reason = replay_origin(again).absent["observer"]
+    assert reason == (
+        "its input 'observer.y' comes from 'plant.y', which is neither computed nor recorded at "
+        "each step; the log has no output of it at every step"
+    )
+    texts = [message.text for message in again.messages() if message.source == "observer"]
+    assert texts == [f"not in this replay: {reason}"]
+    with pytest.raises(CosimError, match=r"has one row of 'plant' in 3 steps .recorded with"):
+        cosim.run("academic", swap={"plant": log.path}, set=SHORT)
+
+
+def test_what_a_partial_log_does_not_allow_is_refused_by_name(part):
+    """A chosen component with the reason, a change of what is not there."""
+    log = part(["observer.delta"])
+    with pytest.raises(
+        UsageError,
+        match=r"'identifier' cannot be computed: its input 'identifier\.y' comes from 'plant\.y', "
+        r"which is neither computed nor recorded .* recorded with \[record\] signals",
+    ):
+        cosim.replay(log, components=["regressor", "identifier", "u", "delta"])
+    with pytest.raises(LogError, match=r"no component can be computed: the log is partial, .*\["):
+        cosim.replay(log, components=["identifier"])
+    changed = {"observer.filter_rate": 500.0}
+    with pytest.raises(UsageError, match=r"recording; its input 'observer\.y' comes from"):
+        cosim.replay(log, set=changed)
+    with pytest.raises(UsageError, match=r"rate'\]: 'observer' is not in this replay"):
+        cosim.replay(part(["regressor.mu"]), set=changed)
+    again = cosim.replay(part(["plant.y"]), set=ALL | changed)
+    check_bits(again, cosim.run("academic", set=SHORT | changed))
+
+
+def test_a_loop_is_computed_as_a_whole_or_beside_members_recorded_whole(loop):
+    """Faults and steps of parameters happen in it again."""
+    whole = {name: values.copy() for name, values in loop(["*"]).items()}
+    again = cosim.replay(loop(["behind.y"], 5), set=ALL)
+    assert replay_origin(again).copied == ()
+    check_bits(again, whole)
+    again = cosim.replay(loop(["plant.*", "pid.*", "setpoint.y"]), set=ALL, components=["pid"])
+    assert set(again.channels) == {"setpoint", "pid", "plant"}
+    check_bits(again, whole)
+    with pytest.raises(LogError, match="pid: it is in a loop with 'plant', which is not recorded"):
+        cosim.replay(loop(["plant.y", "pid.*", "setpoint.y"]), components=["pid"])
+    with pytest.raises(LogError, match="with 'plant', which is copied, and is not"):
+        cosim.replay(loop(["plant.*", "pid.y", "setpoint.y"]), components=["pid"])
+
+
+@pytest.mark.parametrize("signal", ["pid.measurement", "behind.u"])
+def test_an_input_with_a_fault_or_a_gain_is_not_what_drives_it(loop, signal):
+    """So that it says nothing of the plant."""
+    with pytest.raises(LogError, match=r"its input 'behind\.u' comes from 'plant\.y'"):
+        cosim.replay(loop([signal]), components=["behind"])
+
+
+def test_a_verification_names_what_it_did_not_check(part):
+    """Components are verified as a whole where all of their signals are in the log."""
+    log = part(["observer.*", "regressor.mu", "plant.y"])
+    verification = verify(log, cosim.replay(log))
+    assert verification.passed
+    status = {entry.component: entry.status for entry in verification.components}
+    assert status == {
+        "u": "unrecorded",
+        "delta": "unrecorded",
+        "plant": "copied",
+        "observer": "equal",
+        "regressor": "partial",
+        "identifier": "unrecorded",
+    }
+    lines = "\n".join(verification.lines)
+    assert "no signals of: u, delta, identifier" in lines
+    assert "verified only in part, as the log is partial: regressor (without " in lines
+    log = part(["observer.delta"])
+    verification = verify(log, cosim.replay(log))
+    absent = {e.component: e.reason for e in verification.components if e.status == "absent"}
+    assert set(absent) == {"plant", "identifier"}
+    assert "recomputed no signal of the log, so none is verified" in "\n".join(verification.lines)
+
+
+def test_a_change_of_what_a_partial_log_has_is_found(part, tmp_path):
+    """Also in a component of which it has only a part."""
+    content = take_apart(part(["plant.y", "observer.delta"]).path)
+
+    def change(number, values):
+        if number == 100:
+            values[0] += 1.0
+
+    change_rows(content, "observer", change)
+    changed = cosim.open_log(put_together(content, tmp_path / "changed.mcap"))
+    verification = verify(changed, cosim.replay(changed))
+    assert not verification.passed
+    assert "observer.delta at t = 0.1 s" in "\n".join(verification.problems)
+
+
+def test_a_log_of_nothing_that_a_replay_has_cannot_be_verified(part):
+    """It does not pass by having nothing to compare."""
+    log = part(["plant.x_a"], 2)
+    with pytest.raises(LogError, match="nothing to verify: the partial log"):
+        verify(log, cosim.replay(log, set={"record.signals": ["*"]}))
+    with pytest.raises(UsageError, match="matches no signal of this run's components: u, delta"):
+        cosim.replay(log)
+
+
+@pytest.mark.parametrize("signals", [["motor.y"], ["motor.x"], ["motor.x", "motor.u"]])
+def test_a_plant_without_its_states_or_inputs_is_replayed(signals, tmp_path):
+    """Whether its initial states were made consistent is not known then."""
+    changes = {"scenario.stop": 0.1, "motor.x0": [0.0, 1.0]}
+    log = cosim.run("pair", out=tmp_path / "a.mcap", set=changes | recorded(signals))
+    assert "x[1] = 1 is 0" in " ".join(message.text for message in log.messages())
+    assert verify(log, cosim.replay(log, set=ALL)).passed
+    assert verify(log, cosim.replay(log)).passed
+
+
+def test_a_partial_log_without_a_row_is_refused(loop, tmp_path):
+    """Its rows stand in the place of the run's, one for each step."""
+    content = take_apart(loop(["plant.y"]).path)
+    number = next(n for n, (topic, _, _) in content.channels.items() if topic == "/plant")
+    index = [i for i, message in enumerate(content.messages) if message[0] == number][100]
+    del content.messages[index]
+    with pytest.raises(CosimError):
+        cosim.replay(put_together(content, tmp_path / "b.mcap"))
