@@ -5,11 +5,11 @@ from __future__ import annotations
 import typer
 
 from cosim.cli.command import Given, command
-from cosim.cli.options import check_plot, print_text, shared
+from cosim.cli.options import check_plot, shared
 from cosim.errors import UsageError
 from cosim.files import file_type
 from cosim.options import Rule
-from cosim.report.printable import printable
+from cosim.report.printable import print_text, printable
 
 
 @command(

@@ -6,10 +6,10 @@ import typer
 
 import cosim
 from cosim.cli.command import Given, command
-from cosim.cli.options import print_notice, print_text, prints_to_stderr, run_in_child, shared
+from cosim.cli.options import prints_to_stderr, run_in_child, shared
 from cosim.errors import UsageError
 from cosim.options import Rule
-from cosim.report.printable import printable
+from cosim.report.printable import print_notice, print_text, printable
 
 
 @command(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import cosim
 from cosim.cli.command import Given, command
-from cosim.cli.options import check_plot, print_notice, prints_to_stderr, shared
+from cosim.cli.options import check_plot, prints_to_stderr, shared
 from cosim.errors import UsageError
+from cosim.report.printable import print_notice
 from cosim.terminal import show_count
 
 

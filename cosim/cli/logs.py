@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import cosim
 from cosim.cli.command import Given, command
-from cosim.cli.options import check_plot, live_server, print_notice, print_text, shared
+from cosim.cli.options import check_plot, live_server, shared
 from cosim.errors import CosimError, UsageError
 from cosim.files import file_type
-from cosim.report.printable import printable
+from cosim.report.printable import print_notice, print_text, printable
 from cosim.terminal import ended_by_interrupt
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ from cosim.cli.options import (
     check_verdicts,
     has_failed,
     live_server,
-    print_notice,
     prints_to_stderr,
     read_assertions,
     run_in_child,
@@ -23,6 +22,7 @@ from cosim.cli.options import (
 )
 from cosim.errors import UsageError, option
 from cosim.options import STEP_IS_CHOSEN, Rule
+from cosim.report.printable import print_notice
 from cosim.terminal import show_progress
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import listing
+from cosim.report.printable import print_text
 from cosim.report.tables.console import (
     new_table,
     print_json,
-    print_line,
     print_sections,
     print_table,
 )
@@ -197,9 +197,9 @@ def print_check(path: str, findings: Sequence[Finding], *, as_json: bool) -> Non
         print_json({"path": path, **counts, "findings": rows})
         return
     for finding in findings:
-        print_line(f"{finding.level}: {finding.where}: {finding.text}")
+        print_text(f"{finding.level}: {finding.where}: {finding.text}")
     texts = [f"{n} {level}{'s' if n > 1 else ''}" for level, n in numbers.items() if n]
-    print_line(f"{path}: {', '.join(texts) or 'no problems found'}")
+    print_text(f"{path}: {', '.join(texts) or 'no problems found'}")
 
 
 def print_cache(*, clear: bool, as_json: bool) -> None:
@@ -219,12 +219,12 @@ def print_cache(*, clear: bool, as_json: bool) -> None:
     if as_json:
         print_json(content)
     elif folder is None:
-        print_line("no cache: COSIM_CACHE is empty")
+        print_text("no cache: COSIM_CACHE is empty")
     elif clear:
-        print_line(f"{folder}: {removed} removed")
+        print_text(f"{folder}: {removed} removed")
     else:
         counts = f"{n_trials} trial results, {len(sizes) - n_trials} compiled files"
-        print_line(f"{folder}: {counts}, {sum(sizes)} bytes")
+        print_text(f"{folder}: {counts}, {sum(sizes)} bytes")
 
 
 def print_linearization(linearization: Linearization, *, as_json: bool) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from cosim.errors import UsageError, listing, option, quoted, shortened
+from cosim.report.printable import print_notice, print_text
 from cosim.report.tables import console
 from cosim.studies import sensitivity, statistics
 from cosim.studies.contracts import RECORDING
@@ -118,7 +119,7 @@ def _print(shown: Shown, *, as_json: bool) -> None:
         return
     for one in shown:
         if isinstance(one, str):
-            console.print_line(one)
+            print_text(one)
         else:
             console.print_table(one)
 
@@ -376,7 +377,7 @@ def _sobol(results: StudyResults, parts: ShownParts) -> Shown:
     for indices in found:
         yield from _indices(indices, results.with_unit(indices.metric))
     for text in without:
-        console.print_line(text, error=True)
+        print_notice(text)
 
 
 def _indices(indices: sensitivity.SobolIndices, name: str) -> Shown:

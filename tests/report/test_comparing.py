@@ -340,12 +340,12 @@ def test_each_row_is_a_replay_of_its_own(log, monkeypatch):
     """
     rows = []
 
-    def recorded(source, *arguments, **options):
-        rows.append(source.rows("plant"))
-        return record_replay(source, *arguments, **options)
+    def recorded(replays, *arguments, **options):
+        rows.append(replays.source.rows("plant"))
+        return record(replays, *arguments, **options)
 
-    record_replay = replay.record_replay
-    monkeypatch.setattr(replay, "record_replay", recorded)
+    record = Replays.record
+    monkeypatch.setattr(Replays, "record", recorded)
     common = {"observer.filter_rate": 500.0}
     vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
     sweep = cosim.replay_sweep(log.path, vary=vary, set=common)

@@ -8,7 +8,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.errors import UsageError, nearest
-from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.report.printable import print_text
+from cosim.report.tables.console import new_table, print_json, print_table
 
 if TYPE_CHECKING:
     from cosim.scenario.kinds import Kind
@@ -86,15 +87,15 @@ def print_kind(name: str, *, as_json: bool) -> None:
     if as_json:
         print_json(content)
     elif name in KINDS:
-        print_line(f"{name}: {content['description']}")
-        print_line(f"ports: {content['ports']}")
+        print_text(f"{name}: {content['description']}")
+        print_text(f"ports: {content['ports']}")
         if KINDS[name].tunable_elsewhere:
-            print_line(f"tunable: {KINDS[name].tunable_elsewhere}")
+            print_text(f"tunable: {KINDS[name].tunable_elsewhere}")
         _print_parameters("", content["parameters"], content["tunable"])
     else:
-        print_line(f"{name}: {content['class_name']}, of {content['distribution']}")
-        print_line("ports: those of the class")
-        print_line("parameters: those of its constructor; nothing is imported here")
+        print_text(f"{name}: {content['class_name']}, of {content['distribution']}")
+        print_text("ports: those of the class")
+        print_text("parameters: those of its constructor; nothing is imported here")
 
 
 def _plain(kind: type[Kind]) -> dict[str, Any]:

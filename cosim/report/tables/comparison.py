@@ -10,12 +10,8 @@ import numpy as np
 
 from cosim.core.recorded.signals import DistinctWarnings, warning_texts
 from cosim.errors import quoted
-from cosim.report.tables.console import (
-    new_table,
-    print_json,
-    print_line,
-    print_table,
-)
+from cosim.report.printable import print_notice, print_text
+from cosim.report.tables.console import new_table, print_json, print_table
 
 if TYPE_CHECKING:
     from cosim.log.comparison.difference import LogDifference
@@ -47,15 +43,15 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     for row in difference.rows:
         in_a, in_b, both = row.rows
         if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
-            print_line(
+            print_text(
                 f"note: compared only where both logs have rows: {row.signal} at {both} instants "
                 f"({in_a} in a, {in_b} in b)"
             )
             break
     if any(difference.events.events):
-        print_line(_events_text(difference.events))
+        print_text(_events_text(difference.events))
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
-        print_line(
+        print_text(
             "note: a reconstructed disturbance amplifies rounding errors of y by filter_rate; "
             "give it its own --tol"
         )
@@ -88,7 +84,7 @@ def _print_failures(failures: Iterable[tuple[str, str]]) -> None:
     """Print why some of several runs failed."""
     for name, text in failures:
         for line in text.splitlines():
-            print_line(f"{name}: failed: {line}", error=True)
+            print_notice(f"{name}: failed: {line}")
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:
@@ -106,13 +102,13 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     columns = ("estimate", "truth", "plant", "value", "error", f"from {first}")
     print_table(new_table(f"{comparison.scenario}: {comparison.component}", columns, rows))
     if not comparison.estimates:
-        print_line(
+        print_text(
             "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
             "'cosim diff' compares all their signals"
         )
     for label, recording in comparison.recordings.items():
         for text in warning_texts(recording.warnings):
-            print_line(f"warning: {label}: {text}", error=True)
+            print_notice(f"warning: {label}: {text}")
     _print_failures(failures)
 
 
@@ -161,8 +157,8 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
     title = f"{comparison.scenario}: {comparison.component}"
     columns = ("method", "theta", "error", "time / rest", "verdict")
     print_table(new_table(title, columns, rows))
-    print_line("±: half width of the 95 % interval, where there is one")
-    print_line("time / rest: computing time of the identifier over that of all other components")
+    print_text("±: half width of the 95 % interval, where there is one")
+    print_text("time / rest: computing time of the identifier over that of all other components")
     _print_failures(failures)
 
 
@@ -192,7 +188,7 @@ def print_sweep(sweep: ReplaySweep, *, as_json: bool, quiet: bool) -> None:
         print_table(new_table(sweep.log, (*sweep.varied, *columns), rows))
         warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
         for text in warning_texts(DistinctWarnings(warnings)):
-            print_line(f"warning: {text}", error=True)
+            print_notice(f"warning: {text}")
     _print_failures((f"row {i}", row.problem) for i, row in enumerate(sweep.rows, start=1))
 
 

@@ -103,11 +103,6 @@ def terminal_width() -> int | None:
     return os.get_terminal_size(sys.stdout.fileno()).columns or _WIDTH
 
 
-def print_line(text: str, *, error: bool = False) -> None:
-    """Print a text that may come from a log or an FMU to stdout, or to stderr."""
-    typer.echo(printable(text), err=error)
-
-
 def _column_widths(columns: Sequence[Sequence[str]], console: Console) -> list[int]:
     """Return the widths of columns that break no word; none: they do not fit side by side."""
     sizes = [measure_renderables(console, console.options, cells) for cells in columns]

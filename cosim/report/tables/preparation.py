@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.report.estimators import numbers_text
+from cosim.report.printable import print_notice, print_text
 from cosim.report.tables.console import (
     new_table,
     print_json,
-    print_line,
     print_section,
     print_table,
 )
@@ -48,17 +48,17 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     for report in reports.reports.values():
         print_section(report.component, report.lines)
     for component, name in reports.imported.items():
-        print_line(f"{component}: {name} was imported")
+        print_text(f"{component}: {name} was imported")
     if reports.refusals:
         return
     for component, text in warnings:
-        print_line(f"warning: {component}: {text}", error=True)
+        print_notice(f"warning: {component}: {text}")
     found = "no problems found"
     if reports.different:
         found = f"the scenario can run; rows that differ: {reports.different}"
     elif warnings:
         found = f"the scenario can run; warnings: {len(warnings)}"
-    print_line(f"dry run: {found}")
+    print_text(f"dry run: {found}")
 
 
 # --- assumptions ---
@@ -70,7 +70,7 @@ def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
         print_json(report.to_dict())
         return
     for component, text in report.warnings:
-        print_line(f"warning: {component}: {text}", error=True)
+        print_notice(f"warning: {component}: {text}")
     rows = []
     for name, verdict in report.verdicts:
         answer = ": ".join(filter(None, (_WORDS[verdict.fulfilled], verdict.verdict)))
@@ -109,9 +109,9 @@ def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
         choice = _TITLES.get(omitted.choice, omitted.choice)
         settings = ", ".join(filter(None, map(_settings, omitted.settings)))
         of_method = " ".join(filter(None, (omitted.method, settings)))
-        print_line(": ".join(filter(None, (choice, of_method, omitted.reason))))
+        print_text(": ".join(filter(None, (choice, of_method, omitted.reason))))
     for note in design.notes:
-        print_line(note)
+        print_text(note)
 
 
 def _settings(settings: Mapping[str, Any]) -> str:
