@@ -12,7 +12,8 @@ from cosim.report import comparing
 from cosim.report.comparing import compare, results_of
 from cosim.report.plots.runs import plot_comparison
 from cosim.report.summary import summarize
-from cosim.report.tables.comparison import print_estimators
+from cosim.report.tables.comparison import show_estimators
+from cosim.report.tables.console import print_shown
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
 from cosim.scenario.running.replay import Replays
@@ -224,7 +225,7 @@ def test_every_estimate_is_judged_by_the_data(compared, capsys):
     The table shows half of the intervals that the verdicts have, 1.96 standard errors, and none
     beside INCONSISTENT.
     """
-    print_estimators(compared, as_json=False)
+    print_shown(show_estimators(compared), as_json=False)
     lines = capsys.readouterr().out.splitlines()
     shown = {line.split("\t")[0]: line.split("\t") for line in lines[2:]}
     assert any("half width of the 95 % interval" in line for line in lines)

@@ -21,7 +21,7 @@ def printed(capsys, monkeypatch):
 
     def printed(width, title, content):
         monkeypatch.setattr(console, "terminal_width", lambda: width)
-        console.print_section(title, content)
+        console.print_tables(console.section_tables([(title, content)]))
         return capsys.readouterr().out
 
     return printed

@@ -13,7 +13,7 @@ from cosim.log import Log
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
 from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.printable import print_notice, print_text
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import Shown, new_table, print_json, print_table
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
@@ -46,11 +46,9 @@ def print_verification(
             print_notice(f"note: {name}: {bits}")
 
 
-def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
-    """Print the rows of each component that are there, and the times of those that are lost."""
-    if as_json:
-        print_json(recovery.to_dict())
-        return
+def show_recovery(recovery: RecoveredLog) -> Shown:
+    """Show the rows of each component that are there, and the times of those that are lost."""
+    yield recovery.to_dict()
     table = []
     for name, rows in recovery.rows.items():
         shown = []
@@ -63,23 +61,28 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
             plural = "" if len(omitted) == 1 else "s"
             shown.append(f"{sum(omitted)} in {len(omitted)} more interval{plural}")
         table.append((name, str(rows.count), "; ".join(shown) or "0"))
-    print_table(new_table("", ("component", "rows", "lost"), table))
+    yield new_table("", ("component", "rows", "lost"), table)
     if not recovery.end_is_known:
         end = recovery.end_ns / NANOSECONDS
-        print_text(f"any rows after {end} s are lost, too: the file has no end")
+        yield f"any rows after {end} s are lost, too: the file has no end"
     if not recovery.has_all_messages:
-        print_text("messages, events or substeps are lost, too, or their number is unknown")
+        yield "messages, events or substeps are lost, too, or their number is unknown"
     if not recovery.has_scenario:
-        print_text("the scenario is lost: the log can be read, but not replayed")
+        yield "the scenario is lost: the log can be read, but not replayed"
     log = recovery.log
     whole_ns = recovery.whole_until_ns
     if log.status == PARTIAL_STATUS and whole_ns is not None and not log.begins_late:
         whole = whole_ns / NANOSECONDS
-        print_text(
+        yield (
             f"no row is lost up to {whole} s: with '--to {whole}', 'cosim cut' makes a log that "
             "can be replayed"
         )
-    print_text(f"{log.path}: {', '.join(filter(None, (log.status, log.reason)))}")
+    yield ended(log)
+
+
+def ended(log: Log) -> str:
+    """Return where a log is, and how its run ended."""
+    return f"{log.path}: {', '.join(filter(None, (log.status, log.reason)))}"
 
 
 def is_rotated(recording: object) -> TypeGuard[Log]:
