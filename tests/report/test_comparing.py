@@ -499,3 +499,13 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         cosim.replay_sweep(path, vary=vary, map=BOTH)
     with pytest.raises(UsageError, match="omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)
+
+
+def test_a_sweep_ends_where_stop_says(failing):
+    """Like each of its replays; and the same time is not given twice."""
+    sweep = cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]}, stop=0.1)
+    assert sweep.rows[0].summary.end == 0.1
+    with pytest.raises(UsageError, match=r"stop and set\['scenario\.stop'\]"):
+        cosim.replay_sweep(
+            failing, vary={"u.amplitude": [1.0]}, stop=0.1, set={"scenario.stop": 0.2}
+        )
