@@ -17,14 +17,13 @@ from cosim.cli.options import (
     BAD_VERDICTS,
     check_verdicts,
     has_failed,
-    print_notice,
-    print_text,
     prints_to_stderr,
     read_assertions,
     shared,
 )
 from cosim.errors import DatasetError, UsageError, listing, option, quoted
 from cosim.options import Rule
+from cosim.report.printable import print_notice, print_text
 from cosim.terminal import ShownMembers, show_members
 
 if TYPE_CHECKING:

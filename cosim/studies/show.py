@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from cosim.errors import UsageError, listing, option, quoted, shortened
+from cosim.report.printable import print_notice
 from cosim.report.tables import console
+from cosim.report.tables.console import Shown
 from cosim.studies import sensitivity, statistics
 from cosim.studies.contracts import RECORDING
 from cosim.studies.layout import StudyLayout, StudyResults, count_text, results_of_study
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from cosim.studies.verifying import StudyVerification
 
 CommandOf: TypeAlias = Callable[[int], str]
-Shown: TypeAlias = Iterator[Any]  # of a part first what JSON has; then lines and tables
 _LEAST: Final = statistics.LEAST_MEMBERS
 _MOST_REASONS: Final = 20  # that are shown; --json has all
 _METRIC_HEADS: Final = ("", "", "95 % interval")
@@ -108,19 +109,7 @@ def show_study(
         shown = _search(results, search, command_of, parts)
     else:
         shown = _all(results, command_of, parts)
-    _print(shown, as_json=parts.as_json)
-
-
-def _print(shown: Shown, *, as_json: bool) -> None:
-    content = next(shown)
-    if as_json:
-        console.print_json(content)
-        return
-    for one in shown:
-        if isinstance(one, str):
-            console.print_line(one)
-        else:
-            console.print_table(one)
+    console.print_shown(shown, as_json=parts.as_json)
 
 
 def _table(title: str, heads: Sequence[str], rows: Iterable[Iterable[str]]) -> Shown:
@@ -376,7 +365,7 @@ def _sobol(results: StudyResults, parts: ShownParts) -> Shown:
     for indices in found:
         yield from _indices(indices, results.with_unit(indices.metric))
     for text in without:
-        console.print_line(text, error=True)
+        print_notice(text)
 
 
 def _indices(indices: sensitivity.SobolIndices, name: str) -> Shown:
@@ -477,7 +466,7 @@ def tuning_lines(result: TuningResult) -> list[str]:
 
 def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
     """Print what came of running members again, and what that does not show."""
-    _print(_verification(found), as_json=as_json)
+    console.print_shown(_verification(found), as_json=as_json)
 
 
 def _verification(found: StudyVerification) -> Shown:
@@ -508,7 +497,7 @@ def _verification(found: StudyVerification) -> Shown:
 
 def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False) -> None:
     """Print what a study will take."""
-    _print(_estimate(name, estimate), as_json=as_json)
+    console.print_shown(_estimate(name, estimate), as_json=as_json)
 
 
 def _estimate(name: str, estimate: StudyEstimate) -> Shown:

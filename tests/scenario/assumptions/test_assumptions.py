@@ -8,7 +8,8 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, UsageError
-from cosim.report.tables.preparation import print_assumptions
+from cosim.report.tables.console import print_shown
+from cosim.report.tables.preparation import show_assumptions
 from cosim.report.verification import verify
 from cosim.scenario.assumptions.method import (
     ACTIVATION,
@@ -378,7 +379,7 @@ def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path, capsy
     assert any(name == "plant" and words in text for name, text in warnings)
     assert report.warnings == warnings
     assert report.to_dict()["warnings"] == [{"of": name, "text": text} for name, text in warnings]
-    print_assumptions(report, as_json=False)
+    print_shown(show_assumptions(report), as_json=False)
     assert f"warning: plant: {words}" in capsys.readouterr().err
 
 
