@@ -16,6 +16,7 @@ from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
+from tests.scenario.refusals import check_refused
 from tests.scenario.signals import COARSE
 from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
 
@@ -109,19 +110,9 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
         options += ["--map", f"{port}={name}"]
     for key, value in COARSE.items():
         options += ["--set", f"{key}={value}"]
+    swap = ["--swap", f"plant={other}"]
     with pytest.raises(SystemExit) as left:
-        main(
-            [
-                "run",
-                "academic",
-                "--swap",
-                f"plant={other}",
-                *options,
-                "--out",
-                "a.mcap",
-                "--quiet",
-            ]
-        )
+        main(["run", "academic", *swap, *options, "--out", "a.mcap", "--quiet"])
     assert not left.value.code
     entries = ", ".join(f'"{port}" = "{name}"' for port, name in MAP.items())
     table = f'plant = {{ path = "{other}", map = {{ {entries} }} }}'
@@ -267,124 +258,50 @@ def test_a_component_that_is_swapped_too_has_a_map_of_its_own(other, tmp_path):
     assert found == {port: [name] for port, name in maps.items()}
 
 
-MAP_OF_Y = {port: name for port, name in MAP.items() if port != "plant.x_a"}
-WRONG = {
-    "a map without a swap": (
-        {},
-        {"observer.y": "out1"},
-        r"^map\['observer\.y'\]: .* swapped component: .*\[swap\]$",
+WRONG = [  # maps beside MAP, whose entries None leaves out, and what the option is told of
+    ({"y": "out1"}, r"\['y'\]: expected COMPONENT\.PORT"),
+    ({"plnt.u": "force"}, r"\['plnt\.u'\]: .*'plant'.*; did you mean 'plant\.u'\?"),
+    ({"plant.uu": "force"}, r"\['plant\.uu'\]: .*'plant\.uu'.*; did you mean 'plant\.u'\?"),
+    ({"regressor.delta": "out1"}, r"'regressor\.delta' .*'plant'.*; available: .*observer\.y"),
+    ({"observer.y": "out2"}, r"\['observer\.y'\]: .*'plant' has no output 'out2'; .*'out1'\?"),
+    ({"observer.y": "force"}, r"y'\]: 'plant\.force': .*an output .*an input; .*: aux, s, out1\n"),
+    ({"observer.y": ["out1", ""]}, r"\['observer\.y'\]: .*a port .*'plant', got none\n"),
+    ({"observer.y": ""}, r"\['observer\.y'\]: .*a port .*'plant', got none\n"),
+    ({"observer.y": "s[1:1]"}, r"\['observer\.y'\]: 'plant\.s\[1:1\]' has no elements"),
+    ({"observer.y": "s[2]"}, r"'plant\.s\[2\]': 'plant\.s' has 2 elements, numbered from 0"),
+    ({"observer.y": "s"}, r"connections\.observer\.y: plant\.y -> observer\.y: size 2 .*size 1"),
+    ({"plant.u": "forse"}, r"\['plant\.u'\]: .*'plant' has no input 'forse'; .*'force'\?"),
+    ({"plant.u": "force[1]"}, r"\['plant\.u'\]: .*'plant\.force' has 1 element, numbered"),
+    ({"plant.x_a": "t"}, r"\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; available"),
+    ({"plant.x_a": "[s[0], s[1]"}, r"\['plant\.x_a'\]: expected \[NAME, NAME\], got '\[s"),
+    ({"plant.delta": "force"}, r"\['plant\.delta'\]: .*given twice, for 'plant\.u' and 'plant\.d"),
+    ({"plant.x_a[0]": "s[1]"}, r"'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a' \(as s\)"),
+    ({"plant.y[0]": "s[1]"}, r"'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)"),
+    (
+        {"plant.x_a": None, "plant.x_a[0]": "s[1]", "plant.x_a[0:2]": "s"},
+        r"\['plant\.x_a\[0:2\]'\]: .*\(as s\) overlaps 'plant\.x_a\[0\]'",
     ),
-    "no dot": (True, {"y": "out1"}, r"map\['y'\]: expected COMPONENT\.PORT"),
-    "no such component": (
-        True,
-        {"plnt.u": "force"},
-        r"map\['plnt\.u'\]: 'plnt\.u' .*'plant'.*; did you mean 'plant\.u'\?",
+    (
+        {"plant.x_a": None, "plant.x_a[1]": "s[1]"},
+        r"\['plant\.x_a\[1\]'\]: .*has 2 elements; .*: plant\.x_a\[0\], or .*=\[NAME, NAME\]\n",
     ),
-    "no such port": (
-        True,
-        {"plant.uu": "force"},
-        r"map\['plant\.uu'\]: .*'plant\.uu'.*; did you mean 'plant\.u'\?",
+    (
+        {"plant.x_a": None, "plant.x_a[5]": "s[1]"},
+        r"\['plant\.x_a\[5\]'\]: .*: 'plant\.x_a' has 2 elements, numbered from 0",
     ),
-    "another component's port": (
-        True,
-        {"regressor.delta": "out1"},
-        r"map\['regressor\.delta'\]: 'regressor\.delta' .*'plant'.*; available: .*observer\.y",
-    ),
-    "no such output there": (
-        True,
-        {**MAP, "observer.y": "out2"},
-        r"map\['observer\.y'\]: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
-    ),
-    "no such input there": (
-        True,
-        {**MAP, "plant.u": "forse"},
-        r"map\['plant\.u'\]: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
-    ),
-    "no such output there, for the truth": (
-        True,
-        {**MAP, "plant.x_a": "t"},
-        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; available",
-    ),
-    "no such element": (
-        True,
-        {**MAP, "observer.y": "s[2]"},
-        r"'plant\.s\[2\]': 'plant\.s' has 2 elements, numbered from 0",
-    ),
-    "an input for an output": (
-        True,
-        {**MAP, "observer.y": "force"},
-        r"map\['observer\.y'\]: 'plant\.force': expected an output of 'plant', got an input; "
-        r"available: aux, s, out1\n",
-    ),
-    "no such element of an input": (
-        True,
-        {**MAP, "plant.u": "force[1]"},
-        r"map\['plant\.u'\]: 'plant\.force\[1\]': 'plant\.force' has 1 element, numbered",
-    ),
-    "one name for two": (
-        True,
-        {**MAP, "plant.delta": "force"},
-        r"map\['plant\.delta'\]: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
-    ),
-    "no name in a list": (
-        True,
-        {**MAP, "observer.y": ["out1", ""]},
-        r"map\['observer\.y'\]: expected the name of a port .*'plant', got none\n",
-    ),
-    "a slice of nothing": (
-        True,
-        {**MAP, "observer.y": "s[1:1]"},
-        r"map\['observer\.y'\]: 'plant\.s\[1:1\]' has no elements",
-    ),
-    "another size": (
-        True,
-        {**MAP, "observer.y": "s"},
-        r"connections\.observer\.y: plant\.y -> observer\.y: size 2 cannot drive size 1",
-    ),
-    "an element beside its vector": (
-        True,
-        {**MAP, "plant.x_a[0]": "s[1]"},
-        r"map\['plant\.x_a\[0\]'\]: 'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a' \(as s\)",
-    ),
-    "an element beside a slice": (
-        True,
-        {**MAP_OF_Y, "plant.x_a[0]": "s[1]", "plant.x_a[0:2]": "s"},
-        r"map\['plant\.x_a\[0:2\]'\]: 'plant\.x_a\[0:2\]' \(as s\) overlaps 'plant\.x_a\[0\]'",
-    ),
-    "an element alone": (
-        True,
-        {**MAP_OF_Y, "plant.x_a[1]": "s[1]"},
-        r"map\['plant\.x_a\[1\]'\]: .*'plant\.x_a', which has 2 elements; .*: plant\.x_a\[0\], or "
-        r".*plant\.x_a=\[NAME, NAME\]\n",
-    ),
-    "an element that the replaced has not": (
-        True,
-        {**MAP_OF_Y, "plant.x_a[5]": "s[1]"},
-        r"map\['plant\.x_a\[5\]'\]: .*: 'plant\.x_a' has 2 elements, numbered from 0",
-    ),
-    "an element beside its scalar": (
-        True,
-        {**MAP, "plant.y[0]": "s[1]"},
-        r"map\['plant\.y\[0\]'\]: 'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)",
-    ),
-    "a list that is not closed": (
-        True,
-        {**MAP, "plant.x_a": "[s[0], s[1]"},
-        r"map\['plant\.x_a'\]: expected \[NAME, NAME\], got '\[s\[0\], s\[1\]'",
-    ),
-    "no name": (
-        True,
-        {**MAP, "observer.y": ""},
-        r"map\['observer\.y'\]: expected the name of a port .*'plant', got none\n",
-    ),
-}
+]
 
 
-def test_a_wrong_map_is_reported(other, subtests):
+def test_a_wrong_map_is_reported(other):
     """The option, what was found, the nearest."""
-    for case, (swapped, maps, text) in WRONG.items():
-        with subtests.test(case=case), pytest.raises(ScenarioError, match=text):
-            cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=COARSE)
+
+    def run(changed):
+        maps = {port: name for port, name in {**MAP, **changed}.items() if name is not None}
+        cosim.run("academic", swap={"plant": other}, map=maps, set=COARSE)
+
+    check_refused(WRONG, run, ScenarioError)
+    with pytest.raises(ScenarioError, match=r"^map\['observer\.y'\]: .* swapped .*\[swap\]$"):
+        cosim.run("academic", map={"observer.y": "out1"})
 
 
 def test_all_that_is_wrong_is_reported_at_once(other):
@@ -404,38 +321,30 @@ def test_all_that_is_wrong_is_reported_at_once(other):
         assert text in str(caught.value)
 
 
-def test_a_wrong_entry_of_the_file_is_reported_with_its_line(subtests):
+WRONG_IN_FILE = [  # entries of plant in [swap]
+    ("3", r"academic:\d+: swap\.plant: expected a table, got 3"),
+    ('{ map = { "plant.u" = "x" } }', r"academic:\d+: swap\.plant: 'path' is missing .*\.fmu"),
+    ('"x.xyz"', r"academic:\d+: swap\.plant: expected a path that ends in \.fmu"),
+    ('"x.fmu#xx"', r"academic:\d+: swap\.plant: .*'#me' .*'#cs' .*, got '#xx'$"),
+    ('{ path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
+    (
+        '{ path = "x.fmu", map = { "regressor.z" = "x" } }',
+        r"academic:\d+: swap\.plant\.map\.regressor\.z: 'regressor\.z' .*; available: plant\.u",
+    ),
+    (
+        '{ path = "x.fmu", map = { "observer.y[0]" = "x" } }',
+        r"swap\.plant\.map\.observer\.y\[0\]: 'observer\.y\[0\]' .*did you mean 'observer\.y'",
+    ),
+    (
+        '{ path = "x.fmu", map = { plant.u = 1 } }',
+        r"swap\.plant\.map\.plant\.u: expected a string.*, got 1\n",
+    ),
+]
+
+
+def test_a_wrong_entry_of_the_file_is_reported_with_its_line():
     """As everything else in a file."""
-    for swap, text in [
-        ("plant = 3", r"academic:\d+: swap\.plant: expected a table, got 3"),
-        (
-            'plant = { map = { "plant.u" = "x" } }',
-            r"academic:\d+: swap\.plant: 'path' is missing .*\.fmu",
-        ),
-        (
-            'plant = "x.xyz"',
-            r"academic:\d+: swap\.plant: expected a path that ends in \.fmu",
-        ),
-        (
-            'plant = "x.fmu#xx"',
-            r"academic:\d+: swap\.plant: .*'#me' .*'#cs' .*, got '#xx'$",
-        ),
-        (
-            'plant = { path = "x.fmu", map = { "regressor.z" = "x" } }',
-            r"academic:\d+: swap\.plant\.map\.regressor\.z: 'regressor\.z' .*; available: plant\.u",
-        ),
-        (
-            'plant = { path = "x.fmu", map = { "observer.y[0]" = "x" } }',
-            r"swap\.plant\.map\.observer\.y\[0\]: 'observer\.y\[0\]' .*did you mean 'observer\.y'",
-        ),
-        (
-            'plant = { path = "x.fmu", map = { plant.u = 1 } }',
-            r"swap\.plant\.map\.plant\.u: expected a string.*, got 1\n",
-        ),
-        ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
-    ]:
-        with subtests.test(swap=swap), pytest.raises(ScenarioError, match=text):
-            parse(text_with(swap))
+    check_refused(WRONG_IN_FILE, lambda entry: parse(text_with(f"plant = {entry}")), ScenarioError)
 
 
 @pytest.mark.parametrize(
@@ -460,18 +369,14 @@ def test_a_name_is_given_once(options, text, capsys):
 
 
 def test_who_is_swapped_again_loses_its_own_map_only():
-    swapped = find("academic").with_swaps(
-        {"plant": "a.fmu", "observer": "b.fmu"},
-        {"plant.y": "out1", "observer.delta": "d", "observer.y": "in1"},
-    )
-    assert swapped.with_swaps({"plant": "c.fmu"}).maps == {
-        "observer.delta": "d",
-        "observer.y": "in1",
-    }
-    assert swapped.with_swaps({"regressor": "c.fmu"}, {"regressor.mu": "m"}).maps == {
-        **swapped.maps,
-        "regressor.mu": "m",
-    }
+    """Each entry of it, also where two are for one port."""
+    one = find("academic").with_swaps({"plant": "a.fmu"}, {"plant.y": "y1", "observer.y": "y1"})
+    assert one.with_swaps({"plant": "c.fmu"}, {"plant.u": "v"}).maps == {"plant.u": "v"}
+    two = one.with_swaps({"observer": "b.fmu"}, {"observer.delta": "d", "observer.y": "in1"})
+    others = {"observer.delta": "d", "observer.y": "in1"}
+    assert two.with_swaps({"plant": "c.fmu"}).maps == others
+    again = two.with_swaps({"regressor": "c.fmu"}, {"regressor.mu": "m"})
+    assert again.maps == {**two.maps, "regressor.mu": "m"}
 
 
 @pytest.mark.slow
@@ -481,38 +386,20 @@ def test_elements_of_an_input_may_be_turned_round(tmp_path):
     outputs = (Signal("y", 2, role="state"),)
     gains = np.array([[1.0, 0.0], [0.0, 10.0]])
     zeros = np.zeros((2, 2))
-    model = LinearModel(
-        Interface(inputs, outputs, {"y": ()}),
-        ("y[0]", "y[1]"),
-        zeros,
-        gains,
-        np.eye(2),
-        zeros,
-        np.zeros(2),
-        zeros,
-    )
+    interface = Interface(inputs, outputs, {"y": ()})
+    states = ("y[0]", "y[1]")
+    model = LinearModel(interface, states, zeros, gains, np.eye(2), zeros, np.zeros(2), zeros)
     path = export(model, tmp_path / "k.fmu", name="k", fmi="3").path
     (tmp_path / "k.toml").write_text(
         f"""
-        [scenario]
-        name = "k"
-        stop = 0.2
-        step = 0.1
-        [components.u]
-        kind = "expression"
-        y = ["1", "2"]
-        [components.k]
-        kind = "fmu"
-        path = "{path}"
-        [connections]
-        "k.u" = "u.y"
+        scenario = {{ name = "k", stop = 0.2, step = 0.1 }}
+        components.u = {{ kind = "expression", y = ["1", "2"] }}
+        components.k = {{ kind = "fmu", path = "{path}" }}
+        connections = {{ "k.u" = "u.y" }}
         """
     )
     scenario = str(tmp_path / "k.toml")
-    maps = [
-        {"k.u": ["u[1]", "u[0]"]},
-        {"k.u[0]": "u[1]", "k.u[1]": "u[0]"},
-    ]
+    maps = [{"k.u": ["u[1]", "u[0]"]}, {"k.u[0]": "u[1]", "k.u[1]": "u[0]"}]
     runs = [cosim.run(scenario, swap={"k": path}, map=names) for names in maps]
     assert runs[0]["k.u"].tolist() == runs[1]["k.u"].tolist() == [[1.0, 2.0]] * 3
     assert runs[0]["k.y"].tolist() == runs[1]["k.y"].tolist()
