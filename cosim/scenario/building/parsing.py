@@ -107,18 +107,17 @@ class Scenario:
 
     def upstream(self, component: str) -> Scenario:
         """Return the scenario of a component and of all that it depends on, without the others."""
-        inputs: dict[str, list[Port]] = {}
-        for to in self.connections:
-            inputs.setdefault(to.component, []).append(to)
-        connections: dict[Port, Connection] = {}
+        drivers: dict[str, set[str]] = {}
+        for to, connection in self.connections.items():
+            sources = {source.component for source in connection.sources}
+            drivers.setdefault(to.component, sources).update(sources)
         needed: set[str] = set()
         waiting = {component}
         while waiting:
             name = waiting.pop()
             needed.add(name)
-            for to in inputs.get(name, ()):
-                connections[to] = self.connections[to]
-                waiting |= {port.component for port in connections[to].sources} - needed
+            waiting |= drivers.get(name, set()) - needed
+        connections = {to: c for to, c in self.connections.items() if to.component in needed}
         specs = {name: spec for name, spec in self.specs.items() if name in needed}
         return replace(self, specs=specs, connections=connections)
 
