@@ -34,11 +34,10 @@ def info(given: Given) -> None:
     Runs no code of FMUs or user classes.
     """
     from cosim.report.schedule import plot_schedule, schedule_of, show_schedule
-    from cosim.report.tables.console import print_shown
 
     if not given.graph:
         content = _describe(given.source)
-        print_shown(_show_contents(content), as_json=given.json)
+        given.print_shown(_show_contents(content))
         if "problems" in content:
             raise LogError("\n".join(content["problems"]))
         return
@@ -47,7 +46,7 @@ def info(given: Given) -> None:
         raise UsageError(f"--graph {given.source}: expected a scenario, got a {type_name}")
     check_plot(given.out)
     schedule = schedule_of(given.source)
-    print_shown(show_schedule(schedule), as_json=given.json)
+    given.print_shown(show_schedule(schedule))
     if given.out is not None:
         plot_schedule(schedule, given.out)
         if not given.json:
@@ -109,10 +108,9 @@ def list_(given: Given) -> None:
     Each kind is listed with its parameters; KIND explains those of one.
     """
     from cosim.report.tables.catalog import show_catalog, show_kind
-    from cosim.report.tables.console import print_shown
 
     shown = show_catalog() if given.kind is None else show_kind(given.kind)
-    print_shown(shown, as_json=given.json)
+    given.print_shown(shown)
 
 
 @command(shared("scenario"))

@@ -30,7 +30,6 @@ def check(given: Given) -> bool:
     assumption fails.
     """
     from cosim.arguments import fmu_argument, is_scenario
-    from cosim.report.tables.console import print_shown
 
     if is_scenario(given.subject):
         if given.strict:
@@ -40,13 +39,13 @@ def check(given: Given) -> bool:
 
         with prints_to_stderr():
             report = cosim.check_assumptions(str(given.subject), set=given.set)
-        print_shown(show_assumptions(report), as_json=given.json)
+        given.print_shown(show_assumptions(report))
         return not report.fulfilled
     from cosim.fmi.checking.check import check as check_fmu
     from cosim.report.fmu import show_check
 
     findings = check_fmu(fmu_argument(given.subject), start=given.set)
-    print_shown(show_check(str(given.subject), findings), as_json=given.json)
+    given.print_shown(show_check(str(given.subject), findings))
     refused = ("error", "warning") if given.strict else ("error",)
     return any(finding.level in refused for finding in findings)
 
@@ -61,9 +60,8 @@ def cache(given: Given) -> None:
     COSIM_CACHE (empty: no cache).
     """
     from cosim.report.fmu import show_cache
-    from cosim.report.tables.console import print_shown
 
-    print_shown(show_cache(clear=given.clear), as_json=given.json)
+    given.print_shown(show_cache(clear=given.clear))
 
 
 @command(
@@ -138,7 +136,6 @@ def linearize(given: Given) -> None:
     from cosim.fmi.linearizing.linearize import linearize_file
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.report.fmu import show_linearization
-    from cosim.report.tables.console import print_shown
     from cosim.scenario.kinds.linearizing import model_toml
 
     request = LinearizationRequest(
@@ -150,7 +147,7 @@ def linearize(given: Given) -> None:
     )
     linearization = linearize_file(given.fmu, request)
     if not given.toml:
-        print_shown(show_linearization(linearization), as_json=given.json)
+        given.print_shown(show_linearization(linearization))
         return
     for note in linearization.notes:
         print_notice(f"note: {note}")

@@ -32,7 +32,6 @@ def identify(given: Given) -> bool:
     The method of the recorded runs does not matter. Shows standard errors, 95 % intervals, a
     verdict on every parameter and tests of the residual.
     """
-    from cosim.report.tables.console import print_shown
     from cosim.report.tables.identification import report_identification, show_identification
     from cosim.scenario.document.document import parse_value
     from cosim.scenario.kinds.identified_plant import bounds_of
@@ -60,7 +59,7 @@ def identify(given: Given) -> bool:
         from cosim.report.plots.identification import plot_identification
 
         plot_identification(identification, given.plot)
-    print_shown(show_identification(report), as_json=given.json)
+    given.print_shown(show_identification(report))
     return report.failed
 
 
@@ -83,9 +82,8 @@ def design(given: Given) -> None:
     Ranks delays, filters, steps and windows relative to the Cramer-Rao bound of y, which the
     output-error method attains.
     """
-    from cosim.report.tables.console import print_shown
     from cosim.report.tables.preparation import show_design
 
     with prints_to_stderr():
         result = cosim.design(given.scenario, **given.only("noise theta longest input set"))
-    print_shown(show_design(result), as_json=given.json)
+    given.print_shown(show_design(result))

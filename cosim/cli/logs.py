@@ -71,7 +71,7 @@ def metrics(given: Given) -> None:
     The values are bit for bit those of a study with this run.
     """
     from cosim.log.editing.joining import open_joined
-    from cosim.report.tables.console import print_shown, section_tables
+    from cosim.report.tables.console import section_tables
     from cosim.studies.metrics import missing_rows, parse_metrics
 
     texts = {} if given.of is None else _metrics_of(given.of, str(given.log))
@@ -93,7 +93,7 @@ def metrics(given: Given) -> None:
     if lacking:
         print_notice(f"{lacking}; metrics of the whole run, as in a study, may differ")
     shown = {name: "no value" if value is None else repr(value) for name, value in values.items()}
-    print_shown(iter([values, section_tables([("", shown)])]), as_json=given.json)
+    given.print_shown(iter([values, section_tables([("", shown)])]))
 
 
 def _metrics_of(place: str, log: str) -> dict[str, str]:
@@ -209,13 +209,12 @@ def diff(given: Given) -> bool:
     Exit 1 if a signal is outside the tolerance.
     """
     from cosim.report.tables.comparison import show_difference
-    from cosim.report.tables.console import print_shown
 
     check_plot(given.plot)
     logs = cosim.open_log(given.a), cosim.open_log(given.b)
     signals = given.signals or ()
     difference = cosim.diff(*logs, signals=signals, **given.only("atol rtol tol"))
-    print_shown(show_difference(difference), as_json=given.json)
+    given.print_shown(show_difference(difference))
     if given.plot is not None and difference.worst is None:
         print_notice(f"{given.plot}: not drawn, as the largest difference of two values is 0")
     elif given.plot is not None:
@@ -332,8 +331,7 @@ def recover(given: Given) -> None:
     Keeps every chunk whose CRC matches, also after the damage, and shows which rows are lost.
     """
     from cosim.log.editing.recovering import recover as recover_log
-    from cosim.report.tables.console import print_shown
     from cosim.report.tables.logs import show_recovery
 
     recovery = recover_log(given.log, given.out, force=given.force)
-    print_shown(show_recovery(recovery), as_json=given.json)
+    given.print_shown(show_recovery(recovery))

@@ -132,13 +132,12 @@ def run(given: Given) -> bool:
         scenario = load(given.scenario).edit(**given.only("set swap map"))
     start_collecting()
     if given.dry_run:
-        from cosim.report.tables.console import print_shown
         from cosim.report.tables.preparation import show_dry_run
         from cosim.scenario.recordings.swap_comparison import dry_run
 
         with prints_to_stderr():
             reports = dry_run(scenario)
-        print_shown(show_dry_run(reports), as_json=given.json)
+        given.print_shown(show_dry_run(reports))
         if reports.refusals:
             raise UsageError("\n".join([*reports.refusals, *reports.hints]))
         return False
@@ -262,7 +261,6 @@ def compare(given: Given) -> bool:
     """
     from cosim.report.comparing import EstimatorComparison
     from cosim.report.tables.comparison import show_estimators, show_plants
-    from cosim.report.tables.console import print_shown
 
     methods = [name.strip() for name in ",".join(given.estimators or ()).split(",")]
     several = [component for component, paths in given.swap.items() if len(paths) > 1]
@@ -296,7 +294,7 @@ def compare(given: Given) -> bool:
 
         plot_comparison(comparison, given.plot)
     if isinstance(comparison, EstimatorComparison):
-        print_shown(show_estimators(comparison), as_json=given.json)
+        given.print_shown(show_estimators(comparison))
         return any(result.failure for result in comparison.results)
-    print_shown(show_plants(comparison), as_json=given.json)
+    given.print_shown(show_plants(comparison))
     return any(outcome.error for outcome in comparison.outcomes)

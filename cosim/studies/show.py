@@ -54,7 +54,6 @@ class ShownParts:
     sobol : bool
     worst : int
         Members of each metric that are listed; of a search, the best.
-    as_json : bool
 
     Raises
     ------
@@ -68,7 +67,6 @@ class ShownParts:
     by: str = ""
     sobol: bool = False
     worst: int = 3
-    as_json: bool = False
 
     def __post_init__(self) -> None:
         if self.worst < 0:
@@ -92,24 +90,22 @@ def show_study(
     parts: ShownParts,
     *,
     search: Search | None = None,
-) -> None:
-    """Print parts of a study, or of a search, also while it runs."""
+) -> Shown:
+    """Show parts of a study, or of a search, also while it runs."""
     results = results_of_study(study, layout)
     for name in parts.metrics:
         results.columns.metric(name)
     if parts.member is not None:
-        shown = _member(study, results, parts.member, command_of(parts.member))
-    elif parts.sobol:
-        shown = _sobol(results, parts)
-    elif parts.by:
-        shown = _groups(results, parts)
-    elif parts.metrics:
-        shown = _metrics(results, parts)
-    elif search is not None and not parts.conditions:
-        shown = _search(results, search, command_of, parts)
-    else:
-        shown = _all(results, command_of, parts)
-    console.print_shown(shown, as_json=parts.as_json)
+        return _member(study, results, parts.member, command_of(parts.member))
+    if parts.sobol:
+        return _sobol(results, parts)
+    if parts.by:
+        return _groups(results, parts)
+    if parts.metrics:
+        return _metrics(results, parts)
+    if search is not None and not parts.conditions:
+        return _search(results, search, command_of, parts)
+    return _all(results, command_of, parts)
 
 
 def _table(title: str, heads: Sequence[str], rows: Iterable[Iterable[str]]) -> Shown:
@@ -464,12 +460,8 @@ def tuning_lines(result: TuningResult) -> list[str]:
     return [*lines, *result.statements, f"again: {result.command}"]
 
 
-def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
-    """Print what came of running members again, and what that does not show."""
-    console.print_shown(_verification(found), as_json=as_json)
-
-
-def _verification(found: StudyVerification) -> Shown:
+def show_verification(found: StudyVerification) -> Shown:
+    """Show what came of running members again, and what that does not show."""
     yield found.to_dict()
     count = len(found.members)
     numbers = listing([str(number) for number in found.members], 10)
@@ -495,12 +487,8 @@ def _verification(found: StudyVerification) -> Shown:
     yield f"not verified: {'; '.join(not_shown)}"
 
 
-def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False) -> None:
-    """Print what a study will take."""
-    console.print_shown(_estimate(name, estimate), as_json=as_json)
-
-
-def _estimate(name: str, estimate: StudyEstimate) -> Shown:
+def show_estimate(name: str, estimate: StudyEstimate) -> Shown:
+    """Show what a study will take."""
     yield {"name": name, **estimate.to_dict()}
     logs = estimate.log_bytes
     entries = {

@@ -214,9 +214,6 @@ def record(
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
         return memory
-    is_read = Path(os.path.realpath(log_path(out))) in experiment.built.files
-    if is_read and not target.numbered:
-        raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target)
     taking = shown(experiment, target.live, beside, chosen_of(experiment, log))
     began = partial(_announce_size, log, experiment.clock.steps, target.notice)
@@ -359,7 +356,16 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
 def log_recorder(
     experiment: Experiment, out: str | Path, target: Target, *, events: bool = False
 ) -> McapRecorder:
-    """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden."""
+    """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden.
+
+    Raises
+    ------
+    UsageError
+        If the run reads what is to be replaced.
+    """
+    is_read = Path(os.path.realpath(log_path(out))) in experiment.built.files
+    if is_read and not target.numbered:
+        raise UsageError(f"{out} is read by this run; choose another path for the log")
     metadata = metadata_of(experiment)
     attachments = attachments_of(experiment, embed=target.embed)
     return McapRecorder(
